@@ -1,0 +1,34 @@
+"""Sampling design: when to measure a plant that is measured rarely, and what that proves.
+
+    plant -> modal split -> zero count -> schedule -> worst-case sigma -> certificate -> estimator -> validation report
+
+Names load on first use, so that importing this package costs nothing but itself.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_FRONT_DOOR = {
+    "errors": ("SamplingDesignError", "ArgumentError"),
+    "plants.plant": ("Plant", "Signals"),
+    "schedules.schedule": ("Schedule", "PeriodicSchedule"),
+}
+_HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
+
+__all__ = ["__version__", *sorted(_HOME)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'sampling_design' has no attribute {name!r}")
+    value = getattr(import_module(f"sampling_design.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,255 @@
+"""Arguments become owned, read-only float64 arrays here, once, with one grammar of messages.
+
+The grammar: the argument as typed, what was expected, what came, and the likely slip.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+
+
+def freeze(array: Any) -> Array:
+    """Return an owned, C-ordered, read-only float64 copy."""
+    copy = np.array(array, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy
+
+
+def real_array(name: str, value: Any, ndim: int) -> Array:
+    """Return `value` as a frozen real array of `ndim` dimensions.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not numeric, complex, of another dimension, or holds NaN or infinity.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ArgumentError(f"`{name}` must be a rectangular array of numbers, got rows of unequal length.") from None
+    if array.dtype == object or array.dtype.kind not in "biufc":
+        raise ArgumentError(f"`{name}` must hold real numbers, got {_describe(value)}.")
+    if array.dtype.kind == "c":
+        raise ArgumentError(
+            f"`{name}` must be real, got complex entries. Use a real basis (a block [[a, b], [-b, a]] for a +- ib)."
+        )
+    if array.ndim != ndim:
+        raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.")
+    if not np.all(np.isfinite(array)):
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ArgumentError(f"`{name}` must be finite, got {name}[{', '.join(map(str, index))}] = {array[index]}.")
+    return freeze(array)
+
+
+def _describe(value: Any) -> str:
+    return "None" if value is None else f"{type(value).__name__} {value!r:.60}"
+
+
+def matrix(name: str, value: Any, rows: int | None = None, columns: int | None = None) -> Array:
+    """Return `value` as a frozen real matrix, `rows` by `columns` where these are given.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape differs, or as in `real_array`.
+    """
+    array = real_array(name, value, 2)
+    expected = (array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns)
+    if array.shape != expected:
+        slip = " Did you pass the transpose?" if array.shape == expected[::-1] else ""
+        raise ArgumentError(f"`{name}` must have shape {expected}, got {array.shape}.{slip}")
+    return array
+
+
+def vector(name: str, value: Any, length: int | None = None) -> Array:
+    """Return `value` as a frozen real vector, of `length` entries where that is given.
+
+    Raises
+    ------
+    ArgumentError
+        If the length differs, or as in `real_array`.
+    """
+    array = real_array(name, value, 1)
+    if length is not None and array.size != length:
+        raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {array.size}.")
+    return array
+
+
+def number(name: str, value: Any) -> float:
+    """Return `value` as a finite float.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not a finite real number.
+    """
+    if isinstance(value, (bool, str)) or np.ndim(value) != 0:
+        raise ArgumentError(f"`{name}` must be a number, got {_describe(value)}.")
+    return float(real_array(name, np.reshape(np.asarray(value), (1,)), 1)[0])
+
+
+def positive(name: str, value: Any) -> float:
+    """Return `value` as a finite float > 0.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not positive, or as in `number`.
+    """
+    result = number(name, value)
+    if result <= 0:
+        raise ArgumentError(f"`{name}` must be positive, got {result!r}.")
+    return result
+
+
+def nonnegative(name: str, value: Any) -> float:
+    """Return `value` as a finite float >= 0.
+
+    Raises
+    ------
+    ArgumentError
+        If it is negative, or as in `number`.
+    """
+    result = number(name, value)
+    if result < 0:
+        raise ArgumentError(f"`{name}` must not be negative, got {result!r}.")
+    return result
+
+
+def whole(name: str, value: Any, least: int = 0) -> int:
+    """Return `value` as an int of at least `least`.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no whole number or less than `least`.
+    """
+    result = number(name, value)
+    if result != int(result) or result < least:
+        raise ArgumentError(f"`{name}` must be a whole number of at least {least}, got {value!r}.")
+    return int(result)
+
+
+def increasing(name: str, value: Any, slip: str = "") -> Array:
+    """Return `value` as a frozen vector of strictly increasing, non-negative times.
+
+    Raises
+    ------
+    ArgumentError
+        If a time is negative, repeated or earlier than its predecessor; `slip` is appended.
+    """
+    array = vector(name, value)
+    hint = f" {slip}" if slip else ""
+    if array.size and array[0] < 0:
+        raise ArgumentError(f"`{name}` must not be negative, got {name}[0] = {float(array[0])!r}.")
+    bad = np.flatnonzero(np.diff(array) <= 0)
+    if bad.size:
+        i = int(bad[0])
+        what = "repeats" if array[i + 1] == array[i] else "comes after"
+        raise ArgumentError(
+            f"`{name}` must increase strictly, got {name}[{i + 1}] = {float(array[i + 1])!r} which {what} "
+            f"{name}[{i}] = {float(array[i])!r}.{hint}"
+        )
+    return array
+
+
+def symmetric(name: str, value: Any, size: int) -> Array:
+    """Return `value` as a frozen symmetric matrix (relative tolerance 1e-12), exactly symmetrised.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not symmetric, or as in `matrix`.
+    """
+    array = matrix(name, value, size, size)
+    skew = float(np.max(np.abs(array - array.T), initial=0.0))
+    if skew > 1e-12 * float(np.max(np.abs(array), initial=0.0)):
+        raise ArgumentError(f"`{name}` must be symmetric, got entries that differ from their mirror by {skew:.3g}.")
+    return freeze((array + array.T) / 2)
+
+
+def definite(name: str, value: Any, size: int) -> Array:
+    """Return `value` as a frozen symmetric positive definite matrix.
+
+    Raises
+    ------
+    ArgumentError
+        If it has an eigenvalue that is not positive, or as in `symmetric`.
+    """
+    array = symmetric(name, value, size)
+    least = float(np.linalg.eigvalsh(array)[0]) if size else 1.0
+    if least <= 0:
+        raise ArgumentError(f"`{name}` must be positive definite, got least eigenvalue {least:.6g}.")
+    return array
+
+
+def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> tuple[str, ...]:
+    """Return `value` as a tuple of distinct strings, or `prefix1, prefix2, ...` where it is None.
+
+    Raises
+    ------
+    ArgumentError
+        If the number is wrong, an entry is no string, or a name occurs twice.
+    """
+    if value is None:
+        return tuple(f"{prefix}{i + 1}" for i in range(length))
+    if isinstance(value, str) or not all(isinstance(v, str) for v in value):
+        raise ArgumentError(f"`{name}` must be a list of strings, got {_describe(value)}.")
+    result = tuple(str(v) for v in value)
+    if len(result) != length:
+        raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")
+    twice = [v for i, v in enumerate(result) if v in result[:i]]
+    if twice:
+        raise ArgumentError(f"`{name}` must be distinct, got {twice[0]!r} twice.")
+    return result
+
+
+def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse a key that is not known, naming the nearest known one.
+
+    Raises
+    ------
+    ArgumentError
+        If a key is unknown.
+    """
+    allowed = list(known)
+    for key in found:
+        if key not in allowed:
+            near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.0)
+            raise ArgumentError(f"unknown key {key!r} in {where}. Did you mean {near[0]!r}?")
+
+
+def output_mask(name: str, value: Any, samples: int) -> npt.NDArray[np.bool_] | None:
+    """Return `value` as a frozen boolean (samples, outputs) mask; None means that every output is measured.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape is wrong, entries are not 0/1, or a sample measures nothing.
+    """
+    if value is None:
+        return None
+    array = np.asarray(value)
+    if array.ndim != 2 or array.shape[0] != samples or array.shape[1] < 1:
+        raise ArgumentError(
+            f"`{name}` must have shape ({samples}, number of outputs), one row per sample, got shape {array.shape}."
+        )
+    if array.dtype != bool and not np.all(np.isin(array, (0, 1))):
+        raise ArgumentError(f"`{name}` must hold True/False or 1/0 only.")
+    mask = np.array(array, dtype=bool)
+    empty = np.flatnonzero(~mask.any(axis=1))
+    if empty.size:
+        raise ArgumentError(
+            f"`{name}` must measure at least one output at each sample, got none at sample {int(empty[0])}."
+        )
+    mask.flags.writeable = False
+    return mask

@@ -1,0 +1,102 @@
+"""Files are read with one sentence on failure and written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sampling_design.errors import FileFormatError
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a UTF-8 file.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, is a folder, cannot be read, or is not text.
+    """
+    where = os.fspath(path)
+    try:
+        return Path(where).read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise FileFormatError(f"{where}: no such file.", where) from None
+    except IsADirectoryError:
+        raise FileFormatError(f"{where}: is a folder, expected a file.", where) from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
+    except OSError as error:
+        raise FileFormatError(f"{where}: cannot be read ({error.strerror}).", where) from None
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write `content` to a temporary file beside `path`, then rename it into place.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder is missing or cannot be written.
+    """
+    target = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        raise FileFormatError(f"{target}: cannot be written ({error.strerror}).", str(target)) from None
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, target)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise FileFormatError(f"{target}: cannot be written ({error.strerror}).", str(target)) from None
+    return target
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """Write `text` as UTF-8, whole or not at all (see `write_bytes`)."""
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def to_json(data: Mapping[str, Any]) -> str:
+    """Return `data` as indented JSON; floats as shortest repr, NaN and infinity refused."""
+    return json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def from_json(text: str, where: str) -> dict[str, Any]:
+    """Return the object in a JSON text.
+
+    Raises
+    ------
+    FileFormatError
+        If it is cut off, is not JSON, is no object, repeats a key, or holds NaN or infinity.
+    """
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in result:
+                raise FileFormatError(f"{where}: key {key!r} occurs twice.", where)
+            result[key] = value
+        return result
+
+    def refuse(word: str) -> float:
+        raise FileFormatError(f"{where}: holds {word}, which is not allowed.", where)
+
+    try:
+        data = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
+    except json.JSONDecodeError as error:
+        raise FileFormatError(
+            f"{where}: is not valid JSON at line {error.lineno} ({error.msg}). Was the file cut off?", where
+        ) from None
+    if not isinstance(data, dict):
+        raise FileFormatError(f"{where}: must hold one JSON object, got {type(data).__name__}.", where)
+    return data

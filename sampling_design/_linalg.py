@@ -1,0 +1,130 @@
+"""Small dense linear algebra in batches: e^{At}, discounted Gramians, roots, singular values.
+
+Everything works on stacks (N, n, n) so that no caller loops over times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_TAYLOR_DEGREE = 18
+_TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
+
+
+def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
+    """Return e^{A t} for every t in `times`, shape (N, n, n).
+
+    Taylor polynomials of one matrix are one matrix product: the powers of A are shared by all
+    times, so that only the scalar coefficients differ; then repeated squaring.
+    """
+    t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    n = A.shape[0]
+    if n == 0 or t.size == 0:
+        return np.zeros((t.size, n, n))
+    norm = float(np.linalg.norm(A, 1))
+    if norm == 0.0:
+        return np.broadcast_to(np.eye(n), (t.size, n, n)).copy()
+    size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
+    squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
+    scaled = np.ldexp(t * norm, -squarings)
+    unit = A / norm
+    powers = np.empty((_TAYLOR_DEGREE + 1, n * n))
+    current = np.eye(n)
+    for k in range(_TAYLOR_DEGREE + 1):
+        powers[k] = current.ravel()
+        current = current @ unit / (k + 1)
+    coefficients = np.vander(scaled, _TAYLOR_DEGREE + 1, increasing=True)
+    result = (coefficients @ powers).reshape(-1, n, n)
+    for s in range(int(squarings.max())):
+        todo = np.flatnonzero(squarings > s)
+        if todo.size == t.size:
+            result = result @ result
+        else:
+            part = result[todo]
+            result[todo] = part @ part
+    return result
+
+
+def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.0) -> tuple[Array, Array]:
+    """Return e^{A h} and W_h for every gap h, both (N, n, n).
+
+    W_h = int_0^h e^{eta s} e^{A s} N e^{A' s} ds with N = `noise` (n, n) symmetric psd, eta >= 0.
+
+    Notes
+    -----
+    *Method.* With A_eta = A + (eta/2) I the integrand is F_s N F_s', F_s = e^{A_eta s}. A short
+    Taylor step gives W over h/2^s, and doubling W_{2h} = W_h + F_h W_h F_h' brings it to h: every
+    term is psd and nothing overflows before F itself does, which Van Loan's block exponential
+    cannot say for stiff plants.
+    """
+    h = np.atleast_1d(np.asarray(gaps, dtype=np.float64))
+    n = A.shape[0]
+    plain = expm_batch(A, h)
+    if n == 0 or h.size == 0:
+        return plain, np.zeros((h.size, n, n))
+    shifted = A + (eta / 2) * np.eye(n)
+    norm = max(float(np.linalg.norm(shifted, 1)), 1e-300)
+    doublings = np.maximum(0, np.ceil(np.log2(np.maximum(h * norm / 0.25, 1e-300)))).astype(int)
+    step = np.ldexp(h, -doublings)
+    # W_h = sum_k h^{k+1}/(k+1)! N_k with N_0 = N, N_{k+1} = A_eta N_k + N_k A_eta'; |2 A_eta h| <= 1/2
+    degree = 16
+    terms = np.empty((degree, n * n))
+    current = np.array(noise, dtype=np.float64)
+    for k in range(degree):
+        current = current / (k + 1)
+        terms[k] = current.ravel()
+        current = (shifted @ current + current @ shifted.T) / norm
+    coefficients = np.vander(step * norm, degree, increasing=True) * step[:, None]
+    W = (coefficients @ terms).reshape(-1, n, n)
+    F = expm_batch(shifted, step)
+    for s in range(int(doublings.max())):
+        todo = np.flatnonzero(doublings > s)
+        W[todo] = W[todo] + F[todo] @ W[todo] @ np.swapaxes(F[todo], 1, 2)
+        F[todo] = F[todo] @ F[todo]
+    return plain, (W + np.swapaxes(W, 1, 2)) / 2
+
+
+def psd_root(matrix: Array, rtol: float | None = None) -> Array:
+    """Return L (..., n, r) with L L' = `matrix`, r its numerical rank over the whole stack.
+
+    Eigenvalues below `rtol` (default n eps) times the largest count as zero; works where a Cholesky
+    factor does not exist.
+    """
+    n = matrix.shape[-1]
+    values, vectors = np.linalg.eigh(matrix)
+    top = np.max(np.abs(values), axis=-1, initial=0.0, keepdims=True)
+    tolerance = (n * np.finfo(float).eps if rtol is None else rtol) * top
+    kept = np.where(values > tolerance, values, 0.0)
+    rank = int(np.max(np.sum(kept > 0, axis=-1), initial=0))
+    return (vectors * np.sqrt(kept)[..., None, :])[..., n - rank :]
+
+
+def smallest_singular(matrix: Array) -> Array:
+    """Return the n-th singular value of (..., N, n) matrices: 0 where N < n (never numpy's min for wide ones)."""
+    n = matrix.shape[-1]
+    if n == 0:
+        return np.full(matrix.shape[:-2], np.inf)
+    if matrix.shape[-2] < n:
+        return np.zeros(matrix.shape[:-2])
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False)[..., n - 1], dtype=np.float64)
+
+
+def generalised_max(P: Array, Q: Array) -> float:
+    """Return lambda_max(P, Q), the least c with P <= c Q; Q positive definite.
+
+    Solved through the Cholesky factor of Q, so that neither matrix is inverted. -inf for n = 0.
+    """
+    if P.shape[-1] == 0:
+        return -np.inf
+    L = np.linalg.cholesky(Q)
+    half = np.linalg.solve(L, P)
+    full = np.linalg.solve(L, np.swapaxes(half, -1, -2))
+    return float(np.max(np.linalg.eigvalsh((full + np.swapaxes(full, -1, -2)) / 2)))
+
+
+def symmetrise(matrix: Array) -> Array:
+    """Return (M + M')/2 for a stack of matrices."""
+    return (matrix + np.swapaxes(matrix, -1, -2)) / 2

@@ -1,0 +1,62 @@
+"""What all records share: a one-line repr, a small table, an HTML table, words, and a picture.
+
+A record lists its rows once, in `_rows`; everything that shows it is made from them.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+
+class Record:
+    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks."""
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """Label and value of each line of the table, in order."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        return type(self).__name__
+
+    def explain(self) -> str:
+        """Say in one or two sentences what this record means."""
+        raise NotImplementedError
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw this record on `ax` (a new figure if None) and return the axes."""
+        return draw(self, ax)
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[:4])
+        return f"{self._title()}({inside})".replace("\n", " ")
+
+    def __str__(self) -> str:
+        rows = self._rows()
+        width = max((len(label) for label, _ in rows), default=0)
+        return "\n".join([self._title(), *(f"  {label:<{width}}  {value}" for label, value in rows)])
+
+    def _repr_html_(self) -> str:
+        body = "".join(
+            f"<tr><th style='text-align:left'>{escape(label)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
+            for label, value in self._rows()
+        )
+        return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+def draw(record: Any, ax: Any = None) -> Any:
+    """Hand `record` to the plotting room; the one upward call of the house, made late."""
+    from sampling_design import plotting
+
+    return plotting.draw(record, ax)
+
+
+def short(value: Any, digits: int = 6) -> str:
+    """Return a number, or a short list of numbers, as text of `digits` significant digits."""
+    if np.ndim(value) == 0:
+        return f"{float(value):.{digits}g}"
+    flat = np.asarray(value, dtype=float).ravel()
+    shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
+    return f"[{shown}{', ...' if flat.size > 8 else ''}]"

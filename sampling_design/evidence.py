@@ -1,0 +1,50 @@
+"""What stands behind a number: a claim with its theorem, and a record of the solver that found it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+Strength = Literal["proven", "attained", "sampled"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement with its source and its strength.
+
+    `strength` is "proven" (a theorem and a computed bound), "attained" (a witness reaches it) or
+    "sampled" (only looked at in places; evidence, not proof).
+    """
+
+    statement: str
+    theorem: str = ""
+    assumptions: tuple[str, ...] = ()
+    strength: Strength = "proven"
+    citation: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; tuples become lists."""
+        data = asdict(self)
+        data["assumptions"] = list(self.assumptions)
+        return data
+
+    def __str__(self) -> str:
+        source = f" [{self.theorem}]" if self.theorem else ""
+        given = f" given {'; '.join(self.assumptions)}" if self.assumptions else ""
+        return f"{self.strength}: {self.statement}{source}{given}"
+
+
+@dataclass(frozen=True)
+class SolverRecord:
+    """Which solver ran, how it ended and how long it took. Never evidence, only provenance."""
+
+    name: str
+    version: str = ""
+    status: str = ""
+    iterations: int = 0
+    seconds: float = 0.0
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)

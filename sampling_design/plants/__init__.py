@@ -1,0 +1,1 @@
+"""Plants: what is measured, independent of when."""

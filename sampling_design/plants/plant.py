@@ -1,0 +1,270 @@
+"""The linear plant x' = Ax + Bu + Gw, y = Cx + Du + v, with names, units and scales."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._linalg import expm_batch
+from sampling_design._record import Record, short
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+_PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Signals(Record):
+    """Names, units and typical magnitudes of the entries of one vector.
+
+    Parameters
+    ----------
+    names : sequence of str
+    units : sequence of str, optional
+        Default: empty strings.
+    scales : (m,) array, optional
+        Typical magnitudes in those units, positive. Default ones.
+
+    Raises
+    ------
+    ArgumentError
+        If lengths differ, a name repeats or a scale is not positive.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    scales: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        names = _checks.names("names", self.names, count, "")
+        units = tuple(self.units) if self.units else ("",) * count
+        if len(units) != count or not all(isinstance(u, str) for u in units):
+            raise ArgumentError(f"`units` must be {count} strings, one per name, got {self.units!r}.")
+        scales = _checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
+        if np.any(scales <= 0):
+            raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
+        for key, value in {"names": names, "units": units, "scales": scales}.items():
+            object.__setattr__(self, key, value)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def labels(self) -> tuple[str, ...]:
+        """Names with their units in brackets, for tables and axes."""
+        return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [(label, f"scale {short(s)}") for label, s in zip(self.labels(), self.scales, strict=True)]
+
+    def explain(self) -> str:
+        """Say which entries there are."""
+        return "Entries: " + ", ".join(self.labels()) + "."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plant(Record):
+    """A linear continuous-time plant.
+
+        x'(t) = A x(t) + B u(t) + G w(t),    y(t) = C x(t) + D u(t) + v(t)
+
+    Parameters
+    ----------
+    A : (n, n) array [1/time_unit]
+    C : (p, n) array
+    B : (n, m) array, optional
+        Default: no inputs.
+    D : (p, m) array, optional
+        Default zero.
+    G : (n, q) array, optional
+        Disturbance input. Default identity, so that w enters every state.
+    time_unit : str
+        One of ms, s, min, h, d, wk; all rates and times are in this unit.
+    name : str
+    states, outputs, inputs, disturbances : Signals or sequence of str, optional
+        Names, units and scales. Default names x1.., y1.., u1.., w1...
+    source : str
+        Where the numbers come from.
+
+    Raises
+    ------
+    ArgumentError
+        If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C has no row.
+
+    Notes
+    -----
+    *Assumptions.* Continuous time; a discrete-time model is refused by the constructors `from_control`
+    and `from_scipy`. *Numerical aspects.* Arrays are copied, float64 and read-only. Matrices are
+    physical; scales say how large each entry typically is (x~ = x/s_x) and are never applied silently.
+
+    References
+    ----------
+    The paper, equation (18).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+    >>> plant
+    Plant(name=-, states=position, velocity, inputs=-, outputs=y1)
+    >>> bool(np.allclose(plant.transition(np.pi), -np.eye(2)))
+    True
+    """
+
+    A: Array
+    C: Array
+    B: Array = None  # type: ignore[assignment]
+    D: Array = None  # type: ignore[assignment]
+    G: Array = None  # type: ignore[assignment]
+    time_unit: str = field(default="s", kw_only=True)
+    name: str = field(default="", kw_only=True)
+    states: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    outputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    inputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    disturbances: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    source: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        A = _checks.matrix("A", self.A)
+        n = A.shape[0]
+        A = _checks.matrix("A", A, n, n)
+        C = _checks.matrix("C", self.C, None, n)
+        p = C.shape[0]
+        if p == 0:
+            raise ArgumentError("`C` must have at least one row: a plant without outputs cannot be measured.")
+        B = _checks.matrix("B", np.zeros((n, 0)) if self.B is None else self.B, n)
+        D = _checks.matrix("D", np.zeros((p, B.shape[1])) if self.D is None else self.D, p, B.shape[1])
+        G = _checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
+        owned: dict[str, Any] = {"A": A, "B": B, "C": C, "D": D, "G": G}
+        owned["time_unit"] = check_time_unit(self.time_unit)
+        sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
+        for key, size in sizes.items():
+            owned[key] = _signals(key, getattr(self, key), size)
+        for key, value in owned.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def n_states(self) -> int:
+        """Dimension n of x."""
+        return self.A.shape[0]
+
+    @property
+    def n_outputs(self) -> int:
+        """Dimension p of y."""
+        return self.C.shape[0]
+
+    @property
+    def n_inputs(self) -> int:
+        """Dimension m of u."""
+        return self.B.shape[1]
+
+    @property
+    def n_disturbances(self) -> int:
+        """Dimension q of w."""
+        return self.G.shape[1]
+
+    def transition(self, t: npt.ArrayLike) -> Array:
+        """Return e^{A t}: (n, n) for a number t, (N, n, n) for an array of N times."""
+        result = expm_batch(self.A, t)
+        return result[0] if np.ndim(t) == 0 else result
+
+    def scaled(self) -> Plant:
+        """Return the plant in scaled coordinates x~ = x/s_x, y~ = y/s_y, u~ = u/s_u, w~ = w/s_w, scales one."""
+        x, y, u, w = (s.scales for s in (self.states, self.outputs, self.inputs, self.disturbances))
+        return Plant(
+            self.A * x / x[:, None],
+            self.C * x / y[:, None],
+            self.B * u / x[:, None],
+            self.D * u / y[:, None],
+            self.G * w / x[:, None],
+            time_unit=self.time_unit,
+            name=self.name,
+            source=self.source,
+            states=Signals(self.states.names),
+            outputs=Signals(self.outputs.names),
+            inputs=Signals(self.inputs.names),
+            disturbances=Signals(self.disturbances.names),
+        )
+
+    @property
+    def has_scales(self) -> bool:
+        """Whether a state or output scale differs from one."""
+        return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
+
+    @classmethod
+    def from_control(cls, system: Any, **details: Any) -> Plant:
+        """Return the plant of a continuous-time `control.StateSpace`; `details` as for `Plant` (time_unit, ...).
+
+        Raises
+        ------
+        ArgumentError
+            If it is a discrete-time system or has no matrices A, B, C, D.
+        """
+        _refuse_discrete(system)
+        for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
+            labels = getattr(system, theirs, None)
+            if labels:
+                details.setdefault(mine, list(labels))
+        details.setdefault("name", str(getattr(system, "name", "") or ""))
+        return cls(system.A, system.C, system.B, system.D, **details)
+
+    @classmethod
+    def from_scipy(cls, system: Any, **details: Any) -> Plant:
+        """Return the plant of a continuous-time `scipy.signal.StateSpace`; `details` as for `Plant`.
+
+        Raises
+        ------
+        ArgumentError
+            If it is a discrete-time system or has no matrices A, B, C, D.
+        """
+        _refuse_discrete(system)
+        return cls(system.A, system.C, system.B, system.D, **details)
+
+    def to_control(self) -> Any:
+        """Return this plant as a `control.StateSpace` (inputs u only; G, units and scales are left behind)."""
+        import control
+
+        return control.ss(
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            name=self.name or None,
+            states=list(self.states.names),
+            inputs=list(self.inputs.names),
+            outputs=list(self.outputs.names),
+        )
+
+    def _rows(self) -> list[tuple[str, str]]:
+        groups = {k: ", ".join(getattr(self, k).names) or "-" for k in ("states", "inputs", "outputs", "disturbances")}
+        return [("name", self.name or "-"), *groups.items(), ("time unit", self.time_unit)]
+
+    def explain(self) -> str:
+        """Say what the plant is, in words."""
+        return (
+            f"{self.name or 'A plant'} with {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs "
+            f"and {self.n_disturbances} disturbances; time in {self.time_unit}."
+        )
+
+
+def _signals(key: str, value: Any, size: int) -> Signals:
+    if isinstance(value, Signals):
+        if len(value) != size:
+            raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
+        return value
+    return Signals(_checks.names(key, value, size, _PREFIX[key]))
+
+
+def _refuse_discrete(system: Any) -> None:
+    if not all(hasattr(system, m) for m in "ABCD"):
+        raise ArgumentError(f"`system` must be a state-space system with A, B, C, D, got {type(system).__name__}.")
+    if getattr(system, "dt", None) not in (None, 0, 0.0):
+        raise ArgumentError(
+            f"`system` must be continuous-time, got a discrete one with dt = {system.dt}. "
+            "Sample times are what this package chooses; give the plant before it was discretised."
+        )

@@ -1,0 +1,1 @@
+"""Schedules: when something is measured, independent of what."""

@@ -1,0 +1,256 @@
+"""Finite and periodic schedules: sample times, and which outputs each sample measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design._units import check_time_unit, time_factor
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+_GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Sampled(Record):
+    """Details that every schedule may carry besides its times."""
+
+    time_unit: str | None = field(default=None, kw_only=True)
+    origin: str | None = field(default=None, kw_only=True)
+    output_names: tuple[str, ...] | None = field(default=None, kw_only=True)
+
+    def _own(self, **values: Any) -> None:
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
+        mask = values.get("outputs")
+        if self.output_names is not None:
+            length = len(self.output_names) if mask is None else mask.shape[1]
+            values["output_names"] = _checks.names("output_names", self.output_names, length, "y")
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    def _details(self) -> dict[str, Any]:
+        return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Schedule(_Sampled):
+    """A finite schedule: times t_1 < t_2 < ... < t_N, all >= 0.
+
+    Parameters
+    ----------
+    times : (N,) array [the plant's time unit]
+        Strictly increasing, non-negative.
+    outputs : (N, p) array of bool, optional
+        Which outputs each sample measures; None means all of them.
+    time_unit : str, optional
+        Unit of `times`; None means that of whichever plant it meets.
+    origin : str, optional
+        Calendar date (ISO 8601) of time 0.
+    output_names : sequence of str, optional
+
+    Raises
+    ------
+    ArgumentError
+        If times are unsorted, repeated or negative, or the mask has another shape.
+
+    Examples
+    --------
+    >>> Schedule([0.0, 1.0, 2.5]).gaps
+    array([1. , 1.5])
+    """
+
+    times: Array
+    outputs: Mask | None = None
+
+    def __post_init__(self) -> None:
+        times = _checks.increasing("times", self.times, _GAPS_SLIP)
+        self._own(times=times, outputs=_checks.output_mask("outputs", self.outputs, times.size))
+
+    @classmethod
+    def from_gaps(cls, gaps: npt.ArrayLike, **details: Any) -> Schedule:
+        """Return the schedule whose first sample is at gaps[0] and whose later ones follow by gaps[1], gaps[2], ...
+
+        Raises
+        ------
+        ArgumentError
+            If gaps[0] is negative or a later gap is not positive.
+        """
+        owned = _checks.vector("gaps", gaps)
+        if owned.size and owned[0] < 0:
+            raise ArgumentError(f"`gaps` must not be negative, got gaps[0] = {float(owned[0])!r}.")
+        _positive_gaps(owned[1:], offset=1)
+        return cls(np.cumsum(owned), **details)
+
+    def __len__(self) -> int:
+        return self.times.size
+
+    @property
+    def gaps(self) -> Array:
+        """Differences of successive times, shape (N-1,)."""
+        return np.diff(self.times)
+
+    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, stop]; `closed` = "both", "left", "right" or "neither"."""
+        keep = _inside(self.times, start, stop, closed)
+        mask = None if self.outputs is None else self.outputs[keep]
+        return Schedule(self.times[keep], mask, **self._details())
+
+    def window(self, t: float, T: float) -> Schedule:
+        """Return the samples in the closed window [t - T, t], times as they are."""
+        return self.between(t - T, t)
+
+    def in_unit(self, unit: str) -> Schedule:
+        """Return the same schedule with times in `unit`; its own unit must be known."""
+        c = time_factor(self.time_unit or "", unit)
+        return Schedule(self.times * c, self.outputs, **{**self._details(), "time_unit": unit})
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("samples", str(len(self))), ("times", short(self.times)), ("time unit", self.time_unit or "-")]
+
+    def explain(self) -> str:
+        """Say what the schedule is, in words."""
+        if not len(self):
+            return "A schedule without samples."
+        unit = f" {self.time_unit}" if self.time_unit else ""
+        return f"{len(self)} samples from {short(self.times[0])} to {short(self.times[-1])}{unit}."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PeriodicSchedule(_Sampled):
+    """An endless schedule that repeats after sum(gaps).
+
+    Sample 1 is at `first`; sample i+1 follows sample i by gaps[i] (0-based, so that gaps[i] lies before
+    the sample in row i), and the next lap's first sample follows by gaps[0].
+
+    Parameters
+    ----------
+    gaps : (N,) array
+        Positive; gaps[0] lies before the lap's first sample.
+    first : float, optional
+        Time of the first sample, in [0, period]. Default gaps[0].
+    outputs : (N, p) array of bool, optional
+        Which outputs each sample of the lap measures; None means all.
+    time_unit, origin, output_names
+        As for `Schedule`.
+
+    Attributes
+    ----------
+    times : (N,) array
+        Sample times of the first lap: first, first + gaps[1], ...
+    period : float
+        Length of one lap.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no gap, a gap is zero or negative, or `first` lies outside [0, period].
+
+    Examples
+    --------
+    >>> schedule = PeriodicSchedule.from_times([0.0, 1.0, 2.5], period=4.0)
+    >>> schedule.gaps, schedule.period
+    (array([1.5, 1. , 1.5]), 4.0)
+    >>> schedule.between(3.0, 5.0).times
+    array([4., 5.])
+    """
+
+    gaps: Array
+    first: float = None  # type: ignore[assignment]
+    outputs: Mask | None = None
+    times: Array = field(init=False)
+    period: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        gaps = _checks.vector("gaps", self.gaps)
+        if not gaps.size:
+            raise ArgumentError("`gaps` must not be empty: a periodic schedule has at least one sample per period.")
+        _positive_gaps(gaps, offset=0)
+        first = float(gaps[0]) if self.first is None else _checks.nonnegative("first", self.first)
+        period = float(np.sum(gaps))
+        if first > period:
+            raise ArgumentError(f"`first` must lie in [0, period] = [0, {period!r}], got {first!r}.")
+        times = _checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
+        mask = _checks.output_mask("outputs", self.outputs, gaps.size)
+        self._own(gaps=gaps, first=first, outputs=mask, times=times, period=period)
+
+    @classmethod
+    def from_times(cls, times: npt.ArrayLike, period: float, outputs: Any = None, **details: Any) -> PeriodicSchedule:
+        """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...; times in [0, period).
+
+        Raises
+        ------
+        ArgumentError
+            If there are no times, they are unsorted, repeated or negative, or reach the period.
+        """
+        owned = _checks.increasing("times", times, "Did you pass gaps? Use PeriodicSchedule(gaps).")
+        length = _checks.positive("period", period)
+        if not owned.size:
+            raise ArgumentError("`times` must not be empty: a periodic schedule has at least one sample per period.")
+        if owned[-1] >= length:
+            raise ArgumentError(f"`times` must lie in [0, period) = [0, {length!r}), got {float(owned[-1])!r}.")
+        gaps = np.concatenate([[owned[0] + length - owned[-1]], np.diff(owned)])
+        schedule = cls(gaps, float(owned[0]), outputs, **details)
+        # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
+        schedule._own(times=owned, period=length)
+        return schedule
+
+    def __len__(self) -> int:
+        return self.gaps.size
+
+    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, stop] (never before `first`); `closed` as for `Schedule.between`."""
+        lap, period = self.times, self.period
+        low = max(0, int(np.floor((start - lap[-1]) / period)) - 1)
+        high = max(low, int(np.ceil((stop - lap[0]) / period)) + 1)
+        times = (lap + period * np.arange(low, high + 1)[:, None]).ravel()
+        keep = _inside(times, start, stop, closed)
+        mask = None if self.outputs is None else np.tile(self.outputs, (high - low + 1, 1))[keep]
+        return Schedule(times[keep], mask, **self._details())
+
+    def window(self, t: float, T: float) -> Schedule:
+        """Return the samples in the closed window [t - T, t], times as they are."""
+        return self.between(t - T, t)
+
+    def in_unit(self, unit: str) -> PeriodicSchedule:
+        """Return the same schedule with times in `unit`; its own unit must be known."""
+        c = time_factor(self.time_unit or "", unit)
+        return PeriodicSchedule(self.gaps * c, self.first * c, self.outputs, **{**self._details(), "time_unit": unit})
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("samples per period", str(len(self))),
+            ("period", short(self.period)),
+            ("times", short(self.times)),
+            ("time unit", self.time_unit or "-"),
+        ]
+
+    def explain(self) -> str:
+        """Say what the schedule is, in words."""
+        unit = f" {self.time_unit}" if self.time_unit else ""
+        return (
+            f"{len(self)} samples every {short(self.period)}{unit}, "
+            f"gaps from {short(self.gaps.min())} to {short(self.gaps.max())}{unit}, without end."
+        )
+
+
+def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
+    if closed not in ("both", "left", "right", "neither"):
+        raise ArgumentError(f'`closed` must be "both", "left", "right" or "neither", got {closed!r}.')
+    low = times >= start if closed in ("both", "left") else times > start
+    high = times <= stop if closed in ("both", "right") else times < stop
+    return np.asarray(low & high)
+
+
+def _positive_gaps(gaps: Array, offset: int) -> None:
+    bad = np.flatnonzero(gaps <= 0)
+    if bad.size:
+        i = int(bad[0])
+        raise ArgumentError(f"`gaps` must be positive, got gaps[{i + offset}] = {float(gaps[i])!r}.")

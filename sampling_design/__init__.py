@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 _FRONT_DOOR = {
     "errors": ("SamplingDesignError", "ArgumentError"),
     "plants.plant": ("Plant", "Signals"),
+    "observability.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}

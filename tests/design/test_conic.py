@@ -1,0 +1,67 @@
+"""The door to the conic solvers: statuses are words, multipliers are checked by their own equation."""
+
+import numpy as np
+import pytest
+
+from sampling_design import _conic
+from sampling_design.errors import SolverError
+
+RNG = np.random.default_rng(7)
+
+
+def random_symmetric(n, count):
+    M = RNG.normal(size=(count, n, n))
+    return M + np.swapaxes(M, 1, 2)
+
+
+def test_svec_keeps_the_trace_product_and_comes_back():
+    X, Y = random_symmetric(5, 2)
+    assert np.isclose(_conic.svec(X) @ _conic.svec(Y), np.trace(X @ Y), rtol=1e-14)
+    assert np.allclose(_conic.smat(_conic.svec(X)), X, rtol=1e-15)
+
+
+def test_a_cone_program_finds_the_least_eigenvalue_and_its_multiplier():
+    S = random_symmetric(4, 1)[0]
+    block = ("psd", _conic.svec(np.eye(4))[:, None], _conic.svec(S))  # S - x I >= 0
+    solution = _conic.solve_cone_program(np.array([-1.0]), [block])
+    values, vectors = np.linalg.eigh(S)
+    assert solution.record.status == "solved"
+    assert np.isclose(solution.x[0], values[0], atol=1e-7)
+    assert np.allclose(solution.z[0], np.outer(vectors[:, 0], vectors[:, 0]), atol=1e-5)
+
+
+def test_linear_cones_and_an_infeasible_program():
+    rows = np.array([[1.0], [-1.0]])
+    good = [("nonnegative", rows, np.array([3.0, -1.0]))]  # 1 <= x <= 3
+    assert np.isclose(_conic.solve_cone_program(np.array([1.0]), good).x[0], 1.0, atol=1e-7)
+    bad = [("nonnegative", rows, np.array([1.0, -3.0]))]
+    assert _conic.solve_cone_program(np.array([1.0]), bad).record.status == "infeasible"
+    fixed = [("zero", np.array([[2.0]]), np.array([5.0]))]
+    assert np.isclose(_conic.solve_cone_program(np.array([1.0]), fixed).x[0], 2.5, atol=1e-7)
+
+
+def test_modelled_problems_say_how_they_ended():
+    cp = _conic.cvxpy()
+    x = cp.Variable()
+    good = cp.Problem(cp.Minimize(x), [x >= 2])
+    record = _conic.require(_conic.solve(good), "a bounded line")
+    assert record.status == "solved"
+    assert record.version
+    assert np.isclose(x.value, 2.0, atol=1e-7)
+    assert _conic.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
+
+
+def test_a_problem_without_a_point_is_an_error_that_carries_the_status():
+    cp = _conic.cvxpy()
+    x = cp.Variable()
+    record = _conic.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1]))
+    with pytest.raises(SolverError, match="The solver found no point for two lines") as caught:
+        _conic.require(record, "two lines")
+    assert caught.value.status == "infeasible"
+    assert caught.value.exit_code == 3
+
+
+def test_a_budget_that_ran_out_is_a_status():
+    S = random_symmetric(6, 1)[0]
+    block = ("psd", _conic.svec(np.eye(6))[:, None], _conic.svec(S))
+    assert _conic.solve_cone_program(np.array([-1.0]), [block], iterations=1).record.status == "budget"

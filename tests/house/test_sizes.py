@@ -1,0 +1,44 @@
+"""Rooms stay small: files of at most 400 lines, functions of at most 40 lines of code."""
+
+import ast
+import io
+import tokenize
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "sampling_design"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+FILE_WALL = 400
+FUNCTION_WALL = 40
+
+
+def code_lines(text: str) -> set[int]:
+    """Lines that hold code: no blank lines, comments or strings that stand alone (docstrings)."""
+    found: set[int] = set()
+    quiet = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in quiet:
+            found.update(range(token.start[0], token.end[0] + 1))
+    return found
+
+
+def docstring_lines(node: ast.AST) -> set[int]:
+    body = getattr(node, "body", [])
+    if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+        return set(range(body[0].lineno, body[0].end_lineno + 1))
+    return set()
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_and_functions_stay_small(path):
+    text = path.read_text()
+    assert text.count("\n") <= FILE_WALL
+    tree = ast.parse(text)
+    code = code_lines(text)
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    for function in functions:
+        inner = [d for d in ast.walk(function) if isinstance(d, ast.FunctionDef | ast.ClassDef)]
+        documented = set().union(*(docstring_lines(d) for d in inner))
+        body = code & set(range(function.lineno, function.end_lineno + 1)) - documented
+        assert len(body) <= FUNCTION_WALL, f"{function.name} at line {function.lineno} has {len(body)} lines of code"

@@ -1,0 +1,29 @@
+"""The tests themselves: each one can fail, and none is skipped."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+FILES = sorted(TESTS.rglob("test_*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(TESTS)))
+def test_every_test_asserts_and_none_is_skipped(path):
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+            inside = list(ast.walk(node))
+            used = {getattr(n, "attr", getattr(n, "id", "")) for n in inside}
+            claims = any(isinstance(n, ast.Assert) for n in inside) or used & {"raises", "warns"}
+            claims = claims or any(name.startswith(("assert_", "check_")) for name in used)
+            assert claims, f"{node.name} asserts nothing"
+            assert not used & {"skip", "skipif", "xfail", "importorskip"}, f"{node.name} is skipped or expected to fail"
+
+
+def test_every_law_is_a_sentence_in_a_file_of_its_own():
+    for path in (TESTS / "laws").glob("*.py"):
+        assert path.name.startswith("test_")
+        assert path.stem.count("_") >= 3, f"{path.name} is no sentence"
+        assert ast.get_docstring(ast.parse(path.read_text())), f"{path.name} does not state its law"

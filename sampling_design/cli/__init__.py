@@ -1,0 +1,5 @@
+"""The command line: each command reads its arguments, calls one verb and prints its record."""
+
+from sampling_design.cli.app import main
+
+__all__ = ["main"]

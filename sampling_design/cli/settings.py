@@ -1,0 +1,158 @@
+"""The flags that every command has, and where results, messages and progress go."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+import sampling_design
+from sampling_design._files import to_json
+from sampling_design.errors import ArgumentError
+
+ProgressCall = Callable[[float, str], None]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"sampling-design {sampling_design.__version__}")
+        raise typer.Exit
+
+
+_COMMON: dict[str, tuple[Any, Any]] = {
+    "as_json": (Annotated[bool, typer.Option("--json", help="Print the result as JSON.")], False),
+    "output": (Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")], None),
+    "seed": (Annotated[int, typer.Option(help="Seed of everything random.")], 0),
+    "quiet": (Annotated[bool, typer.Option("--quiet", help="No progress, no notices.")], False),
+    "budget": (Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")], 60.0),
+    "decay_rate": (
+        Annotated[
+            float | None,
+            typer.Option(help="Retain every mode whose squared error decays slower than this [1/time unit]."),
+        ],
+        None,
+    ),
+    "version": (
+        Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)],
+        False,
+    ),
+}
+
+
+@dataclass
+class Settings:
+    """The common flags of one call, with the two streams: results on stdout, all else on stderr."""
+
+    as_json: bool = False
+    output: Path | None = None
+    seed: int = 0
+    quiet: bool = False
+    budget: float = 60.0
+    decay_rate: float | None = None
+    files: list[Path] = field(default_factory=list)
+
+    def notice(self, text: str) -> None:
+        """Say something on stderr unless --quiet."""
+        if not self.quiet:
+            Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False)
+
+    def folder(self) -> Path | None:
+        """Return the output folder, made if it is missing."""
+        if self.output is None:
+            return None
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArgumentError(f"`--output` {self.output} cannot be made a folder ({error.strerror}).") from None
+        return self.output
+
+    def wrote(self, path: Path) -> None:
+        """Remember a written file, so that it is named at the end."""
+        self.files.append(path)
+
+    def show(self, data: Mapping[str, Any], *tables: Table | str) -> None:
+        """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
+        if self.as_json:
+            sys.stdout.write(to_json(data))
+        else:
+            console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
+            for table in tables:
+                console.print(table, markup=False) if isinstance(table, str) else console.print(table)
+        if self.files:
+            self.notice("Written: " + ", ".join(str(f) for f in self.files))
+
+    @contextmanager
+    def progress(self, label: str) -> Iterator[ProgressCall]:
+        """Yield a callback (fraction, message) that draws a bar on stderr, if that is a terminal."""
+        console = Console(stderr=True)
+        if self.quiet or not console.is_terminal:
+            yield lambda fraction, message: None
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(label, total=1.0, note="")
+            yield lambda fraction, message: bar.update(task, completed=fraction, note=message)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a rich table; numbers to the right, words to the left."""
+    result = Table(title=title, title_justify="left", header_style="bold")
+    for i, name in enumerate(columns):
+        numeric = bool(rows) and all(_is_number(row[i]) for row in rows)
+        result.add_column(name, justify="right" if numeric else "left")
+    for row in rows:
+        result.add_row(*row)
+    return result
+
+
+def record_table(record: Any) -> Table:
+    """Return the table of a record's rows."""
+    result = Table(title=type(record).__name__, title_justify="left", show_header=False)
+    result.add_column(style="bold")
+    result.add_column()
+    for label, value in record._rows():
+        result.add_row(label, value)
+    return result
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return text in ("", "-")
+    return True
+
+
+def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Give `function(settings, ...)` the common flags in place of its first parameter."""
+    own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+    common = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, (annotation, default) in _COMMON.items()
+    ]
+
+    @functools.wraps(function)
+    def command(**arguments: Any) -> Any:
+        flags = {name: arguments.pop(name) for name in _COMMON}
+        flags.pop("version")
+        return function(Settings(**flags), **arguments)
+
+    keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in keyword + common}
+    return command

@@ -1,0 +1,57 @@
+"""The only door to matplotlib: which picture belongs to which record."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from sampling_design import _files
+from sampling_design.errors import ArgumentError
+
+# record -> (file of this room, function); a record without a picture of its own is not listed
+_PICTURES = {
+    "Schedule": ("schedules", "draw_schedule"),
+    "PeriodicSchedule": ("schedules", "draw_schedule"),
+    "WindowSigma": ("windows", "draw_window_sigma"),
+    "ScheduleDesign": ("designs", "draw_design"),
+}
+
+
+def draw(record: Any, ax: Any = None) -> Any:
+    """Draw `record` and return the axes (a list of axes where the picture has several).
+
+    Raises
+    ------
+    ArgumentError
+        If there is no picture for this kind of record.
+    """
+    kind = type(record).__name__
+    if kind not in _PICTURES:
+        raise ArgumentError(f"`record` has no picture: got {kind}, expected one of {', '.join(sorted(_PICTURES))}.")
+    room, function = _PICTURES[kind]
+    return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax)
+
+
+def save(record: Any, path: str | os.PathLike[str], dpi: int = 130) -> Path:
+    """Draw `record` into a new figure and write it to `path` (.png, .svg or .pdf), whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no picture for this kind of record, or the suffix is not a picture's.
+    """
+    import io
+
+    target = Path(path)
+    kind = target.suffix.lstrip(".")
+    if kind not in ("png", "svg", "pdf"):
+        raise ArgumentError(f"`path` must end in .png, .svg or .pdf, got {str(path)!r}.")
+    axes = draw(record)
+    first = axes[0] if isinstance(axes, list | tuple) else axes
+    # no date and no version inside, so that the same result is the same file
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
+    buffer = io.BytesIO()
+    first.figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return _files.write_bytes(target, buffer.getvalue())

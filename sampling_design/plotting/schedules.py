@@ -1,0 +1,44 @@
+"""A schedule on a time line: one row per output, one stem per sample, gaps written between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sampling_design._record import short
+from sampling_design.plotting import style
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+
+def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Any = None) -> Any:
+    """Draw the samples of a schedule (of two laps, the second pale, if it is periodic)."""
+    ax = style.new_axes(ax, height=1.8 + 0.25 * _rows(schedule))
+    periodic = isinstance(schedule, PeriodicSchedule)
+    _stems(ax, schedule.times, schedule.outputs, _rows(schedule), 1.0)
+    if periodic:
+        _stems(ax, schedule.times + schedule.period, schedule.outputs, _rows(schedule), 0.35)
+        ax.axvline(schedule.first + schedule.period, color=style.ALLOWED, linewidth=0.8, linestyle=":")
+    names = schedule.output_names or tuple(f"y{i + 1}" for i in range(_rows(schedule)))
+    if schedule.outputs is None and schedule.output_names is None:
+        names = ("samples",)
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(-0.6, len(names) - 0.4)
+    ax.set_xlabel(style.time_label(schedule.time_unit))
+    gaps = schedule.gaps
+    if gaps.size:
+        ax.set_title(f"{len(schedule)} samples, gaps {short(gaps.min(), 4)} to {short(gaps.max(), 4)}", loc="left")
+    return ax
+
+
+def _rows(schedule: Schedule | PeriodicSchedule) -> int:
+    if schedule.outputs is not None:
+        return int(schedule.outputs.shape[1])
+    return len(schedule.output_names) if schedule.output_names else 1
+
+
+def _stems(ax: Any, times: Any, outputs: Any, rows: int, alpha: float) -> None:
+    mask = np.ones((len(times), rows), dtype=bool) if outputs is None else outputs
+    for row in range(rows):
+        chosen = np.asarray(times)[mask[:, row]]
+        ax.vlines(chosen, row - 0.32, row + 0.32, color=style.MEASURED, alpha=alpha, linewidth=1.8)

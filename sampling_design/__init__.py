@@ -15,6 +15,8 @@ __version__ = "0.1.0"
 _FRONT_DOOR = {
     "errors": ("SamplingDesignError", "ArgumentError"),
     "plants.plant": ("Plant", "Signals"),
+    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
+    "plants.modes": ("ModalSplit", "split_modes"),
     "observability.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
 }

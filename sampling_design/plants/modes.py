@@ -1,0 +1,299 @@
+"""The plant split in two: the modes that must be observed, and those that decay by themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack, qr, solve_triangular
+
+from sampling_design import _checks
+from sampling_design._checks import freeze
+from sampling_design._record import Record, short
+from sampling_design.errors import MathematicsError
+from sampling_design.plants.clusters import (
+    CLUSTER_CAP,
+    EigenvalueCluster,
+    SchurForm,
+    balanced_schur,
+    clusters_of,
+    eigenvalue_clusters,
+    format_eigenvalue,
+)
+from sampling_design.plants.plant import Plant, Signals
+
+__all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
+
+Array = npt.NDArray[np.float64]
+
+OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenvalue under rounding
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalSplit(Record):
+    """A plant split into a retained and a residual part.
+
+        x = basis_retained z_r + basis_residual z_s,    z_r = left_retained x,    z_s = left_residual x
+
+    Attributes
+    ----------
+    plant : Plant
+        What was split.
+    decay_rate : float
+        Rate asked of the *squared* error [1/time]; the line is Re = -decay_rate/2.
+    retained, residual : Plant
+        z_r' = A_r z_r + ..., y_r = C_r z_r + D u; and z_s' = A_s z_s + ..., y_s = C_s z_s (its D is
+        zero, so that y = y_r + y_s). Either may have no states. If nothing is residual, `retained` is
+        the plant itself in its own coordinates.
+    basis_retained, basis_residual : (n, n_r), (n, n_s) arrays
+        Right bases in the plant's own coordinates.
+    left_retained, left_residual : (n_r, n), (n_s, n) arrays
+        Left bases; together the inverse of the right ones.
+    separation : float
+        Estimate (LAPACK, 1-norm, within a factor sqrt(n_r n_s)) of sep(A_r, A_s) = min |A_r X - X A_s|/|X|
+        in balanced coordinates [1/time]; inf if a part is empty.
+    condition : float
+        Condition number of the transformation in balanced coordinates, 1 at best.
+    near_line : (m,) complex array
+        Eigenvalues too near the line to be sure on which side they lie.
+    offset : float
+        The stability offset that was used [1/time].
+    clusters : tuple of EigenvalueCluster
+        All groups of eigenvalues of the plant.
+    retained_clusters : tuple of EigenvalueCluster
+        Those that are retained.
+    """
+
+    plant: Plant
+    decay_rate: float
+    retained: Plant
+    residual: Plant
+    basis_retained: Array
+    basis_residual: Array
+    left_retained: Array
+    left_residual: Array
+    separation: float
+    condition: float
+    near_line: npt.NDArray[np.complex128]
+    offset: float
+    clusters: tuple[EigenvalueCluster, ...]
+    retained_clusters: tuple[EigenvalueCluster, ...]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("retained", f"{self.retained.n_states} of {self.plant.n_states} states"),
+            ("line", f"Re >= {short(0.0 - self.decay_rate / 2)} 1/{self.plant.time_unit}"),
+            ("eigenvalues retained", _listed(self.retained_clusters)),
+            ("eigenvalues residual", _listed(c for c in self.clusters if c not in self.retained_clusters)),
+            ("too near the line", ", ".join(format_eigenvalue(v) for v in self.near_line) or "none"),
+            ("separation", short(self.separation, 3)),
+            ("condition", short(self.condition, 3)),
+        ]
+
+    def explain(self) -> str:
+        """Say what is retained and what that means."""
+        if self.retained.n_states == 0:
+            return (
+                "Nothing is retained: every mode decays at the rate asked for, so no samples are needed. "
+                "Ask for a faster decay with `decay_rate` to have slow modes observed."
+            )
+        doubt = f" {self.near_line.size} eigenvalues lie too near the line to be sure." if self.near_line.size else ""
+        return (
+            f"{self.retained.n_states} of {self.plant.n_states} states must be observed; the others decay by "
+            f"themselves at the rate asked for.{doubt}"
+        )
+
+
+def _listed(clusters: object) -> str:
+    words = []
+    for c in clusters:  # type: ignore[attr-defined]
+        words.append(format_eigenvalue(c.value) + (f" (x{c.multiplicity}, index {c.index})" * (c.multiplicity > 1)))
+    return ", ".join(words) or "none"
+
+
+def split_modes(
+    plant: Plant,
+    decay_rate: float = 0.0,
+    *,
+    offset: float | None = None,
+    rounding: float | None = None,
+    cluster_cap: float = CLUSTER_CAP,
+) -> ModalSplit:
+    """Split a plant into the modes that must be observed and those that decay fast enough by themselves.
+
+        retained:  Re lambda >= -decay_rate/2 - offset
+
+    Parameters
+    ----------
+    plant : Plant
+    decay_rate : float [1/time_unit]
+        Rate of the *squared* error, >= 0: the error of a residual mode falls at least like
+        e^{-decay_rate t/2}. Zero retains what is not asymptotically stable.
+    offset : float, optional [1/time_unit]
+        Width of the strip left of the line that is retained too. Default 1e-8 |A|, |A| the Frobenius
+        norm after balancing.
+    rounding : float, optional
+        Relative backward error of A, default n eps (see `eigenvalue_clusters`).
+    cluster_cap : float
+        Widest group of eigenvalues that may count as one, as a fraction of |A|.
+
+    Returns
+    -------
+    ModalSplit
+
+    Raises
+    ------
+    ArgumentError
+        If `decay_rate` or `offset` is negative.
+    MathematicsError
+        If LAPACK cannot reorder the Schur form (parts too close to be told apart).
+
+    Notes
+    -----
+    *Claim.* A basis_retained = basis_retained A_r and A basis_residual = basis_residual A_s to rounding
+    times `condition`. *Method.* Balance by powers of two, real Schur form, group the eigenvalues, move
+    the retained ones to the top, and solve A_r X - X A_s = -A_12 for the decoupling; never a Jordan
+    form. Both bases have orthonormal columns in balanced coordinates. *Numerical aspects.* A group of
+    eigenvalues is never torn: it is retained if its mean or any member is at or right of the line less
+    the offset, because a retained decaying mode costs samples and a residual non-decaying one costs
+    the proof. `near_line` lists every eigenvalue whose uncertainty (offset plus rounding times its
+    group's condition) reaches across the line, and whole groups with members on both sides.
+
+    References
+    ----------
+    The paper, Section V, coordinates (25) of the unstable part.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [0.0, -2.0]], [[1.0, 0.0]])
+    >>> split = split_modes(plant)
+    >>> split.retained.A, split.residual.A
+    (array([[0.]]), array([[-2.]]))
+    >>> split_modes(plant, decay_rate=4.0).retained is plant
+    True
+    """
+    decay_rate = _checks.nonnegative("decay_rate", decay_rate)
+    n = plant.n_states
+    error = n * np.finfo(float).eps if rounding is None else _checks.positive("rounding", rounding)
+    _checks.positive("cluster_cap", cluster_cap)
+    if n == 0:
+        return _split(plant, _Verdict(decay_rate, 0.0, (), (), np.zeros(0, dtype=complex)), _undivided(0, True))
+    form = balanced_schur(plant.A)
+    strip = OFFSET * form.norm if offset is None else _checks.nonnegative("offset", offset)
+    clusters, positions = clusters_of(form, error, cluster_cap)
+    line = 0.0 - decay_rate / 2
+    select = np.zeros(n, dtype=np.int32)
+    kept, near = [], [np.zeros(0, dtype=complex)]
+    for cluster, where in zip(clusters, positions, strict=True):
+        if max(cluster.value.real, float(np.max(cluster.members.real))) >= line - strip:
+            select[where] = 1
+            kept.append(cluster)
+        doubt = strip + error * form.norm * cluster.projector_norm
+        if abs(cluster.value.real - line) <= doubt or np.ptp(np.sign(cluster.members.real - line)) > 0:
+            near.append(cluster.members)
+    verdict = _Verdict(decay_rate, strip, clusters, tuple(kept), np.concatenate(near))
+    if select.all() or not select.any():
+        return _split(plant, verdict, _undivided(n, bool(select.all())))
+    return _split(plant, verdict, _decouple(form, select))
+
+
+@dataclass(frozen=True, eq=False)
+class _Verdict:
+    """What is decided about the eigenvalues, before any basis is chosen."""
+
+    decay_rate: float
+    offset: float
+    clusters: tuple[EigenvalueCluster, ...]
+    kept: tuple[EigenvalueCluster, ...]
+    near_line: npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class _Bases:
+    """Right and left bases in the plant's own coordinates; A_r, A_s are None where a part is empty."""
+
+    V_r: Array
+    V_s: Array
+    L_r: Array
+    L_s: Array
+    A_r: Array | None
+    A_s: Array | None
+    separation: float
+    condition: float
+
+
+def _undivided(n: int, all_retained: bool) -> _Bases:
+    """Return the bases of which one is the identity and the other empty."""
+    eye, none = np.eye(n), np.zeros((n, 0))
+    if all_retained:
+        return _Bases(eye, none, eye, none.T, None, None, np.inf, 1.0)
+    return _Bases(none, eye, none.T, eye, None, None, np.inf, 1.0)
+
+
+def _decouple(form: SchurForm, select: npt.NDArray[np.int32]) -> _Bases:
+    """Reorder the Schur form, decouple its two blocks, and undo the balancing."""
+    n, r = select.size, int(select.sum())
+    work = max(1, 2 * r * (n - r))
+    T, Q, _, _, m, _, separation, info = lapack.dtrsen(select, form.T, form.Q, job="B", lwork=work, liwork=work)
+    if info != 0 or m != r:
+        raise MathematicsError(
+            "the eigenvalues on the two sides of the line are too close to be separated in rounding. "
+            "Move the line with `decay_rate` or `offset`."
+        )
+    X, scale, _ = lapack.dtrsyl(T[:r, :r], T[r:, r:], -T[:r, r:], isgn=-1)
+    X = X / scale
+    top, rest = Q[:, :r], Q[:, r:]
+    complement, R = qr(top @ X + rest, mode="economic")
+    A_s = solve_triangular(R, (R @ T[r:, r:]).T, trans="T").T
+    condition = float(np.linalg.cond(np.hstack([top, complement])))
+    d = form.d
+    L_r, L_s = (top.T - X @ rest.T) / d, R @ rest.T / d
+    return _Bases(d[:, None] * top, d[:, None] * complement, L_r, L_s, T[:r, :r], A_s, float(separation), condition)
+
+
+def _split(plant: Plant, verdict: _Verdict, bases: _Bases) -> ModalSplit:
+    """Make the two plants and the record."""
+    zero = np.zeros_like(plant.D)
+    n_r, n = bases.L_r.shape
+    if n_r == n:
+        retained = plant
+    else:
+        retained = _part(plant, bases.A_r, bases.V_r, bases.L_r, "retained", plant.D)
+    return ModalSplit(
+        plant=plant,
+        decay_rate=verdict.decay_rate,
+        retained=retained,
+        residual=_part(plant, bases.A_s, bases.V_s, bases.L_s, "residual", zero),
+        basis_retained=freeze(bases.V_r),
+        basis_residual=freeze(bases.V_s),
+        left_retained=freeze(bases.L_r),
+        left_residual=freeze(bases.L_s),
+        separation=bases.separation,
+        condition=bases.condition,
+        near_line=verdict.near_line,
+        offset=verdict.offset,
+        clusters=verdict.clusters,
+        retained_clusters=verdict.kept,
+    )
+
+
+def _part(plant: Plant, A: Array | None, V: Array, L: Array, what: str, D: Array) -> Plant:
+    """Return one part as a plant; a state's scale is the size that the scales of x give it."""
+    size = np.linalg.norm(L * plant.states.scales, axis=1)
+    names = Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])), scales=size)
+    undivided = A is None and L.shape[0] > 0
+    return Plant(
+        L @ plant.A @ V if A is None else A,
+        plant.C @ V,
+        L @ plant.B,
+        D,
+        L @ plant.G,
+        time_unit=plant.time_unit,
+        name=f"{plant.name} ({what})".strip(),
+        states=plant.states if undivided else names,
+        outputs=plant.outputs,
+        inputs=plant.inputs,
+        disturbances=plant.disturbances,
+        source=plant.source,
+    )

@@ -1,0 +1,1 @@
+"""Nonlinear plants and their moving horizon estimation, on CasADi (extra `nonlinear`)."""

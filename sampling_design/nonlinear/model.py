@@ -1,0 +1,280 @@
+"""The nonlinear plant x' = f(x, u, w), y = h(x, u, v), its simulation and its linearisation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.plants.plant import Plant, Signals
+
+Array = npt.NDArray[np.float64]
+Box = tuple[Array, Array]
+_VECTORS = ("states", "inputs", "disturbances", "outputs", "noises")
+_PREFIX = {"states": "x", "inputs": "u", "disturbances": "w", "outputs": "y", "noises": "v"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NonlinearPlant(Record):
+    """A nonlinear continuous-time plant.
+
+        x'(t) = f(x(t), u(t), w(t)),    y(t) = h(x(t), u(t), v(t))
+
+    Parameters
+    ----------
+    f : callable (x, u, w) -> n entries [state unit / time_unit]
+        Written with arithmetic and casadi functions, so that it can be evaluated on casadi symbols.
+    h : callable (x, u, v) -> p entries
+    sizes : mapping
+        Numbers of "states", "inputs", "disturbances", "outputs", "noises"; inputs, disturbances and
+        noises default to 0, 0 and the number of outputs.
+    time_unit : str
+    name, source : str
+    signals : mapping, optional
+        Names, units and scales (`Signals`, or a list of names) for any of the five vectors.
+    bounds : mapping, optional
+        Boxes (lower, upper) that hold the truth for any of the five vectors: the sets X, W, Y, V of
+        the paper. Infinite entries mean no bound.
+
+    Raises
+    ------
+    ArgumentError
+        If a size is wrong, f or h return another number of entries, or a box is empty.
+    MissingExtraError
+        If casadi is not installed.
+
+    Notes
+    -----
+    *Numerical aspects.* f and h are physical; the scales in `signals` are used by whoever solves with
+    them, never silently here.
+
+    References
+    ----------
+    The paper, equation (1).
+
+    Examples
+    --------
+    >>> pendulum = NonlinearPlant(
+    ...     lambda x, u, w: [x[1], -(x[0] - x[0] ** 3 / 6) + w[0]],
+    ...     lambda x, u, v: [x[0] + v[0]],
+    ...     {"states": 2, "disturbances": 1, "outputs": 1},
+    ... )
+    >>> float(pendulum.f([0.1, 0.0])[0])
+    0.0
+    >>> pendulum.linearise([0.0, 0.0]).A
+    array([[ 0.,  1.],
+           [-1.,  0.]])
+    """
+
+    dynamics: Callable[..., Any]
+    measurement: Callable[..., Any]
+    sizes: Mapping[str, int]
+    time_unit: str = field(default="s", kw_only=True)
+    name: str = field(default="", kw_only=True)
+    source: str = field(default="", kw_only=True)
+    signals: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    bounds: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_time_unit(self.time_unit)
+        _checks.known_keys("`sizes`", self.sizes, _VECTORS)
+        _checks.known_keys("`signals`", self.signals, _VECTORS)
+        _checks.known_keys("`bounds`", self.bounds, _VECTORS)
+        for key in ("states", "outputs"):
+            if key not in self.sizes:
+                raise ArgumentError(f"`sizes` must give the number of {key}.")
+        sizes = {"inputs": 0, "disturbances": 0, "noises": self.sizes["outputs"], **self.sizes}
+        sizes = {
+            key: _checks.whole(f"sizes[{key!r}]", sizes[key], int(key in ("states", "outputs"))) for key in _VECTORS
+        }
+        signals = {key: _own_signals(key, self.signals.get(key), sizes[key]) for key in _VECTORS}
+        bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
+        for key, value in {"sizes": sizes, "signals": signals, "bounds": bounds}.items():
+            object.__setattr__(self, key, value)
+        self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
+
+    @cached_property
+    def _functions(self) -> tuple[Any, Any]:
+        ca = casadi()
+        x, u, w, v = (
+            ca.SX.sym(k, self.sizes[s])
+            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
+        )
+        built = []
+        for label, function, arguments, size in (
+            ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
+            ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
+        ):
+            value = function(*arguments)
+            column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+            if column.shape != (size, 1):
+                raise ArgumentError(f"`{label}` must return {size} entries, got {column.shape[0] * column.shape[1]}.")
+            built.append(ca.Function(label, list(arguments), [column]))
+        return built[0], built[1]
+
+    @property
+    def f_casadi(self) -> Any:
+        """f as a casadi Function of (x, u, w)."""
+        return self._functions[0]
+
+    @property
+    def h_casadi(self) -> Any:
+        """h as a casadi Function of (x, u, v)."""
+        return self._functions[1]
+
+    def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None) -> Array:
+        """Return x' = f(x, u, w), shape (n,); w defaults to zero."""
+        return self._evaluate(self.f_casadi, "disturbances", x, u, w)
+
+    def h(self, x: npt.ArrayLike, u: npt.ArrayLike = (), v: npt.ArrayLike | None = None) -> Array:
+        """Return y = h(x, u, v), shape (p,); v defaults to zero."""
+        return self._evaluate(self.h_casadi, "noises", x, u, v)
+
+    def _evaluate(self, function: Any, last: str, x: Any, u: Any, z: Any) -> Array:
+        x = _checks.vector("x", x, self.sizes["states"])
+        u = _checks.vector("u", np.zeros(self.sizes["inputs"]) if not np.size(u) else u, self.sizes["inputs"])
+        z = _checks.vector(
+            "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
+        )
+        value = np.array(function(x, u, z)).ravel()
+        if not np.all(np.isfinite(value)):
+            raise ArgumentError(
+                f"`{function.name()}` returns {value.tolist()} at x = {x.tolist()}: the model is not finite there."
+            )
+        return value
+
+    def linearise(self, x: npt.ArrayLike, u: npt.ArrayLike = ()) -> Plant:
+        """Return the linear plant of small deviations from (x, u), with w = 0 and v = 0.
+
+            A = df/dx, B = df/du, G = df/dw, C = dh/dx, D = dh/du
+
+        Raises
+        ------
+        ArgumentError
+            If x or u has the wrong length, or the derivatives are not finite there.
+        """
+        ca = casadi()
+        n, m = self.sizes["states"], self.sizes["inputs"]
+        point = _checks.vector("x", x, n)
+        control = _checks.vector("u", np.zeros(m) if not np.size(u) else u, m)
+        xs, us, ws, vs = (
+            ca.SX.sym(k, self.sizes[s])
+            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
+        )
+        fx, hx = self.f_casadi(xs, us, ws), self.h_casadi(xs, us, vs)
+        wanted = [
+            ca.jacobian(fx, xs),
+            ca.jacobian(fx, us),
+            ca.jacobian(fx, ws),
+            ca.jacobian(hx, xs),
+            ca.jacobian(hx, us),
+        ]
+        values = ca.Function("derivatives", [xs, us, ws, vs], wanted)(point, control, 0, 0)
+        A, B, G, C, D = (np.array(value) for value in values)
+        kept = {key: self.signals[key] for key in ("states", "inputs", "disturbances", "outputs")}
+        return Plant(
+            A, C, B.reshape(n, m), D.reshape(-1, m), G.reshape(n, -1),
+            time_unit=self.time_unit, name=f"{self.name} (linearised)".strip(), source=self.source, **kept,
+        )  # fmt: skip
+
+    def equilibrium(self, guess: npt.ArrayLike, u: npt.ArrayLike = ()) -> Array:
+        """Return x with f(x, u, 0) = 0 near `guess`, by Newton's method in scaled states.
+
+        Raises
+        ------
+        SolverError
+            If the iteration does not converge.
+        """
+        scale = self.signals["states"].scales
+        z = _checks.vector("guess", guess, self.sizes["states"]) / scale
+        for _ in range(_NEWTON_STEPS):
+            residual = self.f(z * scale, u) / scale
+            step = np.linalg.solve(self.linearise(z * scale, u).A * scale / scale[:, None], residual)
+            z = z - step
+            if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * max(1.0, float(np.max(np.abs(z)))):
+                return z * scale
+        raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
+
+    def _rows(self) -> list[tuple[str, str]]:
+        groups = [(key, ", ".join(self.signals[key].names) or "-") for key in _VECTORS]
+        return [("name", self.name or "-"), *groups, ("time unit", self.time_unit)]
+
+    def explain(self) -> str:
+        """Say what the plant is, in words."""
+        n, p, q = self.sizes["states"], self.sizes["outputs"], self.sizes["disturbances"]
+        name = self.name or "A nonlinear plant"
+        return f"{name} with {n} states, {p} outputs and {q} disturbances; time in {self.time_unit}."
+
+
+_NEWTON_STEPS = 100
+_NEWTON_TOLERANCE = 1e-13
+
+
+def from_expressions(
+    x: Any, f: Any, h: Any, *, u: Any = None, w: Any = None, v: Any = None, **details: Any
+) -> NonlinearPlant:
+    """Return the plant of CasADi expressions f(x, u, w) and h(x, u, v) in the symbols x, u, w, v.
+
+    Raises
+    ------
+    ArgumentError
+        If the expressions hold other symbols.
+    """
+    ca = casadi()
+    none = ca.SX.sym("none", 0)
+    u, w, v = (none if s is None else s for s in (u, w, v))
+    try:
+        dynamics = ca.Function("dynamics", [x, u, w], [f])
+        measurement = ca.Function("measurement", [x, u, v], [h])
+    except RuntimeError as error:
+        raise ArgumentError(
+            f"`f` and `h` must be expressions in x, u, w and x, u, v only ({str(error).splitlines()[-1]})."
+        ) from None
+    sizes = {
+        "states": x.numel(),
+        "inputs": u.numel(),
+        "disturbances": w.numel(),
+        "outputs": h.numel(),
+        "noises": v.numel(),
+    }
+    return NonlinearPlant(lambda *a: dynamics(*a), lambda *a: measurement(*a), sizes, **details)
+
+
+def own_box(key: str, box: Any, size: int) -> Box:
+    """Return (lower, upper) as frozen vectors; infinite where there is no bound.
+
+    Raises
+    ------
+    ArgumentError
+        If lengths differ, a bound is NaN, or lower exceeds upper.
+    """
+    if box is None:
+        box = (np.full(size, -np.inf), np.full(size, np.inf))
+    lower, upper = (np.broadcast_to(np.asarray(side, dtype=float), (size,)).copy() for side in _pair(key, box, size))
+    if np.any(np.isnan(lower)) or np.any(np.isnan(upper)) or np.any(lower > upper):
+        raise ArgumentError(f"`bounds[{key!r}]` must be (lower, upper) with lower <= upper.")
+    lower.flags.writeable = upper.flags.writeable = False
+    return lower, upper
+
+
+def _pair(key: str, box: Any, size: int) -> Sequence[Any]:
+    if not isinstance(box, Sequence) or len(box) != 2 or any(np.ndim(b) > 0 and np.shape(b) != (size,) for b in box):
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
+    return box
+
+
+def _own_signals(key: str, value: Any, size: int) -> Signals:
+    if isinstance(value, Signals):
+        if len(value) != size:
+            raise ArgumentError(f"`signals[{key!r}]` must have {size} entries, got {len(value)}.")
+        return value
+    return Signals(_checks.names(f"signals[{key!r}]", value, size, _PREFIX[key]))

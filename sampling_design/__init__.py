@@ -19,6 +19,9 @@ _FRONT_DOOR = {
     "plants.modes": ("ModalSplit", "split_modes"),
     "observability.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
+    "schedules.sampling_set": ("SamplingSet",),
+    "schedules.spaced_windows": ("SpacedWindows",),
+    "schedules.gap_range": ("GapRange",),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 

@@ -70,9 +70,8 @@ class NonlinearPlant(Record):
     ... )
     >>> float(pendulum.f([0.1, 0.0])[0])
     0.0
-    >>> pendulum.linearise([0.0, 0.0]).A
-    array([[ 0.,  1.],
-           [-1.,  0.]])
+    >>> pendulum.linearise([0.0, 0.0]).A.tolist()
+    [[0.0, 1.0], [-1.0, 0.0]]
     """
 
     dynamics: Callable[..., Any]
@@ -182,7 +181,7 @@ class NonlinearPlant(Record):
         A, B, G, C, D = (np.array(value) for value in values)
         kept = {key: self.signals[key] for key in ("states", "inputs", "disturbances", "outputs")}
         return Plant(
-            A, C, B.reshape(n, m), D.reshape(-1, m), G.reshape(n, -1),
+            A, C, B.reshape(n, m), D.reshape(C.shape[0], m), G.reshape(n, self.sizes["disturbances"]),
             time_unit=self.time_unit, name=f"{self.name} (linearised)".strip(), source=self.source, **kept,
         )  # fmt: skip
 

@@ -21,6 +21,7 @@ _FRONT_DOOR = {
     "observability.critical_length": ("critical_length",),
     "observability.pbh": ("UnseenModes", "unseen_modes", "require_observable"),
     "observability.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
+    "observability.windows": ("window_sigma", "WindowSigma", "WindowWitness", "WindowProfile"),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
     "schedules.sampling_set": ("SamplingSet",),
     "schedules.spaced_windows": ("SpacedWindows",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, overload
 
 import numpy as np
 
@@ -11,7 +11,15 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-AnySchedule = TypeVar("AnySchedule", Schedule, PeriodicSchedule)
+AnySchedule = Schedule | PeriodicSchedule
+
+
+@overload
+def meet(plant: Plant, schedule: Schedule) -> Schedule: ...
+@overload
+def meet(plant: Plant, schedule: PeriodicSchedule) -> PeriodicSchedule: ...
+@overload
+def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule: ...
 
 
 def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule:

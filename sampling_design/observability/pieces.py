@@ -1,0 +1,84 @@
+"""Window positions cut into pieces on which the window holds the same samples.
+
+A window [s, s + T] gains a sample at s = tau - T and loses one just after s = tau. Between two such
+events its set of samples S is fixed. At an event it holds at least as much as on either side, so that
+the least sigma over all real positions is the least over the *closed* pieces, limits included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import short
+from sampling_design.errors import ArgumentError
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int_]
+Mask = npt.NDArray[np.bool_]
+
+# events closer than this, relative to the largest time, are one event: sums of gaps and differences
+# with the window length round in the last bits, and a sample that leaves as another arrives is common
+SAME_TIME = 32 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other."""
+
+    left: Array
+    right: Array
+    first: Indices
+    stop: Indices
+    times: Array
+    mask: Mask | None
+
+    def __len__(self) -> int:
+        return self.left.size
+
+    def samples(self, g: int) -> Array:
+        """Times of the samples on piece g."""
+        return self.times[self.first[g] : self.stop[g]]
+
+    def measured(self, g: int) -> Mask | None:
+        """Mask of the samples on piece g."""
+        return None if self.mask is None else self.mask[self.first[g] : self.stop[g]]
+
+
+def window_pieces(schedule: Schedule | PeriodicSchedule, window: float) -> Pieces:
+    """Return the pieces of all full windows: one lap of an endless schedule, else those in [0, last time]."""
+    if isinstance(schedule, PeriodicSchedule):
+        low, high = schedule.first, schedule.first + schedule.period
+        slack = SAME_TIME * (high + window)
+        held = schedule.between(low, high + window + slack)
+    else:
+        held = schedule
+        low, high = 0.0, (float(schedule.times[-1]) if len(schedule) else 0.0) - window
+        if high < -SAME_TIME * window:
+            raise ArgumentError(
+                f"`window` must fit into the schedule, which ends at {short(high + window)}, got {short(window)}. "
+                "A finite schedule is judged from its first full window to its last."
+            )
+        high = max(high, low)
+    return _cut(held.times, held.outputs, low, high, window)
+
+
+def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float) -> Pieces:
+    """Pieces of the window starts [low, high]; one piece of no width where there is one position only."""
+    tolerance = SAME_TIME * max(abs(high) + window, float(np.max(times, initial=0.0)))
+    if high - low <= tolerance:
+        ends = np.array([low - tolerance, low + window + tolerance])
+        held = np.searchsorted(times, ends)
+        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask)
+    events = np.sort(np.concatenate([times, times - window]))
+    events = events[(events > low + tolerance) & (events < high - tolerance)]
+    cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])
+    leaves = np.searchsorted(cuts, times - tolerance)  # first cut at which a sample may be gone
+    enters = np.searchsorted(cuts, times - window - tolerance)
+    index = np.arange(cuts.size - 1)
+    first = np.searchsorted(leaves, index + 1)
+    stop = np.maximum(first, np.searchsorted(enters, index, side="right"))
+    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask)

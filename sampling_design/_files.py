@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,25 +13,39 @@ from typing import Any
 from sampling_design.errors import FileFormatError
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a UTF-8 file.
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a file.
 
     Raises
     ------
     FileFormatError
-        If the file is missing, is a folder, cannot be read, or is not text.
+        If the file is missing, is a folder, or cannot be read.
     """
     where = os.fspath(path)
     try:
-        return Path(where).read_text(encoding="utf-8-sig")
+        return Path(where).read_bytes()
     except FileNotFoundError:
         raise FileFormatError(f"{where}: no such file.", where) from None
     except IsADirectoryError:
         raise FileFormatError(f"{where}: is a folder, expected a file.", where) from None
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
     except OSError as error:
         raise FileFormatError(f"{where}: cannot be read ({error.strerror}).", where) from None
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a UTF-8 file, line ends as newlines.
+
+    Raises
+    ------
+    FileFormatError
+        If it is not text, or as in `read_bytes`.
+    """
+    where = os.fspath(path)
+    try:
+        text = read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
@@ -100,3 +115,17 @@ def from_json(text: str, where: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise FileFormatError(f"{where}: must hold one JSON object, got {type(data).__name__}.", where)
     return data
+
+
+def from_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the tree in a TOML text.
+
+    Raises
+    ------
+    FileFormatError
+        If it is cut off or is not TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None

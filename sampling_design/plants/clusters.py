@@ -35,8 +35,9 @@ class EigenvalueCluster(Record):
     radius : float
         Largest distance of a computed eigenvalue from the mean.
     projector_norm : float
-        2-norm of the spectral projector in balanced coordinates (an upper bound of LAPACK); the mean
-        is known to about `rounding` |A| times this.
+        2-norm of the spectral projector in balanced coordinates (an upper bound of LAPACK).
+    uncertainty : float
+        How well the mean is known: `rounding` |A| times `projector_norm`.
     sure : bool
         Whether grouping and index stay the same if the rounding is `DOUBT` times larger. If not, take
         the sum of indices with care: the truth may be larger or smaller.
@@ -49,32 +50,35 @@ class EigenvalueCluster(Record):
     index: int
     radius: float
     projector_norm: float
+    uncertainty: float
     sure: bool
     members: Complex
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
-            ("value", format_eigenvalue(self.value)),
+            ("value", self.label()),
             ("multiplicity", str(self.multiplicity)),
             ("index", str(self.index)),
             ("sure", "yes" if self.sure else "no"),
             ("radius", short(self.radius, 3)),
-            ("projector norm", short(self.projector_norm, 3)),
+            ("uncertainty", short(self.uncertainty, 3)),
         ]
+
+    def label(self) -> str:
+        """Return the value as text; a part below its uncertainty is written as zero."""
+        return format_eigenvalue(self.value, grain=self.uncertainty)
 
     def explain(self) -> str:
         """Say what the group is, in words."""
         doubt = "" if self.sure else " Rounding leaves the grouping or the index in doubt."
         blocks = "semisimple" if self.index == 1 else f"largest Jordan block of size {self.index}"
-        return f"Eigenvalue {format_eigenvalue(self.value)}, {self.multiplicity}-fold, {blocks}.{doubt}"
+        return f"Eigenvalue {self.label()}, {self.multiplicity}-fold, {blocks}.{doubt}"
 
 
-def format_eigenvalue(value: complex, digits: int = 6) -> str:
-    """Return a complex number as text, its imaginary part left out where it is zero."""
-    value = complex(value)
-    if value.imag == 0:
-        return f"{value.real:.{digits}g}"
-    return f"{value.real:.{digits}g}{value.imag:+.{digits}g}i"
+def format_eigenvalue(value: complex, digits: int = 6, grain: float = 0.0) -> str:
+    """Return a complex number as text; parts of at most `grain` count as zero, a zero imaginary part is left out."""
+    real, imaginary = (0.0 if abs(part) <= grain else part for part in (complex(value).real, complex(value).imag))
+    return f"{real:.{digits}g}" if imaginary == 0 else f"{real:.{digits}g}{imaginary:+.{digits}g}i"
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,8 @@ def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[Eigenv
         sure = wider.get(tuple(group)) == index
         radius = float(np.max(np.abs(members - _mean(members))))
         members.flags.writeable = False
-        found.append(EigenvalueCluster(_mean(members), len(group), index, radius, projector, sure, members))
+        doubt = error * form.norm * projector
+        found.append(EigenvalueCluster(_mean(members), len(group), index, radius, projector, doubt, sure, members))
     # noise in a real part must not decide the order
     grain = max(form.norm, np.finfo(float).tiny) * 1e-9
     order = sorted(range(len(found)), key=lambda i: (-round(found[i].value.real / grain), _imaginary(found[i].value)))
@@ -203,8 +208,8 @@ def _sensitivities(form: SchurForm) -> Array:
         select[i] = 1
         s = lapack.ztrsen(select, form.complex_T, form.complex_Q, job="E", wantq=0, lwork=max(1, n * n))[5]
         result[i] = 1.0 / s if s > 0 else np.inf
-    for i in np.flatnonzero(np.diag(form.T, -1)):
-        result[i : i + 2] = np.max(result[i : i + 2])
+    for pair in np.flatnonzero(np.diag(form.T, -1)):
+        result[pair : pair + 2] = np.max(result[pair : pair + 2])
     return result
 
 

@@ -81,12 +81,16 @@ class ModalSplit(Record):
     retained_clusters: tuple[EigenvalueCluster, ...]
 
     def _rows(self) -> list[tuple[str, str]]:
+        near = (format_eigenvalue(value, grain=1e-4 * self.offset) for value in self.near_line)
         return [
             ("retained", f"{self.retained.n_states} of {self.plant.n_states} states"),
             ("line", f"Re >= {short(0.0 - self.decay_rate / 2)} 1/{self.plant.time_unit}"),
             ("eigenvalues retained", _listed(self.retained_clusters)),
             ("eigenvalues residual", _listed(c for c in self.clusters if c not in self.retained_clusters)),
-            ("too near the line", ", ".join(format_eigenvalue(v) for v in self.near_line) or "none"),
+            (
+                "too near the line",
+                ", ".join(near) or "none",
+            ),
             ("separation", short(self.separation, 3)),
             ("condition", short(self.condition, 3)),
         ]
@@ -108,7 +112,7 @@ class ModalSplit(Record):
 def _listed(clusters: object) -> str:
     words = []
     for c in clusters:  # type: ignore[attr-defined]
-        words.append(format_eigenvalue(c.value) + (f" (x{c.multiplicity}, index {c.index})" * (c.multiplicity > 1)))
+        words.append(c.label() + (f" (x{c.multiplicity}, index {c.index})" * (c.multiplicity > 1)))
     return ", ".join(words) or "none"
 
 
@@ -189,7 +193,7 @@ def split_modes(
         if max(cluster.value.real, float(np.max(cluster.members.real))) >= line - strip:
             select[where] = 1
             kept.append(cluster)
-        doubt = strip + error * form.norm * cluster.projector_norm
+        doubt = strip + cluster.uncertainty
         if abs(cluster.value.real - line) <= doubt or np.ptp(np.sign(cluster.members.real - line)) > 0:
             near.append(cluster.members)
     verdict = _Verdict(decay_rate, strip, clusters, tuple(kept), np.concatenate(near))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,12 @@ class Signals(Record):
     names: tuple[str, ...]
     units: tuple[str, ...] = ()
     scales: Array = None  # type: ignore[assignment]
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self, names: Sequence[str], units: Sequence[str] = (), scales: npt.ArrayLike | None = None
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -128,6 +135,25 @@ class Plant(Record):
     inputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     disturbances: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     source: str = field(default="", kw_only=True)
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            A: npt.ArrayLike,
+            C: npt.ArrayLike,
+            B: npt.ArrayLike | None = None,
+            D: npt.ArrayLike | None = None,
+            G: npt.ArrayLike | None = None,
+            *,
+            time_unit: str = "s",
+            name: str = "",
+            states: Signals | Sequence[str] | None = None,
+            outputs: Signals | Sequence[str] | None = None,
+            inputs: Signals | Sequence[str] | None = None,
+            disturbances: Signals | Sequence[str] | None = None,
+            source: str = "",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         A = _checks.matrix("A", self.A)

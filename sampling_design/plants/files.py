@@ -1,0 +1,307 @@
+"""Plants as files: TOML and JSON (one tree), MATLAB .mat and numpy .npz (flat names)."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks, _files
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.plant import Plant, Signals
+
+FORMAT = "sampling-design/plant/1"
+_MATRICES = ("A", "B", "C", "D", "G")
+_GROUPS = ("states", "outputs", "inputs", "disturbances")
+_KEYS = ("names", "units", "scales")
+_TREE = ("format", "name", "time_unit", "matrices", *_GROUPS, "source")
+_FLAT = ("format", "name", "time_unit", *_MATRICES, *(f"{g}_{k}" for g in _GROUPS for k in _KEYS), "citation")
+
+
+def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Plant:
+    """Read a plant from a .toml, .json, .mat or .npz file.
+
+    Parameters
+    ----------
+    path : path
+        The suffix decides the format.
+    time_unit : str, optional
+        Needed if the file does not name one; must agree with the file if it does.
+
+    Returns
+    -------
+    Plant
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, of another format, has an unknown key, lacks a time unit, or
+        does not describe a plant. The message begins with the path.
+
+    Notes
+    -----
+    *Numerical aspects.* Numbers are read exactly as written: write, read, write gives the same bits.
+    Nothing in a file is executed (no pickle).
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from sampling_design.plants import library
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_plant(library.oscillator(), pathlib.Path(folder) / "oscillator.toml")
+    ...     read_plant(path).A
+    array([[ 0.,  1.],
+           [-1.,  0.]])
+    """
+    where = os.fspath(path)
+    read = _by_suffix(where, {"toml": _read_toml, "json": _read_json, "mat": _read_mat, "npz": _read_npz})
+    return plant_from_dict(read(where), where, time_unit)
+
+
+def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
+    """Write a plant to a .toml, .json, .mat or .npz file, whole or not at all; return the path.
+
+    Raises
+    ------
+    FileFormatError
+        If the suffix is unknown or the file cannot be written.
+    """
+    where = os.fspath(path)
+    encode = _by_suffix(where, {"toml": _as_toml, "json": _as_json, "mat": _as_mat, "npz": _as_npz})
+    return _files.write_bytes(where, encode(plant_to_dict(plant)))
+
+
+def plant_to_dict(plant: Plant) -> dict[str, Any]:
+    """Return a plant as the tree of the file format; defaults (no inputs, D = 0, G = identity) are left out."""
+    matrices = {"A": plant.A.tolist(), "C": plant.C.tolist()}
+    if plant.n_inputs:
+        matrices["B"] = plant.B.tolist()
+    if plant.n_inputs and not _same_bits(plant.D, np.zeros_like(plant.D)):
+        matrices["D"] = plant.D.tolist()
+    if plant.G.shape != plant.A.shape or not _same_bits(plant.G, np.eye(plant.n_states)):
+        matrices["G"] = plant.G.tolist()
+    tree: dict[str, Any] = {"format": FORMAT, "name": plant.name, "time_unit": plant.time_unit}
+    tree["matrices"] = {key: matrices[key] for key in _MATRICES if key in matrices}
+    for group in _GROUPS:
+        signals: Signals = getattr(plant, group)
+        if len(signals):
+            tree[group] = _signals_to_dict(signals)
+    if plant.source:
+        tree["source"] = {"citation": plant.source}
+    return tree
+
+
+def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: str | None = None) -> Plant:
+    """Return the plant in a tree of the file format; `where` begins every message.
+
+    Raises
+    ------
+    FileFormatError
+        If a key is unknown or missing, or the data do not describe a plant.
+    """
+    try:
+        return _plant_from_tree(data, time_unit)
+    except FileFormatError:
+        raise
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}", where) from None
+
+
+def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
+    _checks.known_keys("the file", data, _TREE)
+    if data.get("format") != FORMAT:
+        raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a plant file?")
+    matrices = _table(data, "matrices")
+    _checks.known_keys("[matrices]", matrices, _MATRICES)
+    missing = [key for key in ("A", "C") if key not in matrices]
+    if missing:
+        raise ArgumentError(f"`{missing[0]}` is missing in [matrices]. Was the file cut off?")
+    source = _table(data, "source")
+    _checks.known_keys("[source]", source, ("citation",))
+    groups = {group: _signals_from_dict(group, _table(data, group)) for group in _GROUPS}
+    columns = {"A": 0, "C": 0, "B": len(groups["inputs"] or ()), "D": 0, "G": len(groups["disturbances"] or ())}
+    arrays = {key: _rows(value, columns[key]) for key, value in matrices.items()}
+    return Plant(
+        **arrays,
+        **groups,  # type: ignore[arg-type]
+        time_unit=_agreed_unit(data.get("time_unit"), time_unit),
+        name=_text("name", data.get("name", "")),
+        source=_text("citation", source.get("citation", "")),
+    )
+
+
+def _agreed_unit(in_file: Any, given: str | None) -> str:
+    if in_file is None and given is None:
+        raise ArgumentError("`time_unit` is missing. Write it into the file or give it as an argument.")
+    unit = check_time_unit(given if in_file is None else in_file)
+    if given is not None and check_time_unit(given) != unit:
+        raise ArgumentError(f"`time_unit` must agree with the file, got {given!r} where the file says {unit!r}.")
+    return unit
+
+
+def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = data.get(key, {})
+    if not isinstance(value, Mapping):
+        raise ArgumentError(f"`{key}` must be a table of keys and values, got {value!r:.60}.")
+    return value
+
+
+def _text(key: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise ArgumentError(f"`{key}` must be a string, got {value!r:.60}.")
+    return value
+
+
+def _rows(value: Any, columns: int) -> Any:
+    """An empty list of rows does not say how many columns it has; the names of the signals do."""
+    return np.zeros((0, columns)) if isinstance(value, list) and not value else value
+
+
+def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:
+    _checks.known_keys(f"[{group}]", table, _KEYS)
+    if not table:
+        return None
+    if "names" not in table:
+        raise ArgumentError(f"`names` is missing in [{group}].")
+    try:
+        return Signals(table["names"], tuple(table.get("units", ())), table.get("scales"))
+    except (ArgumentError, TypeError) as error:
+        raise ArgumentError(f"in [{group}] {error}") from None
+
+
+def _signals_to_dict(signals: Signals) -> dict[str, Any]:
+    table: dict[str, Any] = {"names": list(signals.names)}
+    if any(signals.units):
+        table["units"] = list(signals.units)
+    if np.any(signals.scales != 1):
+        table["scales"] = signals.scales.tolist()
+    return table
+
+
+def _same_bits(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> bool:
+    return np.ascontiguousarray(a).tobytes() == np.ascontiguousarray(b).tobytes()
+
+
+def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+    suffix = Path(where).suffix.lower().lstrip(".")
+    if suffix not in table:
+        known = ", ".join(f".{key}" for key in table)
+        raise FileFormatError(f"{where}: the suffix must be one of {known}, got {f'.{suffix}'!r}.", where)
+    return table[suffix]
+
+
+def _read_toml(where: str) -> dict[str, Any]:
+    return _files.from_toml(_files.read_text(where), where)
+
+
+def _read_json(where: str) -> dict[str, Any]:
+    return _files.from_json(_files.read_text(where), where)
+
+
+def _as_toml(tree: dict[str, Any]) -> bytes:
+    import tomli_w
+
+    head = {key: value for key, value in tree.items() if not isinstance(value, dict)}
+    tables = {key: value for key, value in tree.items() if isinstance(value, dict) and key != "matrices"}
+    matrices = "".join(_toml_matrix(key, rows) for key, rows in tree["matrices"].items())
+    text = f"{tomli_w.dumps(head)}\n[matrices]\n{matrices}\n{tomli_w.dumps(tables)}"
+    return text.encode("utf-8")
+
+
+def _toml_matrix(key: str, rows: list[list[float]]) -> str:
+    """One row per line (the TOML library would spend a line on each number)."""
+    lines = "".join(f"    {row!r},\n" for row in rows)
+    return f"{key} = [\n{lines}]\n"
+
+
+def _as_json(tree: dict[str, Any]) -> bytes:
+    return _files.to_json(tree).encode("utf-8")
+
+
+def _read_npz(where: str) -> dict[str, Any]:
+    content = _files.read_bytes(where)
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            flat = {key: archive[key] for key in archive.files}
+    except (ValueError, EOFError, OSError, AttributeError, zipfile.BadZipFile, KeyError):
+        raise FileFormatError(
+            f"{where}: is not a readable .npz archive of plain arrays. Was it cut off?", where
+        ) from None
+    return _tree(flat, where)
+
+
+def _read_mat(where: str) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    content = _files.read_bytes(where)
+    try:
+        flat = loadmat(cast(Any, io.BytesIO(content)))
+    except NotImplementedError:
+        raise FileFormatError(f"{where}: is a version 7.3 .mat file. Save it with the option -v7.", where) from None
+    except Exception:  # the reader raises whatever it stumbles on
+        raise FileFormatError(f"{where}: is not a readable .mat file. Was it cut off?", where) from None
+    return _tree({key: value for key, value in flat.items() if not key.startswith("__")}, where)
+
+
+def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return flat array names as the tree of the file format."""
+    try:
+        _checks.known_keys("the file", flat, _FLAT)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}", where) from None
+    tree: dict[str, Any] = {"format": FORMAT, "matrices": {key: flat[key] for key in _MATRICES if key in flat}}
+    for key in ("format", "name", "time_unit"):
+        if key in flat:
+            tree[key] = "".join(_words(flat[key]))
+    for group in _GROUPS:
+        table: dict[str, Any] = {k: _words(flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat}
+        if f"{group}_scales" in flat:
+            table["scales"] = np.ravel(flat[f"{group}_scales"])
+        if table:
+            tree[group] = table
+    if "citation" in flat:
+        tree["source"] = {"citation": "".join(_words(flat["citation"]))}
+    return tree
+
+
+def _words(value: Any) -> list[str]:
+    """Strings of a string array, or of a MATLAB cell or character array (rows padded with blanks)."""
+    array = np.asarray(value)
+    if array.dtype == object:
+        return ["".join(str(v) for v in np.ravel(cell)) for cell in array.ravel()]
+    return [str(v).rstrip() for v in array.ravel()]
+
+
+def _flat(tree: dict[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
+    for key, rows in tree["matrices"].items():
+        flat[key] = np.array(rows, dtype=np.float64)
+    for group in _GROUPS:
+        for key, entries in tree.get(group, {}).items():
+            flat[f"{group}_{key}"] = np.array(entries)
+    if "source" in tree:
+        flat["citation"] = np.array(tree["source"]["citation"])
+    return flat
+
+
+def _as_npz(tree: dict[str, Any]) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **_flat(tree))
+    return stream.getvalue()
+
+
+def _as_mat(tree: dict[str, Any]) -> bytes:
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    # cells, because character arrays pad their rows to equal length
+    cells = {k: v.astype(object) if v.dtype.kind == "U" and v.ndim else v for k, v in _flat(tree).items()}
+    savemat(cast(Any, stream), cells, oned_as="row")
+    return stream.getvalue()

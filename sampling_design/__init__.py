@@ -29,6 +29,13 @@ _FRONT_DOOR = {
     "schedules.sampling_set": ("SamplingSet",),
     "schedules.spaced_windows": ("SpacedWindows",),
     "schedules.gap_range": ("GapRange",),
+    "schedules.family": ("SamplingFamily",),
+    "schedules.jitter": ("Jitter",),
+    "schedules.lost_samples": ("LostSamples",),
+    "schedules.files": ("read_schedule", "write_schedule", "schedule_to_dict", "schedule_from_dict"),
+    "schedules.family_files": ("family_to_dict", "family_from_dict"),
+    "schedules.time_stamps": ("import_time_stamps",),
+    "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv", "write_ics"),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 

@@ -39,6 +39,12 @@ class _Sampled(Record):
     def _details(self) -> dict[str, Any]:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
 
+    def _plain(self, mask: Mask | None, **times: Any) -> dict[str, Any]:
+        names = None if self.output_names is None else list(self.output_names)
+        outputs = None if mask is None else mask.astype(int).tolist()
+        data = times | {"outputs": outputs} | self._details() | {"output_names": names}
+        return {key: value for key, value in data.items() if value is not None}
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(_Sampled):
@@ -107,10 +113,18 @@ class Schedule(_Sampled):
         """Return the samples in the closed window [t - T, t], times as they are."""
         return self.between(t - T, t)
 
+    def count(self, start: float, stop: float, closed: str = "both") -> int:
+        """Return the number of samples in [start, stop]; `closed` as for `between`."""
+        return len(self.between(start, stop, closed))
+
     def in_unit(self, unit: str) -> Schedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
         return Schedule(self.times * c, self.outputs, **{**self._details(), "time_unit": unit})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, exact; `schedule_from_dict` reads it back."""
+        return self._plain(self.outputs, kind="finite", times=self.times.tolist())
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("samples", str(len(self))), ("times", short(self.times)), ("time unit", self.time_unit or "-")]
@@ -183,19 +197,27 @@ class PeriodicSchedule(_Sampled):
 
     @classmethod
     def from_times(cls, times: npt.ArrayLike, period: float, outputs: Any = None, **details: Any) -> PeriodicSchedule:
-        """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...; times in [0, period).
+        """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...
+
+        `times` is one lap: the first in [0, period], the last less than one period after it. Times and
+        period are kept to the last bit; gaps are their differences.
 
         Raises
         ------
         ArgumentError
-            If there are no times, they are unsorted, repeated or negative, or reach the period.
+            If there are no times, they are unsorted, repeated or negative, or do not fit one lap.
         """
         owned = _checks.increasing("times", times, "Did you pass gaps? Use PeriodicSchedule(gaps).")
         length = _checks.positive("period", period)
         if not owned.size:
             raise ArgumentError("`times` must not be empty: a periodic schedule has at least one sample per period.")
-        if owned[-1] >= length:
-            raise ArgumentError(f"`times` must lie in [0, period) = [0, {length!r}), got {float(owned[-1])!r}.")
+        if owned[-1] - owned[0] >= length:
+            raise ArgumentError(
+                f"`times` must span less than one period {length!r}, got {float(owned[0])!r} to {float(owned[-1])!r}. "
+                "Does the last time already belong to the next lap?"
+            )
+        if owned[0] > length:
+            raise ArgumentError(f"`times` must begin in [0, period] = [0, {length!r}], got {float(owned[0])!r}.")
         gaps = np.concatenate([[owned[0] + length - owned[-1]], np.diff(owned)])
         schedule = cls(gaps, float(owned[0]), outputs, **details)
         # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
@@ -208,7 +230,9 @@ class PeriodicSchedule(_Sampled):
     def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
         """Return the samples in [start, stop] (never before `first`); `closed` as for `Schedule.between`."""
         lap, period = self.times, self.period
-        low = max(0, int(np.floor((start - lap[-1]) / period)) - 1)
+        if not np.isfinite(stop):
+            raise ArgumentError(f"`stop` must be finite, got {stop!r}: a periodic schedule has no end.")
+        low = max(0, int(np.floor((max(start, 0.0) - lap[-1]) / period)) - 1)
         high = max(low, int(np.ceil((stop - lap[0]) / period)) + 1)
         times = (lap + period * np.arange(low, high + 1)[:, None]).ravel()
         keep = _inside(times, start, stop, closed)
@@ -219,10 +243,20 @@ class PeriodicSchedule(_Sampled):
         """Return the samples in the closed window [t - T, t], times as they are."""
         return self.between(t - T, t)
 
+    def count(self, start: float, stop: float, closed: str = "both") -> int:
+        """Return the number of samples in [start, stop]; `closed` as for `between`."""
+        return len(self.between(start, stop, closed))
+
     def in_unit(self, unit: str) -> PeriodicSchedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
-        return PeriodicSchedule(self.gaps * c, self.first * c, self.outputs, **{**self._details(), "time_unit": unit})
+        details = {**self._details(), "time_unit": unit}
+        return PeriodicSchedule.from_times(self.times * c, self.period * c, self.outputs, **details)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, exact; `schedule_from_dict` reads it back."""
+        lap = {"gaps": self.gaps.tolist(), "first": self.first, "times": self.times.tolist(), "period": self.period}
+        return self._plain(self.outputs, kind="periodic", **lap)
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -242,6 +276,8 @@ class PeriodicSchedule(_Sampled):
 
 
 def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
+    if np.isnan(start) or np.isnan(stop):
+        raise ArgumentError(f"`start` and `stop` must be numbers, got {start!r} and {stop!r}.")
     if closed not in ("both", "left", "right", "neither"):
         raise ArgumentError(f'`closed` must be "both", "left", "right" or "neither", got {closed!r}.')
     low = times >= start if closed in ("both", "left") else times > start

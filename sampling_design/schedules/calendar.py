@@ -1,0 +1,251 @@
+"""A schedule as calendar dates: rows, CSV, and iCalendar (RFC 5545)."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from sampling_design import _checks
+from sampling_design._files import write_text
+from sampling_design._units import SECONDS
+from sampling_design.errors import ArgumentError
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.time_stamps import parse_date
+
+_FREQUENCIES = (("WEEKLY", 604800), ("DAILY", 86400), ("HOURLY", 3600), ("MINUTELY", 60), ("SECONDLY", 1))
+_FOLD = 75  # octets per line, RFC 5545 section 3.1
+_MOST_ENTRIES = 100_000  # a span that asks for more is a slip of the unit
+
+
+@dataclass(frozen=True)
+class CalendarEntry:
+    """One sample: its date (with offset), its time in the schedule's unit, and which outputs it measures."""
+
+    date: datetime
+    time: float
+    outputs: tuple[str, ...]
+
+
+def calendar(
+    schedule: AnySchedule, start: str | datetime | None = None, span: float | None = None
+) -> tuple[CalendarEntry, ...]:
+    """Return the samples of a schedule as calendar dates.
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        With its time unit.
+    start : str or datetime, optional
+        Date of time 0 (ISO 8601; naive means UTC). Default: the schedule's origin.
+    span : float, optional
+        Samples in [0, span) [the schedule's time unit]. Default: all of a finite schedule, one period of
+        a periodic one.
+
+    Returns
+    -------
+    tuple of CalendarEntry
+        In order of time. `outputs` is empty if the schedule names no outputs.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no time unit or no start, `span` is not positive, or a date lies beyond the year 9999.
+
+    Notes
+    -----
+    *Numerical aspects.* Dates are rounded to whole microseconds. A day has 86400 s: the dates keep the offset
+    of `start`, no clock change is applied.
+
+    Examples
+    --------
+    >>> for entry in calendar(PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h"), "2026-01-05"):
+    ...     print(entry.date.isoformat())
+    2026-01-05T00:00:00+00:00
+    2026-01-05T16:00:00+00:00
+    """
+    zero = _start(schedule, start)
+    unit = SECONDS[schedule.time_unit or ""]
+    part = _part(schedule, span)
+    names = _columns(part)
+    mask = part.outputs
+    entries = []
+    for i, time in enumerate(part.times.tolist()):
+        measured = names if mask is None else tuple(n for n, m in zip(names, mask[i], strict=True) if m)
+        entries.append(CalendarEntry(_date(zero, time * unit), time, measured))
+    return tuple(entries)
+
+
+def write_calendar_csv(
+    schedule: AnySchedule,
+    path: str | os.PathLike[str],
+    start: str | datetime | None = None,
+    span: float | None = None,
+) -> Path:
+    """Write `calendar(schedule, start, span)` as CSV: date, time, and per output 1 or 0; return the path.
+
+    Raises
+    ------
+    ArgumentError
+        As `calendar`.
+    FileFormatError
+        If the file cannot be written.
+    """
+    entries = calendar(schedule, start, span)
+    names = _columns(schedule)
+    lines = [",".join(["date", "time", *(_quoted(n) for n in names)])]
+    for entry in entries:
+        cells = ["1" if name in entry.outputs else "0" for name in names]
+        lines.append(",".join([entry.date.isoformat(), repr(entry.time), *cells]))
+    return write_text(path, "\n".join(lines) + "\n")
+
+
+def write_ics(
+    schedule: AnySchedule,
+    path: str | os.PathLike[str],
+    start: str | datetime | None = None,
+    span: float | None = None,
+    *,
+    summary: str = "Sample",
+) -> Path:
+    """Write a schedule as an iCalendar file that calendars import; return the path.
+
+    Parameters
+    ----------
+    schedule, start, span
+        As for `calendar`. A periodic schedule whose period is whole seconds becomes one repeating event per
+        sample of its lap, without end if `span` is None; any other is written out over `span`.
+    path : path
+    summary : str
+        Title of the events; the outputs to measure are appended.
+
+    Raises
+    ------
+    ArgumentError
+        As `calendar`; or the period is no whole number of seconds and `span` is missing.
+    FileFormatError
+        If the file cannot be written.
+
+    Notes
+    -----
+    *Numerical aspects.* Dates are UTC, rounded to whole seconds as the format asks. The same schedule and
+    start give the same file, octet for octet: DTSTAMP is the start, UIDs are digests.
+
+    References
+    ----------
+    RFC 5545.
+    """
+    zero = _start(schedule, start)
+    rule = None
+    if isinstance(schedule, PeriodicSchedule):
+        rule = _rule(schedule.period * SECONDS[schedule.time_unit or ""])
+        if rule is None and span is None:
+            raise ArgumentError(
+                f"`span` is missing: the period {schedule.period!r} {schedule.time_unit} is no whole number of "
+                "seconds and cannot repeat by rule."
+            )
+    events = _repeating(schedule, zero, span, rule) if rule else [(e, "") for e in calendar(schedule, zero, span)]
+    stamp = _utc(zero)
+    lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//sampling_design//schedule//EN", "CALSCALE:GREGORIAN"]
+    for entry, repeat in events:
+        title = summary + (f": {', '.join(entry.outputs)}" if entry.outputs else "")
+        key = f"{stamp}|{entry.time!r}|{repeat}|{title}"
+        lines += [
+            "BEGIN:VEVENT",
+            f"UID:{hashlib.sha256(key.encode()).hexdigest()[:32]}@sampling-design",
+            f"DTSTAMP:{stamp}",
+            f"DTSTART:{_utc(entry.date)}",
+            *([f"RRULE:{repeat}"] if repeat else []),
+            f"SUMMARY:{_escaped(title)}",
+            "END:VEVENT",
+        ]
+    lines.append("END:VCALENDAR")
+    return write_text(path, "".join(_folded(line) + "\r\n" for line in lines))
+
+
+def _start(schedule: Any, start: str | datetime | None) -> datetime:
+    if not isinstance(schedule, (Schedule, PeriodicSchedule)):
+        raise ArgumentError(f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}.")
+    if schedule.time_unit is None:
+        raise ArgumentError("`schedule` must have a time unit to become dates. Give time_unit=... when you build it.")
+    date = schedule.origin if start is None else start
+    if date is None:
+        raise ArgumentError("`start` is missing and the schedule has no origin. Give the date of time 0.")
+    return parse_date("start", date)
+
+
+def _part(schedule: AnySchedule, span: float | None) -> Schedule:
+    if span is None:
+        if isinstance(schedule, Schedule):
+            return schedule
+        return Schedule(schedule.times, schedule.outputs, **schedule._details())
+    span = _checks.positive("span", span)
+    if isinstance(schedule, PeriodicSchedule) and span / schedule.period * len(schedule) > _MOST_ENTRIES:
+        raise ArgumentError(f"`span` = {span!r} {schedule.time_unit} asks for more than {_MOST_ENTRIES} dates.")
+    return schedule.between(0.0, span, closed="left")
+
+
+def _columns(schedule: AnySchedule) -> tuple[str, ...]:
+    if schedule.output_names is not None or schedule.outputs is None:
+        return schedule.output_names or ()
+    return tuple(f"y{i + 1}" for i in range(schedule.outputs.shape[1]))
+
+
+def _date(zero: datetime, seconds: float) -> datetime:
+    try:
+        return zero + timedelta(microseconds=round(seconds * 1e6))
+    except OverflowError:
+        raise ArgumentError(
+            f"`start` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"
+        ) from None
+
+
+def _repeating(schedule: AnySchedule, zero: datetime, span: float | None, rule: str) -> list[tuple[CalendarEntry, str]]:
+    """Each sample of the lap with its rule; with a span, only those that begin in it, repeated until its end."""
+    unit = SECONDS[schedule.time_unit or ""]
+    lap = calendar(schedule, zero)
+    if span is None:
+        return [(entry, rule) for entry in lap]
+    # UNTIL is inclusive and whole seconds, the span half-open
+    last = _date(zero, _checks.positive("span", span) * unit) - timedelta(seconds=1)
+    return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in lap if entry.time < span]
+
+
+def _rule(seconds: float) -> str | None:
+    whole = round(seconds)
+    if whole < 1 or abs(seconds - whole) > 1e-9 * whole:
+        return None
+    for name, length in _FREQUENCIES:
+        if whole % length == 0:
+            return f"FREQ={name};INTERVAL={whole // length}"
+    return None
+
+
+def _utc(date: datetime) -> str:
+    whole = (date.astimezone(UTC) + timedelta(microseconds=500_000)).replace(microsecond=0)
+    return whole.strftime("%Y%m%dT%H%M%SZ")
+
+
+def _escaped(text: str) -> str:
+    for plain, escaped in (("\\", "\\\\"), (";", "\\;"), (",", "\\,"), ("\r\n", "\\n"), ("\n", "\\n"), ("\r", "\\n")):
+        text = text.replace(plain, escaped)
+    return text
+
+
+def _folded(line: str) -> str:
+    """Break a line after at most 75 octets, never inside a character; the rest begins with a space."""
+    pieces, current = [], ""
+    for character in line:
+        if len((current + character).encode()) > _FOLD:
+            pieces.append(current)
+            current = " "
+        current += character
+    return "\r\n".join([*pieces, current])
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n\r') else name

@@ -1,0 +1,248 @@
+"""Schedules as files: CSV and its exact copy in JSON. Families as plain data."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+FORMAT = "sampling-design/schedule/1"
+_MARK = "# sampling-design schedule"
+_DETAILS = ("time_unit", "origin", "output_names")
+_REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of the period, no more
+
+
+def schedule_to_dict(schedule: AnySchedule) -> dict[str, Any]:
+    """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period)."""
+    return _check_schedule(schedule).to_dict()
+
+
+def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
+    """Return the schedule in plain data, every float to the last bit.
+
+    Parameters
+    ----------
+    data : mapping
+        `kind` "finite" with `times`, or "periodic" with `gaps` (and `first`) or `times` and `period` or
+        both; `outputs`, `time_unit`, `origin`, `output_names` optional.
+
+    Raises
+    ------
+    ArgumentError
+        If a key is unknown or missing, gaps and times contradict each other, or a value is refused by the schedule.
+
+    Examples
+    --------
+    >>> schedule_from_dict({"kind": "periodic", "gaps": [1.0, 2.0]}).times
+    array([1., 3.])
+    """
+    kind = data.get("kind")
+    details = {key: data[key] for key in _DETAILS if key in data}
+    outputs = data.get("outputs")
+    if kind == "finite":
+        _checks.known_keys("a finite schedule", data, ("kind", "times", "outputs", *_DETAILS))
+        if "times" not in data:
+            raise ArgumentError("a finite schedule needs `times`.")
+        return Schedule(data["times"], outputs, **details)
+    if kind != "periodic":
+        raise ArgumentError(f'`kind` of a schedule must be "finite" or "periodic", got {kind!r}.')
+    known = ("kind", "gaps", "first", "times", "period", "outputs", *_DETAILS)
+    _checks.known_keys("a periodic schedule", data, known)
+    if ("times" in data) != ("period" in data):
+        raise ArgumentError("a periodic schedule needs `times` and `period` together, got only one of them.")
+    if "gaps" not in data:
+        if "times" not in data:
+            raise ArgumentError("a periodic schedule needs `gaps`, or `times` and `period`.")
+        return PeriodicSchedule.from_times(data["times"], data["period"], outputs, **details)
+    by_gaps = PeriodicSchedule(data["gaps"], data.get("first"), outputs, **details)  # type: ignore[arg-type]
+    if "times" not in data:
+        return by_gaps
+    by_times = PeriodicSchedule.from_times(data["times"], data["period"], outputs, **details)
+    room = _REDUNDANCY * by_times.period
+    if len(by_gaps) != len(by_times) or not np.allclose(by_gaps.gaps, by_times.gaps, rtol=0, atol=room):
+        raise ArgumentError("`gaps` and `times` of a periodic schedule contradict each other. Give one of them.")
+    by_times._own(gaps=by_gaps.gaps)
+    return by_times
+
+
+def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
+    """Write a schedule as `.csv` or `.json`, whole or not at all, and return the path.
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        With its time unit.
+    path : path
+        The ending chooses the format.
+
+    Raises
+    ------
+    ArgumentError
+        If the ending is unknown, the time unit is missing, or an output's name cannot be a column.
+    FileFormatError
+        If the file cannot be written.
+
+    Notes
+    -----
+    *Numerical aspects.* Floats are written as their shortest exact text. CSV keeps times and period of a
+    periodic schedule to the last bit and its gaps as their differences; JSON keeps all of them.
+    """
+    schedule = _check_schedule(schedule)
+    if schedule.time_unit is None:
+        raise ArgumentError("`schedule` must have a time unit to be written. Give time_unit=... when you build it.")
+    if _ending(path) == ".json":
+        return write_text(path, to_json({"format": FORMAT, **schedule.to_dict()}))
+    return write_text(path, _to_csv(schedule))
+
+
+def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
+    """Return the schedule in a `.csv` or `.json` file.
+
+    Raises
+    ------
+    ArgumentError
+        If the ending is unknown.
+    FileFormatError
+        If the file is missing, cut off, not of this format, has no time unit, an unknown key, or a row that
+        does not fit; the message names the line.
+    """
+    where = os.fspath(path)
+    ending = _ending(path)
+    text = read_text(path)
+    if ending == ".csv":
+        return _from_csv(text, where)
+    data = from_json(text, where)
+    if data.pop("format", None) != FORMAT:
+        raise FileFormatError(f'{where}: `format` must be "{FORMAT}".', where)
+    if "time_unit" not in data:
+        raise FileFormatError(f"{where}: `time_unit` is missing.", where)
+    try:
+        return schedule_from_dict(data)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}", where) from None
+
+
+def _check_schedule(schedule: Any) -> AnySchedule:
+    if not isinstance(schedule, (Schedule, PeriodicSchedule)):
+        raise ArgumentError(f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}.")
+    return schedule
+
+
+def _ending(path: str | os.PathLike[str]) -> str:
+    ending = Path(path).suffix.lower()
+    if ending not in (".csv", ".json"):
+        raise ArgumentError(f"`path` must end in .csv or .json, got {os.fspath(path)!r}.")
+    return ending
+
+
+def _to_csv(schedule: AnySchedule) -> str:
+    head = [_MARK, f"time_unit={schedule.time_unit}"]
+    if isinstance(schedule, PeriodicSchedule):
+        head.append(f"period={schedule.period!r}")
+    if schedule.origin is not None:
+        head.append(f"origin={schedule.origin}")
+    mask = schedule.outputs
+    names = schedule.output_names
+    if mask is not None and names is None:
+        names = tuple(f"y{i + 1}" for i in range(mask.shape[1]))
+    for name in names or ():
+        if name != name.strip() or name in ("", "time") or any(c in name for c in ',"\n\r#'):
+            raise ArgumentError(f"`output_names`: {name!r} cannot be a column of a CSV file. Write .json instead.")
+    if mask is None:
+        mask = np.ones((len(schedule), len(names or ())), dtype=bool)
+    rows = [
+        ",".join([repr(t), *("1" if m else "0" for m in measured)])
+        for t, measured in zip(schedule.times.tolist(), mask.tolist(), strict=True)
+    ]
+    return "\n".join(["; ".join(head), ",".join(["time", *(names or ())]), *rows]) + "\n"
+
+
+def _from_csv(text: str, where: str) -> AnySchedule:
+    def fail(line: int, what: str) -> FileFormatError:
+        return FileFormatError(f"{where}, line {line}: {what}", where)
+
+    lines = text.split("\n")
+    if not lines[0].startswith(_MARK):
+        raise fail(1, f'must begin with "{_MARK}; time_unit=...". Measured times are read by import_time_stamps.')
+    keys = _header(lines[0], where)
+    if len(lines) < 2 or not lines[1].strip():
+        raise fail(2, "expected the header `time[,output names]`. Was the file cut off?")
+    header = [cell.strip() for cell in lines[1].split(",")]
+    if header[0] != "time":
+        raise fail(2, f"the first column must be `time`, got {header[0]!r}.")
+    if lines[-1] != "":
+        raise fail(len(lines), "does not end in a line break. Was the file cut off?")
+    times: list[float] = []
+    mask: list[list[int]] = []
+    for number, line in enumerate(lines[2:], start=3):
+        if not line.strip() or line.startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        if len(cells) != len(header):
+            raise fail(number, f"expected {len(header)} cells, got {len(cells)}. Was the file cut off?")
+        times.append(_time(cells[0], times, lambda what, n=number: fail(n, what)))
+        if any(cell not in ("0", "1") for cell in cells[1:]):
+            raise fail(number, f"cells after the time must be 1 (measured) or 0, got {', '.join(cells[1:])}.")
+        mask.append([int(cell) for cell in cells[1:]])
+    return _build(times, mask, header[1:], keys, where)
+
+
+def _time(cell: str, before: list[float], fail: Any) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise fail(f"the time must be a number, got {cell!r}.") from None
+    if not math.isfinite(value) or value < 0:
+        raise fail(f"the time must be finite and not negative, got {cell}.")
+    if before and value <= before[-1]:
+        raise fail(f"times must increase strictly, got {value!r} after {before[-1]!r}.")
+    return value
+
+
+def _header(line: str, where: str) -> dict[str, str]:
+    keys: dict[str, str] = {}
+    for part in line[len(_MARK) :].split(";"):
+        key, equals, value = part.strip().partition("=")
+        if not key:
+            continue
+        try:
+            _checks.known_keys("the first line", [key], ("time_unit", "period", "origin"))
+        except ArgumentError as error:
+            raise FileFormatError(f"{where}, line 1: {error}", where) from None
+        if not equals or not value.strip() or key in keys:
+            raise FileFormatError(f"{where}, line 1: expected {key}=... exactly once.", where)
+        keys[key] = value.strip()
+    if "time_unit" not in keys:
+        raise FileFormatError(f"{where}, line 1: `time_unit` is missing.", where)
+    return keys
+
+
+def _build(
+    times: list[float], mask: list[list[int]], names: list[str], keys: dict[str, str], where: str
+) -> AnySchedule:
+    try:
+        check_time_unit(keys["time_unit"])
+        every = not names or all(all(row) for row in mask)
+        outputs = None if every else np.array(mask, dtype=bool)
+        details: dict[str, Any] = {"time_unit": keys["time_unit"], "origin": keys.get("origin")}
+        details["output_names"] = tuple(names) or None
+        if "period" not in keys:
+            return Schedule(np.array(times), outputs, **details)
+        try:
+            period = float(keys["period"])
+        except ValueError:
+            raise ArgumentError(f"`period` must be a number, got {keys['period']!r}.") from None
+        return PeriodicSchedule.from_times(times, period, outputs, **details)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}", where) from None

@@ -1,0 +1,179 @@
+"""Schedules near a nominal one: every sample a little early or late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import gcd
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.schedules.family import AnySchedule, extent, generator, in_family_unit, pick
+from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+_LONGEST_LAP = 1_000_000  # samples after which the laps of two periodic schedules must have met
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Jitter(Record):
+    """All schedules whose i-th sample lies within `radius` of the nominal i-th sample.
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        The nominal one.
+    radius : float
+        Largest deviation [time], >= 0, less than half of the nominal least gap so that order is kept.
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is none or empty, or the radius is negative or too large.
+
+    Notes
+    -----
+    A sample whose nominal time is less than `radius` never comes before time 0. Each sample measures what the
+    nominal one measures.
+
+    Examples
+    --------
+    >>> family = Jitter(PeriodicSchedule([1.0]), 0.1)
+    >>> family.contains(PeriodicSchedule([1.1, 0.9])), family.contains(PeriodicSchedule([1.01]))
+    (True, False)
+    """
+
+    schedule: AnySchedule
+    radius: float
+
+    def __post_init__(self) -> None:
+        least = SamplingSet(self.schedule).min_gap
+        radius = _checks.nonnegative("radius", self.radius)
+        if 2 * radius >= least:
+            raise ArgumentError(
+                f"`radius` must be less than half of the least gap {short(least)}, got {short(radius)}: "
+                "samples could change places."
+            )
+        object.__setattr__(self, "radius", radius)
+
+    @property
+    def time_unit(self) -> str | None:
+        """Unit of the nominal schedule."""
+        return self.schedule.time_unit
+
+    @property
+    def min_gap(self) -> float:
+        """Least nominal gap less twice the radius."""
+        return SamplingSet(self.schedule).min_gap - 2 * self.radius
+
+    @property
+    def d_max(self) -> float:
+        """Longest gap that two deviations can make, or the latest first sample."""
+        nominal = SamplingSet(self.schedule)
+        later = float(np.max(nominal.later_gaps, initial=0.0))
+        return max(nominal.first + self.radius, later + 2 * self.radius if later else 0.0)
+
+    @property
+    def nominal(self) -> AnySchedule:
+        """The schedule without deviations."""
+        return self.schedule
+
+    def contains(self, schedule: AnySchedule) -> bool:
+        """Say whether every sample of `schedule` lies within the radius of its nominal place.
+
+        A finite schedule is compared with the nominal samples of the same numbers (a finite nominal one must
+        have as many); an endless one must keep the nominal pace for ever, and measure the same outputs.
+        """
+        schedule = in_family_unit(schedule, self.time_unit)
+        if not len(schedule):
+            return False
+        mine = self.schedule
+        if isinstance(schedule, PeriodicSchedule):
+            return isinstance(mine, PeriodicSchedule) and self._contains_endless(mine, schedule)
+        if isinstance(mine, Schedule) and len(mine) != len(schedule):
+            return False
+        return self._near(_first(mine, len(schedule)), schedule)
+
+    def _contains_endless(self, mine: PeriodicSchedule, schedule: PeriodicSchedule) -> bool:
+        n, m = len(mine), len(schedule)
+        common = n * m // gcd(n, m)
+        if common > _LONGEST_LAP:
+            raise ArgumentError(f"`schedule`: {m} samples a period against {n} nominal ones meet too late to compare.")
+        spans = mine.period * (common // n), schedule.period * (common // m)
+        if abs(spans[0] - spans[1]) > ROUNDING * max(spans) * 4:
+            return False
+        return self._near(_first(mine, common), _first(schedule, common))
+
+    def _near(self, nominal: Schedule, schedule: Schedule) -> bool:
+        slack = ROUNDING * np.maximum(nominal.times, schedule.times)
+        near = np.abs(schedule.times - nominal.times) <= self.radius + slack
+        return bool(np.all(near)) and same_outputs(nominal, schedule)
+
+    def draw(
+        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
+    ) -> Schedule:
+        """Return a random member: half of the deviations are the largest in one direction or the other.
+
+        `duration` (default twenty longest gaps) or `samples` say how far an endless nominal schedule is
+        followed; a finite one is followed to its end.
+
+        Raises
+        ------
+        ArgumentError
+            If both are given, or the nominal schedule is finite and one is.
+        """
+        rng = generator(rng)
+        part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
+        shifts = np.array([pick(rng, -self.radius, self.radius) for _ in range(len(part))])
+        return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; `family_from_dict` reads it back."""
+        return {"kind": "jitter", "schedule": self.schedule.to_dict(), "radius": self.radius}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("nominal", self.schedule.explain()), ("radius", short(self.radius))]
+
+    def explain(self) -> str:
+        """Say which schedules belong."""
+        return f"Every sample at most {short(self.radius)} early or late. Nominal: {self.schedule.explain()}"
+
+
+def _first(schedule: AnySchedule, count: int) -> Schedule:
+    """The first `count` samples, or fewer if a finite schedule has fewer."""
+    if isinstance(schedule, PeriodicSchedule):
+        laps = -(-count // len(schedule))
+        times = (schedule.times + schedule.period * np.arange(laps)[:, None]).ravel()[:count]
+        mask = None if schedule.outputs is None else np.tile(schedule.outputs, (laps, 1))[:count]
+        return Schedule(times, mask, **schedule._details())
+    mask = None if schedule.outputs is None else schedule.outputs[:count]
+    return Schedule(schedule.times[:count], mask, **schedule._details())
+
+
+def same_outputs(nominal: Schedule, schedule: Schedule) -> bool:
+    """Say whether two schedules of equal length measure the same; None stands for every output."""
+    if nominal.outputs is None or schedule.outputs is None:
+        return all(m is None or bool(m.all()) for m in (nominal.outputs, schedule.outputs))
+    return bool(np.array_equal(nominal.outputs, schedule.outputs))
+
+
+def nominal_part(schedule: AnySchedule, duration: float | None, samples: int | None, default: float) -> Schedule:
+    """Return the finite part of a nominal schedule that a draw follows.
+
+    Raises
+    ------
+    ArgumentError
+        If an extent is given for a finite schedule, or both are given.
+    """
+    if isinstance(schedule, Schedule):
+        if duration is not None or samples is not None:
+            raise ArgumentError("`duration` and `samples` are for an endless nominal schedule; this one is finite.")
+        return schedule
+    stop, most = extent(duration, samples, default)
+    if samples is not None:
+        return _first(schedule, most)
+    inside = schedule.count(0.0, stop, closed="left")
+    return _first(schedule, inside + 1)

@@ -1,0 +1,182 @@
+"""Schedules that a nominal one leaves when some of its samples are lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.schedules.family import AnySchedule, generator, in_family_unit
+from sampling_design.schedules.jitter import nominal_part, same_outputs
+from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+_MOST_LAPS = 10_000  # laps after which two periods must have met, else their ratio counts as irrational
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LostSamples(Record):
+    """All schedules that miss at most `most` of any `of` consecutive samples of a nominal schedule.
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        The nominal one.
+    most : int
+        Largest number lost, >= 0, less than `of`.
+    of : int
+        Number of consecutive nominal samples among which they are counted.
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is none or empty, or `most` is not less than `of`.
+
+    Examples
+    --------
+    >>> family = LostSamples(PeriodicSchedule([1.0]), most=1, of=3)
+    >>> family.contains(Schedule([1.0, 3.0, 4.0, 6.0])), family.contains(Schedule([1.0, 3.0, 5.0]))
+    (True, False)
+    """
+
+    schedule: AnySchedule
+    most: int
+    of: int
+
+    def __post_init__(self) -> None:
+        SamplingSet(self.schedule)
+        most, of = _checks.whole("most", self.most), _checks.whole("of", self.of, 1)
+        if most >= of:
+            raise ArgumentError(f"`most` must be less than `of` = {of}, got {most}: every sample could be lost.")
+        object.__setattr__(self, "most", most)
+        object.__setattr__(self, "of", of)
+
+    @property
+    def time_unit(self) -> str | None:
+        """Unit of the nominal schedule."""
+        return self.schedule.time_unit
+
+    @property
+    def min_gap(self) -> float:
+        """Least nominal gap."""
+        return SamplingSet(self.schedule).min_gap
+
+    @property
+    def d_max(self) -> float:
+        """Longest gap, or latest first sample, when `most` samples in a row are lost."""
+        part = nominal_part(self.schedule, None, 2 * len(self.schedule) + self.most + 1, 0.0) if self._endless else None
+        times = self.schedule.times if part is None else part.times
+        reach = min(self.most + 1, times.size - 1)
+        later = float(np.max(times[reach:] - times[: times.size - reach], initial=0.0)) if reach else 0.0
+        return max(float(times[min(self.most, times.size - 1)]), later)
+
+    @property
+    def _endless(self) -> bool:
+        return isinstance(self.schedule, PeriodicSchedule)
+
+    @property
+    def nominal(self) -> AnySchedule:
+        """The schedule without losses."""
+        return self.schedule
+
+    def contains(self, schedule: AnySchedule) -> bool:
+        """Say whether `schedule` has only nominal samples and misses few enough of them.
+
+        A finite schedule is judged up to its last sample (to the end of a finite nominal one).
+        """
+        schedule = in_family_unit(schedule, self.time_unit)
+        if not len(schedule):
+            return False
+        mine = self.schedule
+        if not isinstance(schedule, PeriodicSchedule):
+            if isinstance(mine, PeriodicSchedule):
+                mine = mine.between(0.0, float(schedule.times[-1]) * (1 + ROUNDING))
+            return self._judge(mine, schedule, cyclic=False)
+        if not isinstance(mine, PeriodicSchedule):
+            return False
+        ratio = Fraction(schedule.period / mine.period).limit_denominator(_MOST_LAPS)
+        off = abs(schedule.period * ratio.denominator - mine.period * ratio.numerator)
+        if ratio.numerator == 0 or off > 4 * ROUNDING * mine.period * ratio.numerator:
+            return False
+        # first samples may lie anywhere in the first common period; after it both repeat and are judged as a
+        # circle, opened half-way between two nominal samples so that rounding cannot move one across
+        span = mine.period * ratio.numerator
+        stop = span + mine.first + float(mine.gaps[1 % len(mine)]) / 2
+        start = self._judge(mine.between(0.0, stop), schedule.between(0.0, stop), cyclic=False)
+        circle = (part.between(stop, stop + span) for part in (mine, schedule))
+        return start and self._judge(*circle, cyclic=True)
+
+    def _judge(self, nominal: Schedule, schedule: Schedule, cyclic: bool) -> bool:
+        kept = _positions(nominal.times, schedule.times)
+        if kept is None:
+            return False
+        mask = None if nominal.outputs is None else nominal.outputs[kept]
+        if not same_outputs(Schedule(nominal.times[kept], mask), schedule):
+            return False
+        lost = np.ones(len(nominal), dtype=int)
+        lost[kept] = 0
+        return self._few(lost, cyclic)
+
+    def _few(self, lost: npt.NDArray[np.int_], cyclic: bool) -> bool:
+        if cyclic:
+            lost = np.tile(lost, 1 + -(-self.of // lost.size))
+        total = np.concatenate([[0], np.cumsum(lost)])
+        ahead = np.minimum(np.arange(lost.size) + self.of, lost.size)
+        return bool(np.all(total[ahead] - total[:-1] <= self.most))
+
+    def draw(
+        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
+    ) -> Schedule:
+        """Return a random member: each sample that may be lost is lost with probability 1/2.
+
+        `duration` (default twenty longest gaps) or `samples` (nominal ones) say how far an endless nominal
+        schedule is followed; a finite one is followed to its end.
+
+        Raises
+        ------
+        ArgumentError
+            If both are given, or the nominal schedule is finite and one is.
+        """
+        rng = generator(rng)
+        part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
+        lost = np.zeros(len(part), dtype=bool)
+        for i in range(lost.size):
+            recent = int(lost[max(0, i - self.of + 1) : i].sum())
+            lost[i] = recent < self.most and rng.random() < 0.5
+        if lost.all():
+            lost[-1] = False
+        mask = None if part.outputs is None else part.outputs[~lost]
+        return Schedule(part.times[~lost], mask, **part._details())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; `family_from_dict` reads it back."""
+        return {"kind": "lost-samples", "schedule": self.schedule.to_dict(), "most": self.most, "of": self.of}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("nominal", self.schedule.explain()),
+            ("lost at most", f"{self.most} of {self.of}"),
+            ("longest gap", short(self.d_max)),
+        ]
+
+    def explain(self) -> str:
+        """Say which schedules belong."""
+        return f"At most {self.most} of any {self.of} consecutive samples lost. Nominal: {self.schedule.explain()}"
+
+
+def _positions(nominal: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> npt.NDArray[np.intp] | None:
+    """Where in `nominal` each of `times` lies, up to rounding; None if one lies nowhere."""
+    if not nominal.size:
+        return None
+    after = np.clip(np.searchsorted(nominal, times), 0, nominal.size - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(nominal[before] - times) < np.abs(nominal[after] - times)
+    place = np.where(nearer, before, after)
+    exact = np.abs(nominal[place] - times) <= ROUNDING * np.maximum(times, nominal[place])
+    return place if bool(np.all(exact)) and np.unique(place).size == place.size else None

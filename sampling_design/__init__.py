@@ -36,6 +36,10 @@ _FRONT_DOOR = {
     "schedules.family_files": ("family_to_dict", "family_from_dict"),
     "schedules.time_stamps": ("import_time_stamps",),
     "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv", "write_ics"),
+    "certificates.constants": ("Constant", "ConstantList"),
+    "certificates.dissipation": ("DetectabilityCertificate", "DissipationCheck"),
+    "certificates.detectability": ("certify_detectability", "detectability_from_proof"),
+    "certificates.proof_constants": ("ProofConstants", "constants_from_proof", "certify_from_proof"),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 

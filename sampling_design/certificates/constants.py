@@ -1,0 +1,73 @@
+"""A constant with its name, formula and source, and an ordered list of them that prints as markdown or LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sampling_design._record import short
+from sampling_design.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One number of a proof.
+
+    Parameters
+    ----------
+    name : str
+        As in the code: `mu_bar`.
+    value : float
+    formula : str
+        LaTeX, without dollars.
+    source : str
+        Theorem or equation it comes from.
+    symbol : str
+        LaTeX of the constant itself.
+    """
+
+    name: str
+    value: float
+    formula: str
+    source: str
+    symbol: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} = {short(self.value)}  [{self.source}]"
+
+
+class ConstantList(tuple[Constant, ...]):
+    """Constants in the order of the proof; also by name, `constants["mu_bar"].value`."""
+
+    __slots__ = ()
+
+    def named(self, name: str) -> Constant:
+        """Return the constant of that name.
+
+        Raises
+        ------
+        ArgumentError
+            If there is none; it lists the names that exist.
+        """
+        for constant in self:
+            if constant.name == name:
+                return constant
+        raise ArgumentError(f"`name` must be one of {', '.join(self.names())}, got {name!r}.")
+
+    def names(self) -> Iterator[str]:
+        """Names in order."""
+        return (c.name for c in self)
+
+    def to_markdown(self) -> str:
+        """Return a table: constant, value, formula, source."""
+        rows = [f"| {c.name} | {short(c.value)} | $ {c.formula} $ | {c.source} |" for c in self]
+        return "\n".join(["| constant | value | formula | source |", "|---|---|---|---|", *rows]) + "\n"
+
+    def to_latex(self) -> str:
+        """Return a `tabular`: constant, value, formula, source."""
+        rows = [
+            f"  ${c.symbol or c.name}$ & {short(c.value)} & ${c.formula}$ & {c.source} \\\\".replace("#", "\\#")
+            for c in self
+        ]
+        head = "  constant & value & formula & source \\\\ \\hline"
+        return "\n".join([r"\begin{tabular}{llll}", head, *rows, r"\end{tabular}"]) + "\n"

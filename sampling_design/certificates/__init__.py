@@ -1,0 +1,1 @@
+"""What a schedule proves: certificates of detectability from samples, exact and from the paper."""

@@ -1,0 +1,167 @@
+"""Certificates as files: one JSON tree, closed by a digest over its canonical form."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sampling_design import __version__, _checks, _files
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from sampling_design.evidence import SolverRecord
+from sampling_design.plants.files import plant_from_dict, plant_to_dict
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+if TYPE_CHECKING:
+    from sampling_design.certificates.certificate import Certificate
+
+FORMAT = "sampling-design/certificate/1"
+CLAIM = "assumption-7"
+_NUMBERS = ("eta", "lam", "lam_samples", "margin")
+_MATRICES = ("P1", "P2", "Qw", "R", "Qv")
+_KEYS = ("format", "claim", "plant", "times", *_MATRICES, *_NUMBERS, "witness", "tool", "solver", "digest")
+
+
+def digest(data: dict[str, Any]) -> str:
+    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
+    rest = {key: value for key, value in data.items() if key != "digest"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Any]:
+    """Return the `times` of a certificate file; outputs null means that every sample measures all of them."""
+    outputs = None if schedule.outputs is None else schedule.outputs.astype(int).tolist()
+    if isinstance(schedule, PeriodicSchedule):
+        return {"kind": "periodic", "gaps": schedule.gaps.tolist(), "first": schedule.first, "outputs": outputs}
+    return {"kind": "finite", "times": schedule.times.tolist(), "outputs": outputs}
+
+
+def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
+    """Return the schedule in the `times` of a certificate file.
+
+    Raises
+    ------
+    ArgumentError
+        If it is of another kind, or no schedule.
+    """
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if kind == "periodic":
+        _checks.known_keys("`times`", data, ("kind", "gaps", "first", "outputs"))
+        return PeriodicSchedule(data.get("gaps"), data.get("first"), data.get("outputs"))
+    if kind == "finite":
+        _checks.known_keys("`times`", data, ("kind", "times", "outputs"))
+        return Schedule(data.get("times"), data.get("outputs"))
+    raise ArgumentError(f'`times` must be of kind "periodic" or "finite" here, got {kind!r}.')
+
+
+def certificate_to_dict(certificate: Certificate) -> dict[str, Any]:
+    """Return the plain data of a certificate, digest included."""
+    seen = certificate.witness
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "claim": CLAIM,
+        "plant": plant_to_dict(certificate.plant),
+        "times": times_to_dict(certificate.schedule),
+        **{key: getattr(certificate, key).tolist() for key in _MATRICES},
+        **{key: getattr(certificate, key) for key in _NUMBERS},
+        "witness": None
+        if seen is None
+        else {"t": seen.t, "start": seen.start, "direction": list(seen.direction), "ratio": seen.ratio},
+        "tool": {"name": "sampling_design", "version": __version__},
+        "solver": certificate.solver.to_dict(),
+    }
+    data["digest"] = digest(data)
+    return data
+
+
+def write_certificate(certificate: Certificate, path: str | os.PathLike[str]) -> Path:
+    """Write a certificate as JSON, whole or not at all; return the path."""
+    return _files.write_text(path, _files.to_json(certificate_to_dict(certificate)))
+
+
+def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -> Certificate:
+    """Read a certificate from its JSON file.
+
+    Parameters
+    ----------
+    path : path
+    plant : Plant, optional
+        Refuse the file if it certifies another plant.
+
+    Returns
+    -------
+    Certificate
+        Not yet proven again: call `verify()`.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, of another format, or holds data that are no certificate.
+    CertificateError
+        If the digest does not fit (some byte was altered), or it certifies another plant.
+    """
+    where = os.fspath(path)
+    data = _files.from_json(_files.read_text(where), where)
+    try:
+        found = certificate_from_dict(data, where)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}", where) from None
+    if plant is not None and not same_plant(plant, found.plant):
+        raise CertificateError(f"{where}: certifies another plant ({found.plant.name or 'unnamed'}).", path=where)
+    return found
+
+
+def same_plant(first: Plant, second: Plant) -> bool:
+    """Whether A, C, G and the time unit agree to the last bit; names and inputs do not enter a certificate."""
+    alike = all(np.array_equal(getattr(first, key), getattr(second, key)) for key in ("A", "C", "G"))
+    return alike and first.time_unit == second.time_unit
+
+
+def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> Certificate:
+    """Return the certificate in plain data.
+
+    Raises
+    ------
+    ArgumentError
+        If a key is missing or unknown, or a value is not what it should be.
+    CertificateError
+        If the digest does not fit.
+    """
+    from sampling_design.certificates.certificate import Certificate, Witness
+
+    if data.get("format") != FORMAT:
+        raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a certificate file?")
+    if data.get("claim") != CLAIM:
+        raise ArgumentError(f"`claim` must be {CLAIM!r} here, got {data.get('claim')!r}.")
+    _checks.known_keys("the certificate", data, _KEYS)
+    missing = [key for key in _KEYS if key not in data]
+    if missing:
+        raise ArgumentError(f"`{missing[0]}` is missing in the certificate. Was the file cut off?")
+    if data["digest"] != digest(data):
+        raise CertificateError(
+            f"{where}: the digest does not fit the content: something was altered after it was written.", path=where
+        )
+    plant = plant_from_dict(data["plant"], where)
+    empty = np.zeros((0, 0))
+    seen = data["witness"]
+    return Certificate(
+        plant,
+        times_from_dict(data["times"]),
+        **{key: data[key] if data[key] else empty for key in _MATRICES},
+        **{key: data[key] for key in _NUMBERS},
+        witness=None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
+        solver=_solver(data["solver"]),
+    )
+
+
+def _solver(data: Any) -> SolverRecord:
+    if not isinstance(data, dict):
+        raise ArgumentError(f"`solver` must be a table, got {type(data).__name__}.")
+    _checks.known_keys("`solver`", data, SolverRecord.__dataclass_fields__)
+    return SolverRecord(**data)

@@ -1,0 +1,160 @@
+"""From a certificate to a horizon: Thm 9 of the paper, the sharper theorem, and the RGES constants of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.evidence import Claim
+
+Array = npt.NDArray[np.float64]
+Theorem = Literal["sharp", "paper"]
+
+_CONTRACTION = 4.0
+"""By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Horizon(Record):
+    """A window length of the moving horizon estimator, and the error bound that it buys.
+
+        |e(t)|^2 <= C_x |e(0)|^2 e^{-eta_tilde t} + int C_w |w|^2 e^{-eta_tilde (t-s)} ds
+                    + sum over samples C_v |v|^2 e^{-eta_tilde (t-tau)}
+
+    Attributes
+    ----------
+    theorem : str
+        "sharp" (estimator cost "certificate", half-open windows) or "paper" (Thm 9, cost (15)).
+    minimum : float [time]
+        The length M must exceed this.
+    length : float [time]
+        The length M for which the constants hold; by default the recommended one.
+    eta_tilde : float [1/time]
+        Rate of the squared error.
+    C_x, C_w, C_v : float
+        Gains on the initial error, the disturbance and the measurement noise, all in squared norms.
+    lam : float
+        The proven lambda_max(P2, P1) that entered.
+    time_unit : str
+    """
+
+    theorem: str
+    minimum: float
+    length: float
+    eta_tilde: float
+    C_x: float
+    C_w: float
+    C_v: float
+    lam: float
+    time_unit: str = "s"
+
+    def __float__(self) -> float:
+        """The length M, so that `float(certificate.horizon())` is a horizon to use."""
+        return self.length
+
+    @property
+    def claim(self) -> Claim:
+        """The theorem behind the bound and what it assumes."""
+        given = ("Assumption 7 with the certificate's weights", "linear plant", f"M > {short(self.minimum)}")
+        if self.theorem == "paper":
+            return Claim("RGES of the estimator with the cost (15)", "Theorem 9", given)
+        convex = ("convex constraints that hold the truth", "half-open windows (t-M, t]", "every real window start")
+        return Claim("RGES of the estimator with the certificate's cost", "sharper horizon theorem", (*given, *convex))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.time_unit
+        return [
+            ("theorem", self.theorem),
+            ("M >", f"{short(self.minimum)} {unit}"),
+            ("M", f"{short(self.length)} {unit}"),
+            ("eta_tilde", f"{short(self.eta_tilde)} 1/{unit}"),
+            ("C_x", short(self.C_x)),
+            ("C_w", short(self.C_w)),
+            ("C_v", short(self.C_v)),
+            ("lambda", short(self.lam)),
+        ]
+
+    def explain(self) -> str:
+        """Say what the horizon promises."""
+        return (
+            f"With a window of {short(self.length)} {self.time_unit} (anything above {short(self.minimum)}) the squared "
+            f"error decays at rate {short(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
+            f"C_w = {short(self.C_w)}, measurement noise with C_v = {short(self.C_v)}."
+        )
+
+
+def horizon_of(certificate: Any, theorem: str = "sharp", length: float | None = None) -> Horizon:
+    """Return the horizon of a certificate by the sharper theorem or by Thm 9 of the paper.
+
+        sharp:  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
+        paper:  M > 2 ln(2 lam_samples)/eta, eta_tilde = eta - ln(4 lam_samples^2)/M, M >= d_max
+
+    Parameters
+    ----------
+    certificate : Certificate
+    theorem : "sharp" or "paper"
+    length : float, optional [time]
+        Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the
+        squared error to a quarter.
+
+    Returns
+    -------
+    Horizon
+
+    Raises
+    ------
+    ArgumentError
+        If the theorem is unknown.
+    CertificateError
+        If `length` is too short for the theorem.
+    """
+    if theorem not in ("sharp", "paper"):
+        raise ArgumentError(f'`theorem` must be "sharp" or "paper", got {theorem!r}.')
+    eta, P1, P2 = certificate.eta, certificate.P1, certificate.P2
+    lam = certificate.lam_proven if theorem == "sharp" else certificate.lam_samples_proven
+    factor = 1.0 if theorem == "sharp" else 2.0
+    minimum = factor * np.log(factor * lam) / eta
+    default = max(certificate.d_max, factor * np.log(_CONTRACTION * lam) / eta)
+    M = default if length is None else _checks.positive("length", length)
+    if M <= minimum or (theorem == "paper" and M < certificate.d_max):
+        least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
+        raise CertificateError(
+            f"`length` = {M:.6g} is too short: this theorem needs M > {least:.6g}.", minimum=least, length=M
+        )
+    rate = eta - factor * np.log(factor * lam) / M
+    low = least_eigenvalue(P1 if theorem == "sharp" else P2 / lam)
+    gain = 1.0 if theorem == "sharp" else 4.0 * lam
+    noise = output_information(certificate.R, certificate.Qv) if theorem == "sharp" else 2.0 * certificate.Qv
+    return Horizon(
+        theorem,
+        float(minimum),
+        float(M),
+        float(rate),
+        gain * largest_eigenvalue(P2) / low,
+        gain * largest_eigenvalue(certificate.Qw) / low,
+        gain * largest_eigenvalue(noise) / low,
+        float(lam),
+        certificate.plant.time_unit,
+    )
+
+
+def output_information(R: Array, Qv: Array) -> Array:
+    """Return R~ = (R^-1 + Qv^-1)^-1, written R (R + Qv)^-1 Qv so that neither is inverted."""
+    both = R @ np.linalg.solve(R + Qv, Qv)
+    return (both + both.T) / 2
+
+
+def least_eigenvalue(matrix: Array) -> float:
+    """Least eigenvalue of a symmetric matrix; infinity if it is empty."""
+    return float(np.linalg.eigvalsh(matrix)[0]) if matrix.size else float("inf")
+
+
+def largest_eigenvalue(matrix: Array) -> float:
+    """Largest eigenvalue of a symmetric matrix; 0 if it is empty."""
+    return float(np.linalg.eigvalsh(matrix)[-1]) if matrix.size else 0.0

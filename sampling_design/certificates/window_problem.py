@@ -1,0 +1,141 @@
+"""The discounted information recursion of a plant on a schedule, in coordinates where P2 = I.
+
+A window starts at some real time, inside the gap before sample i, with `remaining` time to that sample,
+and Y = Pi^-1 starts at P2^-1. In the coordinates x~ = L'x, P2 = L L', that is Y~ = I, and
+lambda_max(P2 Y) is simply the largest eigenvalue of Y~.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import discounted_flow, psd_root, symmetrise
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+AnySchedule = Schedule | PeriodicSchedule
+
+LIVE_NOISE_RTOL = 1e-12
+"""A null direction of Qw counts as unused when |G d| is below this fraction of |G|."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowProblem:
+    """Everything the recursion needs: flow, whitened output rows per sample, gaps, and where windows may start.
+
+    `A`, `noise` and `rows` are in coordinates x~ = root' x (P2 = root root'). `rows[i]` is V_i^{-1/2} C_i with
+    V_i the measured block of R^-1 + Qv^-1, padded with zero rows. Before sample i a window may start with any
+    remaining time in [0, reach[i]]; sample i lies `gaps[i]` after its predecessor in the lap.
+    """
+
+    A: Array
+    noise: Array
+    rows: Array
+    eta: float
+    root: Array
+    gaps: Array
+    reach: Array
+    times: Array
+    period: float | None
+
+    @property
+    def count(self) -> int:
+        """Samples in the lap, or in the finite schedule."""
+        return self.gaps.size
+
+    @property
+    def size(self) -> int:
+        """Dimension n."""
+        return self.A.shape[0]
+
+    def flow(self, durations: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return F = e^{(A + eta/2) h} and W_h for each duration, so that Y(t + h) = F Y F' + W."""
+        h = np.atleast_1d(np.asarray(durations, dtype=np.float64))
+        plain, W = discounted_flow(self.A, self.noise, h, self.eta)
+        return plain * np.exp(self.eta * h / 2)[:, None, None], W
+
+    def sample_starts(self) -> tuple[Index, Array]:
+        """Return (index, remaining) of the windows of Def 2: from time 0 and from each sample."""
+        first = self.times[0]
+        if self.period is None:
+            return np.arange(self.count), self.gaps.copy()
+        index = np.arange(self.count)
+        if first == self.gaps[0]:
+            return index, self.gaps.copy()
+        return np.append(index, 0), np.append(self.gaps, first)
+
+    def start_time(self, index: int, remaining: float) -> float:
+        """Return the earliest time >= 0 at which the window (index, remaining) starts."""
+        start = float(self.times[index]) - remaining
+        if start < 0 and self.period is not None:
+            start += self.period
+        return max(start, 0.0)
+
+    def physical(self, direction: Array) -> Array:
+        """Return a direction of x~ as a unit direction of x."""
+        x = np.linalg.solve(self.root.T, direction)
+        return x / np.linalg.norm(x)
+
+
+def noise_input(G: Array, Qw: Array) -> Array:
+    """Return G Qw^-1 G', null directions of Qw allowed where G does not use them.
+
+    Raises
+    ------
+    ArgumentError
+        If Qw is indefinite, or singular in a direction that drives the plant.
+    """
+    if Qw.size == 0:
+        return np.zeros((G.shape[0], G.shape[0]))
+    values, vectors = np.linalg.eigh(Qw)
+    top = float(values[-1])
+    if values[0] < -Qw.shape[0] * np.finfo(float).eps * abs(top) or top <= 0:
+        raise ArgumentError(f"`Qw` must be positive definite, got least eigenvalue {values[0]:.6g}.")
+    null = values <= Qw.shape[0] * np.finfo(float).eps * top
+    if np.any(np.linalg.norm(G @ vectors[:, null], axis=0) > LIVE_NOISE_RTOL * np.linalg.norm(G)):
+        raise ArgumentError(
+            "`Qw` must be positive definite, got a singular one: its null direction is a free disturbance. "
+            "A disturbance that does not exist is removed through the plant's G, not by a zero weight."
+        )
+    half = (G @ vectors[:, ~null]) / np.sqrt(values[~null])
+    return half @ half.T
+
+
+def whitened_rows(C: Array, R: Array, Qv: Array, mask: Array | None, count: int) -> Array:
+    """Return V_i^{-1/2} C_i per sample, V = R^-1 + Qv^-1 restricted to the measured outputs; zero rows pad."""
+    V = symmetrise(np.linalg.inv(R) + np.linalg.inv(Qv))
+    if mask is None:
+        return np.broadcast_to(np.linalg.solve(np.linalg.cholesky(V), C), (count, *C.shape))
+    rows = np.zeros((count, *C.shape))
+    for pattern in np.unique(mask, axis=0):
+        seen = np.flatnonzero(pattern)
+        part = np.linalg.solve(np.linalg.cholesky(V[np.ix_(seen, seen)]), C[seen])
+        rows[np.ix_(np.flatnonzero((mask == pattern).all(axis=1)), np.arange(seen.size))] = part
+    return rows
+
+
+def window_problem(
+    plant: Plant, schedule: AnySchedule, P2: Array, Qw: Array, R: Array, Qv: Array, eta: float
+) -> WindowProblem:
+    """Return the recursion of `plant` on `schedule` (already in the plant's terms) for given weights."""
+    root = np.linalg.cholesky(P2)
+    A = np.linalg.solve(root, (root.T @ plant.A).T).T
+    drive = root.T @ psd_root(noise_input(plant.G, Qw)) if plant.n_states else np.zeros((0, 0))
+    rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
+    rows = np.swapaxes(np.linalg.solve(root, np.swapaxes(rows, 1, 2)), 1, 2)
+    times = np.array(schedule.times)
+    if isinstance(schedule, PeriodicSchedule):
+        gaps = np.array(schedule.gaps)
+        reach = gaps.copy()
+        reach[0] = max(gaps[0], times[0])
+        period: float | None = float(schedule.period)
+    else:
+        gaps = np.diff(times, prepend=0.0)
+        reach, period = gaps.copy(), None
+    return WindowProblem(A, drive @ drive.T, rows, eta, root, gaps, reach, times, period)

@@ -214,12 +214,12 @@ def cart_pendulum() -> Plant:
     1
     """
     M, m, b, l, I, g = 0.5, 0.2, 0.1, 0.3, 0.006, 9.81
-    mass = np.array([[M + m, -m * l], [-m * l, I + m * l**2]])
-    by_state = np.linalg.solve(mass, np.array([[0.0, -b, 0.0, 0.0], [0.0, 0.0, m * g * l, 0.0]]))
-    by_force = np.linalg.solve(mass, np.eye(2))
-    A, G = np.zeros((4, 4)), np.zeros((4, 2))
+    total, inertia, coupling = M + m, I + m * l**2, m * l
+    det = total * inertia - coupling**2
+    # accelerations = [[inertia, coupling], [coupling, total]] / det times (force, torque)
+    G = np.array([[0.0, 0.0], [inertia, coupling], [0.0, 0.0], [coupling, total]]) / det
+    A = np.outer(G[:, 0], [0.0, -b, 0.0, 0.0]) + np.outer(G[:, 1], [0.0, 0.0, m * g * l, 0.0])
     A[0, 1] = A[2, 3] = 1.0
-    A[1::2], G[1::2] = by_state, by_force
     return Plant(
         A,
         np.eye(4)[::2],

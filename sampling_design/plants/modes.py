@@ -13,14 +13,12 @@ from sampling_design._checks import freeze
 from sampling_design._record import Record, short
 from sampling_design.errors import MathematicsError
 from sampling_design.plants.clusters import (
-    CLUSTER_CAP,
     EigenvalueCluster,
-    SchurForm,
-    balanced_schur,
     clusters_of,
     eigenvalue_clusters,
     format_eigenvalue,
 )
+from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
 from sampling_design.plants.plant import Plant, Signals
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]

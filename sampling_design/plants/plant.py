@@ -48,6 +48,8 @@ class Signals(Record):
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        if isinstance(self.names, str):
+            raise ArgumentError(f"`names` must be a list of strings, got the string {self.names!r}.")
         count = len(self.names)
         names = _checks.names("names", self.names, count, "")
         units = tuple(self.units) if self.units else ("",) * count
@@ -168,6 +170,9 @@ class Plant(Record):
         G = _checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
         owned: dict[str, Any] = {"A": A, "B": B, "C": C, "D": D, "G": G}
         owned["time_unit"] = check_time_unit(self.time_unit)
+        for key in ("name", "source"):
+            if not isinstance(getattr(self, key), str):
+                raise ArgumentError(f"`{key}` must be a string, got {getattr(self, key)!r:.60}.")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = _signals(key, getattr(self, key), size)
@@ -265,6 +270,12 @@ class Plant(Record):
             inputs=list(self.inputs.names),
             outputs=list(self.outputs.names),
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tree of the plant file format (see `plants.files`)."""
+        from sampling_design.plants.files import plant_to_dict
+
+        return plant_to_dict(self)
 
     def _rows(self) -> list[tuple[str, str]]:
         groups = {k: ", ".join(getattr(self, k).names) or "-" for k in ("states", "inputs", "outputs", "disturbances")}

@@ -1,0 +1,148 @@
+"""The balanced Schur form of a plant, and which of its eigenvalues are one within rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack, matrix_balance, rsf2csf, schur
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+CLUSTER_CAP = 1e-2  # a group wider than this times |A| is never one eigenvalue, whatever its sensitivity says
+LINK = 8.0  # two groups are joined within this many times the spread of the wider one: on a ring that an error
+# makes of m equal eigenvalues, neighbours lie 2 pi times the spread of one apart
+SPREAD = 4.0  # factor on the spread that a backward error can cause: constants of the perturbation bounds
+DOUBT = 100.0  # a grouping counts as sure if it stays the same with this many times the rounding
+
+
+@dataclass(frozen=True, eq=False)
+class SchurForm:
+    """A = diag(d) Q T Q' diag(d)^-1 with d powers of two, T real quasi-triangular, and T's complex twin."""
+
+    d: Array
+    Q: Array
+    T: Array
+    complex_T: Complex
+    complex_Q: Complex
+    eigenvalues: Complex  # exact conjugate pairs, in the order of the diagonal of T
+    norm: float  # Frobenius norm of the balanced matrix
+
+
+def balanced_schur(A: Array) -> SchurForm:
+    """Return the real Schur form of the balanced A (scaling only, by powers of two, so without rounding)."""
+    balanced, (d, _) = matrix_balance(A, permute=False, separate=True)
+    T, Q = schur(balanced, output="real")
+    complex_T, complex_Q = rsf2csf(T, Q)
+    values = np.array(np.diag(T), dtype=complex)
+    for i in np.flatnonzero(np.diag(T, -1)):
+        a, b, c, e = T[i, i], T[i, i + 1], T[i + 1, i], T[i + 1, i + 1]
+        pair = np.sqrt(complex(((a - e) / 2) ** 2 + b * c))
+        values[i], values[i + 1] = (a + e) / 2 + pair, (a + e) / 2 - pair
+    scale = np.asarray(d, dtype=np.float64)
+    return SchurForm(scale, Q, T, complex_T, complex_Q, values, float(np.linalg.norm(balanced)))
+
+
+def _projector_norm(form: SchurForm, group: Sequence[int]) -> tuple[float, Complex]:
+    """Norm of the spectral projector of some positions on the diagonal, and their block after reordering."""
+    n, m = form.eigenvalues.size, len(group)
+    select = np.zeros(n, dtype=np.int32)
+    select[list(group)] = 1
+    result = lapack.ztrsen(select, form.complex_T, form.complex_Q, job="E", wantq=0, lwork=max(1, n * n))
+    return (1.0 / result[4] if result[4] > 0 else np.inf), result[0][:m, :m]
+
+
+def group_eigenvalues(form: SchurForm, error: float, cap: float) -> list[list[int]]:
+    """Groups of positions that rounding cannot tell apart, alike for conjugates."""
+    values = form.eigenvalues
+    trees: dict[int, _Tree] = {k: _leaf(form, [k], error) for k in range(values.size)}
+    home = list(range(values.size))
+    for i, j, length in _spanning_tree(values):
+        a, b = home[i], home[j]
+        if length > LINK * max(trees[a].spread, trees[b].spread):
+            continue
+        trees[a] = _leaf(form, sorted(trees[a].group + trees[b].group), error, (trees[a], trees[b]))
+        del trees[b]
+        home = [a if h == b else h for h in home]
+    accepted = []
+    todo = list(trees.values())
+    while todo:
+        tree = todo.pop()
+        width = min(SPREAD * error ** (1 / len(tree.group)), cap) * form.norm
+        if tree.parts and radius(values[tree.group]) > width:
+            todo.extend(tree.parts)
+        else:
+            accepted.append(tree.group)
+    return _mirrored(form, accepted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """Some positions, how far rounding may move or scatter them, and the two groups they were joined from."""
+
+    group: list[int]
+    spread: float
+    parts: tuple[_Tree, ...]
+
+
+def _leaf(form: SchurForm, group: list[int], error: float, parts: tuple[_Tree, ...] = ()) -> _Tree:
+    spread = error * form.norm * _projector_norm(form, group)[0] + radius(form.eigenvalues[group])
+    return _Tree(group, spread, parts)
+
+
+def radius(values: Complex) -> float:
+    """Largest distance from the mean."""
+    return float(np.max(np.abs(values - np.mean(values))))
+
+
+def _spanning_tree(values: Complex) -> list[tuple[int, int, float]]:
+    """Edges (i, j, length) of the minimal spanning tree of points in the plane, shortest first (Prim)."""
+    distance = np.abs(values[:, None] - values[None, :])
+    reach, origin = distance[0].copy(), np.zeros(values.size, dtype=int)
+    outside = np.arange(values.size) > 0
+    edges = []
+    while outside.any():
+        nearest = int(np.argmin(np.where(outside, reach, np.inf)))
+        edges.append((int(origin[nearest]), nearest, float(reach[nearest])))
+        outside[nearest] = False
+        closer = distance[nearest] < reach
+        reach[closer], origin[closer] = distance[nearest][closer], nearest
+    return sorted(edges, key=lambda edge: edge[2])
+
+
+def _mirrored(form: SchurForm, groups: list[list[int]]) -> list[list[int]]:
+    """Join groups until the conjugate of each group is a group."""
+    partner = np.arange(form.eigenvalues.size)
+    for pair in np.flatnonzero(np.diag(form.T, -1)):
+        partner[pair], partner[pair + 1] = pair + 1, pair
+    label = np.empty(partner.size, dtype=int)
+    for k, group in enumerate(groups):
+        label[group] = k
+    while True:
+        for group in groups:
+            images = np.unique(label[partner[group]])
+            label[np.isin(label, images)] = images[0]
+        joined = [[int(i) for i in np.flatnonzero(label == k)] for k in np.unique(label)]
+        if len(joined) == len(groups):
+            return sorted(joined)
+        groups = joined
+
+
+def block_index(form: SchurForm, group: list[int], error: float) -> tuple[int, float, float]:
+    """Index of a group from the powers of its own block, its projector's norm, and the coupling that may be hidden."""
+    m = len(group)
+    projector, block = _projector_norm(form, group)
+    nilpotent = block - np.trace(block) / m * np.eye(m)
+    power = np.eye(m)
+    sizes = [1.0]  # norms of the powers so far
+    for k in range(1, m):
+        power = power @ nilpotent
+        first_order = float(np.dot(sizes, sizes[::-1]))
+        sizes.append(float(np.linalg.norm(power)))
+        tolerance = SPREAD * error * form.norm * projector * first_order
+        if sizes[k] <= tolerance:
+            return k, projector, tolerance ** (1 / k)
+    return m, projector, 0.0

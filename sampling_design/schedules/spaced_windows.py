@@ -176,13 +176,22 @@ class SpacedWindows(Record):
         gaps: list[float] = []
         time = 0.0
         while len(gaps) < most and (not gaps or time < stop):
-            recent = gaps[max(0, len(gaps) - self.count + 1) :]
-            missing = self.count - 1 - len(recent)
-            high = self.window - sum(recent) - missing * self.spacing
+            high = self._longest_next(gaps)
             low = self.spacing if gaps else 0.0
             gaps.append(pick(rng, low, max(low, high)))
             time += gaps[-1]
         return Schedule.from_gaps(gaps, time_unit=self.time_unit)
+
+    def _longest_next(self, gaps: list[float]) -> float:
+        """Longest gap after these that leaves room for the gaps to come, each at least the spacing."""
+
+        def room(start: int) -> float:
+            summed = gaps[start:]
+            return self.window - sum(summed) - (self.count - 1 - len(summed)) * self.spacing
+
+        start = max(0, len(gaps) - self.count + 1)
+        # the k gaps that begin one later bind only where they leave out d_1 < spacing
+        return min(room(start), room(min(start + 1, len(gaps))))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `family_from_dict` reads it back."""

@@ -1,0 +1,69 @@
+"""Least sums along non-decreasing grid paths: dynamic programming, many problems at once.
+
+A schedule with k samples at least `spacing` apart is tau_i = u_i + (i - 1) spacing with slacks
+0 <= u_1 <= ... <= u_k <= S. In slacks the spacing is gone: what is left is the order, and the best
+order-preserving path through k rows of costs is a running minimum per row.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int_]
+
+
+def least_path(cost: Array) -> Indices:
+    """Return for each of B problems the non-decreasing path (B, k) of least sum through `cost` (B, k, N)."""
+    length = cost.shape[2]
+    total, choices = cost[:, 0], []
+    for i in range(1, cost.shape[1]):
+        running = np.minimum.accumulate(total, axis=1)
+        choices.append(np.maximum.accumulate(np.where(total <= running, np.arange(length), 0), axis=1))
+        total = cost[:, i] + running
+    path = [np.argmin(total, axis=1)]
+    for choice in reversed(choices):
+        path.append(np.take_along_axis(choice, path[-1][:, None], axis=1)[:, 0])
+    return np.stack(path[::-1], axis=1)
+
+
+def sums_so_far(cost: Array, start: Indices) -> Array:
+    """Return the least sum of a path that ends at each point, its own cost included.
+
+    Parameters
+    ----------
+    cost : (B, k, c, W) array
+        c problems for each of B sets of windows; point w of row i is grid point start[b, i] + w.
+    start : (B, k) array
+        Where the windows begin, non-decreasing along i.
+
+    Returns
+    -------
+    (B, k, c, W) array
+    """
+    total = np.empty_like(cost)
+    total[:, 0] = cost[:, 0]
+    for i in range(1, cost.shape[1]):
+        running = np.minimum.accumulate(total[:, i - 1], axis=-1)
+        total[:, i] = cost[:, i] + _shifted(running, start[:, i] - start[:, i - 1])
+    return total
+
+
+def sums_to_go(cost: Array, start: Indices) -> Array:
+    """Return the least sum of a path that begins at each point, its own cost left out; shapes as for `sums_so_far`."""
+    total = np.zeros_like(cost)
+    for i in range(cost.shape[1] - 2, -1, -1):
+        later = cost[:, i + 1] + total[:, i + 1]
+        running = np.minimum.accumulate(later[..., ::-1], axis=-1)[..., ::-1]
+        total[:, i] = _shifted(running, start[:, i] - start[:, i + 1])
+    return total
+
+
+def _shifted(values: Array, shift: Indices) -> Array:
+    """`values` (B, c, W) read at w + shift[b], held constant beyond the ends (a running minimum is constant there)."""
+    if not shift.any():
+        return values
+    width = values.shape[-1]
+    index = np.clip(shift[:, None] + np.arange(width), 0, width - 1)
+    return np.take_along_axis(values, np.broadcast_to(index[:, None, :], values.shape), axis=-1)

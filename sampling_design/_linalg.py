@@ -23,16 +23,16 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
     t = np.atleast_1d(np.asarray(times, dtype=np.float64))
     n = A.shape[0]
     if n == 0 or t.size == 0:
-        return np.zeros((t.size, n, n))
+        return np.zeros((t.size, n, n), dtype=A.dtype)
     norm = float(np.linalg.norm(A, 1))
     if norm == 0.0:
-        return np.broadcast_to(np.eye(n), (t.size, n, n)).copy()
+        return np.broadcast_to(np.eye(n, dtype=A.dtype), (t.size, n, n)).copy()
     size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
     squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
     scaled = np.ldexp(t * norm, -squarings)
     unit = A / norm
-    powers = np.empty((_TAYLOR_DEGREE + 1, n * n))
-    current = np.eye(n)
+    powers = np.empty((_TAYLOR_DEGREE + 1, n * n), dtype=A.dtype)
+    current = np.eye(n, dtype=A.dtype)
     for k in range(_TAYLOR_DEGREE + 1):
         powers[k] = current.ravel()
         current = current @ unit / (k + 1)

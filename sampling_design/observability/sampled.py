@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._linalg import smallest_singular
+from sampling_design._modal import exponential
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -60,7 +61,7 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
            [1., 3.]])
     """
     tau, mask = _times_and_mask(plant, times, outputs)
-    rows = plant.C @ plant.transition(tau)
+    rows = exponential(plant.A).rows(plant.C, tau)
     return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._linalg import expm_batch
+from sampling_design._modal import exponential
 from sampling_design._record import Record, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
@@ -201,7 +201,7 @@ class Plant(Record):
 
     def transition(self, t: npt.ArrayLike) -> Array:
         """Return e^{A t}: (n, n) for a number t, (N, n, n) for an array of N times."""
-        result = expm_batch(self.A, t)
+        result = exponential(self.A)(t)
         return result[0] if np.ndim(t) == 0 else result
 
     def scaled(self) -> Plant:

@@ -10,8 +10,8 @@ def exponential_50_digits(A, t):
     n = len(A)
     norm = float(np.abs(np.asarray(A)).sum(axis=1).max(initial=0.0)) * abs(t)
     halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300)))) + 4)
-    # halvings digits are lost in squaring, and cancellation of decaying modes takes norm/ln(10) more
-    with mpmath.workdps(60 + halvings + int(norm / 2.3)):
+    # squaring loses digits where modes decay: up to norm/ln(10) of them
+    with mpmath.workdps(60 + halvings + min(400, int(norm / 2.3))):
         step = mpmath.matrix([[mpmath.mpf(float(v)) for v in row] for row in A]) * mpmath.ldexp(
             mpmath.mpf(float(t)), -halvings
         )

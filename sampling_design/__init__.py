@@ -42,7 +42,13 @@ _FRONT_DOOR = {
     "certificates.constants": ("Constant", "ConstantList"),
     "certificates.dissipation": ("DetectabilityCertificate", "DissipationCheck"),
     "certificates.detectability": ("certify_detectability", "detectability_from_proof"),
+    "certificates.restarts": ("restart_times", "output_predictor"),
     "certificates.proof_constants": ("ProofConstants", "constants_from_proof", "certify_from_proof"),
+    "design.requirement": ("Requirement", "OutputAccess"),
+    "design.requirement_file": ("read_requirement", "write_requirement", "requirement_from_dict"),
+    "design.design": ("design_schedule",),
+    "design.schedule_design": ("ScheduleDesign",),
+    "design.bounds": ("UpperBound",),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 

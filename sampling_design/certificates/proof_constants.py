@@ -227,7 +227,20 @@ def certify_from_proof(
     variant: str = "paper",
     **choices: Any,
 ) -> Certificate:
-    """Return the certificate with the constants of the paper's proof; arguments as for `constants_from_proof`.
+    """Return the certificate with the constants of the paper's proof.
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+    window : float, optional [time_unit]
+    variant : {"paper", "tightened"}
+    **choices
+        `gain`, `Q`, `detectability`, `sigma_bar`, `kappa`; all as for `constants_from_proof`.
+
+    Returns
+    -------
+    Certificate
 
     Raises
     ------

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sampling_design.errors import SolverError
 from sampling_design.evidence import SolverRecord
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 
 TOLERANCE = 1e-9
 """Gap and feasibility asked of the solver; what comes back may still miss it by some digits."""

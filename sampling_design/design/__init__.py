@@ -1,0 +1,1 @@
+"""Where to put the samples: requirements, schedules, and the bound that no schedule can beat."""

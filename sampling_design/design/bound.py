@@ -1,0 +1,266 @@
+"""A bound that no admissible schedule over all real times can beat, from multipliers by weak duality.
+
+For psd Z_m with sum <Z_m, I> = 1 and any window starts a_m, every schedule has
+sigma^2 <= sum_m <Z_m, W(a_m)> = sum over its samples of g(s), g(s) = sum <Z_m, G(s - a_m)> over the
+windows (a_m, a_m + T] that hold s. The sum is maximised over all admissible times: g is bounded on
+time cells (chord plus second-order remainder), the cells are chosen by dynamic programming.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch
+from sampling_design.design.problem import DesignProblem
+from sampling_design.design.relaxation import Relaxation
+
+Array = npt.NDArray[np.floating[Any]]
+
+CELLS = 1200
+"""Time cells per period at least, unless the spacing asks for more."""
+
+ROUNDING = 1e-9
+"""Relative allowance for rounding in the exponentials, added to every bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """g per output at both ends of every piece of [0, period], and a bound on -g'' inside (never negative)."""
+
+    edges: Array
+    left: Array
+    right: Array
+    bend: Array
+
+
+def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Profile:
+    """Evaluate g on the pieces between `edges`, which must hold every jump of g.
+
+    With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
+    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|.
+    """
+    rows, period = problem.rows, problem.period
+    left, middle, width = edges[:-1], (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    jumps = jump_times(problem, starts)
+    bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints]), 0.0, period))
+    home = np.clip(np.searchsorted(bases, middle) - 1, 0, bases.size - 1)
+    used, home = np.unique(home, return_inverse=True)
+    ends = np.append(bases, period)
+    Y0 = _held(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
+    step = expm_batch(rows.A, left - bases[used][home])
+    Y = step @ Y0[home] @ np.swapaxes(step, 1, 2)
+    across = expm_batch(rows.A, width)
+    A, C = rows.A, rows.C
+    first = A @ Y + Y @ A.T
+    second = A @ first + first @ A.T
+    third = A @ second + second @ A.T
+    growth = np.exp(2 * np.linalg.norm(A, 2) * width)
+    size = np.sqrt(A.shape[0]) * np.linalg.norm(third, axis=(1, 2))
+    sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
+    return Profile(
+        edges,
+        _forms(C, Y),
+        _forms(C, across @ Y @ np.swapaxes(across, 1, 2)),
+        np.maximum(-_forms(C, second), 0.0) + sharpness,
+    )
+
+
+def jump_times(problem: DesignProblem, starts: Array) -> Array:
+    """Where g jumps: window starts and window ends, in [0, period)."""
+    return np.unique(np.mod(np.concatenate([starts, starts + problem.window]), problem.period))
+
+
+def _forms(C: Array, Y: Array) -> Array:
+    return np.asarray(np.einsum("pi,sij,pj->sp", C, Y, C))
+
+
+def _held(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Array) -> Array:
+    """Y at the times `at`, over the windows that hold the times `inside` (same piece)."""
+    n = problem.plant.n_states
+    count = int(np.ceil(problem.window / problem.period - 1e-9))
+    base = np.mod(inside[:, None] - starts[None, :], problem.period)
+    r = base[..., None] + problem.period * np.arange(count)
+    piece, window, lap = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
+    Y = np.zeros((at.size, n, n))
+    for low in range(0, piece.size, 20000):
+        i, m = piece[low : low + 20000], window[low : low + 20000]
+        E = expm_batch(problem.rows.A, r[i, m, lap[low : low + 20000]] - (inside[i] - at[i]))
+        np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+    return Y
+
+
+def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> Array:
+    """g per output exactly at `times`, shape (N, p); a window end within rounding counts as inside."""
+    period, tiny = problem.period, 1e-11 * problem.period
+    base = np.mod(times[:, None] - starts[None, :], period)
+    base = np.where(base <= tiny, base + period, base)
+    count = int(np.ceil(problem.window / period - 1e-9))
+    r = base[..., None] + period * np.arange(count)
+    i, m, lap = np.nonzero(r <= problem.window + tiny)
+    E = expm_batch(problem.rows.A, r[i, m, lap])
+    Y = np.zeros((times.size, *Z.shape[1:]))
+    np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+    return _forms(problem.rows.C, Y)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Time cells of one width h from `start` to `stop`; samples in admissible cells differ by at least `apart`."""
+
+    start: float
+    stop: float
+    width: float
+    apart: int
+
+    @property
+    def edges(self) -> Array:
+        """Ends of the cells; the last cell may be shorter."""
+        count = max(1, int(np.ceil((self.stop - self.start) / self.width - 1e-9)))
+        return np.append(self.start + self.width * np.arange(count), self.stop)
+
+
+def cells(problem: DesignProblem, start: float, stop: float) -> Cells:
+    """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
+    fine = problem.period / CELLS
+    parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
+    return Cells(start, stop, problem.spacing / parts if parts else fine, parts)
+
+
+def cell_values(found: Cells, edges: Array, values: Array) -> Array:
+    """Largest value of the pieces that overlap each cell."""
+    ends = found.edges
+    middle = (edges[:-1] + edges[1:]) / 2
+    inside = (middle > ends[0]) & (middle < ends[-1])
+    place = np.clip(np.searchsorted(ends, middle[inside]) - 1, 0, ends.size - 2)
+    result = np.full(ends.size - 1, -np.inf)
+    np.maximum.at(result, place, values[inside])
+    return result
+
+
+def best_chain(values: Array, apart: int, most: int) -> Array:
+    """best[j] = largest sum of j cell values, cells at least `apart` apart, j = 0..most."""
+    best = np.full(most + 1, -np.inf)
+    best[0] = 0.0
+    layer = values
+    for j in range(1, most + 1):
+        if j > 1:
+            layer = values + _before(layer, apart)
+        best[j] = np.max(layer, initial=-np.inf)
+    return best
+
+
+def best_cycle(values: Array, apart: int, count: int, period_cells: float) -> float:
+    """Largest sum of `count` cell values around the circle, the wrap included; `period_cells` = period/width."""
+    size = values.size
+    near = min(apart, size)
+    layer = np.full((near + 1, size), -np.inf)
+    layer[np.arange(near), np.arange(near)] = values[:near]
+    layer[near, near:] = values[near:]
+    for _ in range(count - 1):
+        layer = values + _before(layer, apart)
+    last = np.append(np.arange(near) + period_cells - apart + 1 - 1e-9, size)
+    layer = np.where(np.arange(size) < last[:, None], layer, -np.inf) if count > 1 else layer
+    return float(layer.max())
+
+
+def _before(layer: Array, apart: int) -> Array:
+    """Running maximum up to `apart` cells earlier, along the last axis."""
+    run = np.maximum.accumulate(layer, axis=-1)
+    if apart == 0:
+        return run
+    shifted = np.full_like(run, -np.inf)
+    shifted[..., apart:] = run[..., : max(run.shape[-1] - apart, 0)]
+    return shifted
+
+
+def placed_bound(problem: DesignProblem, found: Relaxation) -> float:
+    """Bound sigma of every schedule that meets the requirement, from `relax_placed`."""
+    starts, Z = found.starts, found.Z
+    arcs = _arcs(problem)
+    grid = np.concatenate([a.edges for a in arcs])
+    edges = _edges(problem, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
+    g = profile(problem, starts, Z, edges)
+    roof = np.maximum(g.left, g.right) + np.diff(edges)[:, None] ** 2 / 8 * g.bend
+    mask = problem.mask((edges[:-1] + edges[1:]) / 2)
+    values = np.where(mask.any(axis=1), np.sum(roof * mask, axis=1), -np.inf)
+    if not problem.fixed.size:
+        cycle = arcs[0]
+        sums = cell_values(cycle, edges, values)
+        total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
+        return _root(total)
+    fixed = value_at(problem, starts, Z, problem.fixed) * problem.mask(problem.fixed)
+    spare = problem.samples - problem.fixed.size
+    best = np.append(0.0, np.full(spare, -np.inf))
+    turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
+    for arc in arcs:
+        if arc.stop > arc.start:
+            best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
+    return _root(float(fixed.sum() + best[spare]))
+
+
+def _arcs(problem: DesignProblem) -> list[Cells]:
+    """Stretches for free samples: the whole circle, or what lies between fixed times, up to two periods."""
+    if not problem.fixed.size:
+        return [cells(problem, 0.0, problem.period)]
+    ends = np.append(problem.fixed[1:], problem.fixed[0] + problem.period)
+    tiny = 1e-12 * problem.period
+    pairs = [(a + problem.spacing - tiny, b - problem.spacing + tiny) for a, b in zip(problem.fixed, ends, strict=True)]
+    return [cells(problem, a, b) for a, b in pairs if b > a]
+
+
+def _edges(problem: DesignProblem, points: Array) -> Array:
+    """Sorted distinct piece ends in [0, period], points of later laps brought back."""
+    period = problem.period
+    points = np.where(points > period, points - period, points)
+    points = np.unique(np.concatenate([[0.0, period], points[(points > 0) & (points < period)]]))
+    keep = np.append(np.diff(points) > 1e-13 * period, True)
+    keep[0] = True
+    return points[keep]
+
+
+def _joined(one: Array, other: Array) -> Array:
+    """Best sums over two stretches together: max-plus convolution."""
+    result = np.full(one.size, -np.inf)
+    for j in range(one.size):
+        result[j:] = np.maximum(result[j:], one[j] + other[: one.size - j])
+    return result
+
+
+def _root(total: float) -> float:
+    return float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))
+
+
+def relative_bound(problem: DesignProblem, found: Relaxation) -> float:
+    """Bound sigma of every schedule of this count and spacing, from `relax_relative`.
+
+    Averaged over the lap's samples as origins, the windows a_m after each: sigma^2 <= g(0) + mean over
+    origins of the sum of g(d). Distances come as d and P - d, so g may be replaced by its mirror mean;
+    and sum_{i,j} cos(2 pi q (s_i - s_j)/P) = |sum e^{..}|^2 >= 0, so that non-negative multiples of
+    cosines may be added, with their value at 0.
+    """
+    starts, Z, period = found.starts, found.Z, problem.period
+    arc = cells(problem, min(problem.spacing, period / 2), max(period - problem.spacing, period / 2))
+    jumps = np.concatenate([jump_times(problem, starts), arc.edges])
+    edges = _edges(problem, np.concatenate([jumps, period - jumps]))
+    g = profile(problem, starts, Z, edges)
+    q = 2 * np.pi / period * np.arange(1, found.cosines.size + 1)
+    waves = np.cos(np.outer(edges, q)) @ found.cosines
+    left, right, bend = (np.sum(part, axis=1) for part in (g.left, g.right, g.bend))
+    mirrored = _mirror(edges, period)
+    ends_left = (left + right[mirrored]) / 2 + waves[:-1]
+    ends_right = (right + left[mirrored]) / 2 + waves[1:]
+    curve = (bend + bend[mirrored]) / 2 + float(found.cosines @ q**2)
+    values = np.maximum(ends_left, ends_right) + np.diff(edges) ** 2 / 8 * curve
+    alone = float(value_at(problem, starts, Z, np.zeros(1)).sum() + found.cosines.sum())
+    best = best_chain(cell_values(arc, edges, values), arc.apart, problem.samples - 1)
+    return _root(alone + float(best[-1]))
+
+
+def _mirror(edges: Array, period: float) -> npt.NDArray[np.intp]:
+    """Index of the piece that holds period - s for s in each piece."""
+    middle = (edges[:-1] + edges[1:]) / 2
+    return np.clip(np.searchsorted(edges, period - middle) - 1, 0, edges.size - 2)

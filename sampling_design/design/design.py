@@ -1,0 +1,305 @@
+"""Design of an endless periodic schedule, with its proven sigma and a bound that none can beat."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._units import time_factor
+from sampling_design.design.bounds import UpperBound, upper_bound
+from sampling_design.design.problem import DesignProblem, pose, resolve
+from sampling_design.design.relaxation import Relaxation, relax_placed, relax_relative
+from sampling_design.design.requirement import Requirement
+from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
+from sampling_design.design.search import Found, search
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.evidence import SolverRecord
+from sampling_design.observability.zero_count import zero_count_bound
+from sampling_design.plants.modes import ModalSplit, split_modes
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Progress = Callable[[float, str], None]
+
+STARTS = 8
+"""Starts that are refined by default."""
+
+MOST_TRIED = 100
+"""Largest count that a target sigma is tried with where the requirement names none."""
+
+
+def design_schedule(
+    plant: Plant,
+    requirement: Requirement | None = None,
+    *,
+    rng: np.random.Generator | None = None,
+    starts: int = STARTS,
+    rtol: float = 0.01,
+    budget: float | None = None,
+    progress: Progress | None = None,
+) -> ScheduleDesign:
+    """Design an endless periodic schedule whose worst window sees the state as well as possible.
+
+        maximise over schedules   inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
+
+    Parameters
+    ----------
+    plant : Plant
+    requirement : Requirement, optional
+        What is left out is filled in from the plant's modes and reported in `defaults_used`.
+    rng : numpy.random.Generator, optional
+        Draws the random starts. Default: seeded with 0.
+    starts : int
+        Starts that are refined, beside the even and the rounded ones.
+    rtol : float
+        Width of the bracket that proves sigma.
+    budget : float, optional [seconds]
+        The search stops then; the proof and the bound are completed, and `status` says "budget".
+    progress : callable, optional
+        Called with the fraction done and a message.
+
+    Returns
+    -------
+    ScheduleDesign
+        With `schedule` None where nothing is retained.
+
+    Raises
+    ------
+    ArgumentError
+        If the requirement does not fit the plant (unknown output, other times than the period holds).
+    NotObservableError
+        If a retained mode is seen by no output.
+    InfeasibleRequirementError
+        If no schedule meets the requirement; names the obstacle and the nearest one that works.
+
+    Notes
+    -----
+    *Claim.* `sigma` is proven over all real window positions; `upper_bound` holds for every admissible
+    schedule over all real times with this count of samples (not only on a grid).
+    *Method.* Two semidefinite relaxations on grids give weights and multipliers. The multipliers give the
+    bound by weak duality, re-normalised and maximised over real times, so that no solver is trusted. The
+    weights are rounded; even, rounded and random starts are refined by sequential semidefinite programs.
+    *Numerical aspects.* Everything runs in a basis in which the windows' Gram matrices are near the
+    identity; a congruence keeps the inequalities.
+
+    References
+    ----------
+    The paper, Theorems 14, 16 and 17 (the schedule rule).
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> design = design_schedule(plant, Requirement(window=4.0, spacing=0.5, samples=3))
+    >>> design.sigma <= 1.0539 <= design.upper_bound
+    True
+    """
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    if requirement is not None and not isinstance(requirement, Requirement):
+        raise ArgumentError(
+            f"`requirement` must be a Requirement, got {type(requirement).__name__}. Use read_requirement for a file."
+        )
+    wanted = Requirement() if requirement is None else requirement
+    _checks.whole("starts", starts, 1)
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    split = split_modes(plant, _rate(wanted, plant))
+    if split.retained.n_states == 0:
+        return _nothing(plant, split, wanted)
+    resolved, used = resolve(split, wanted)
+    run = _Run(
+        plant,
+        split,
+        resolved,
+        used,
+        rng or np.random.default_rng(0),
+        starts,
+        rtol,
+        seconds,
+        progress,
+        time.perf_counter(),
+    )
+    return run.fewest() if resolved.target_sigma is not None else run.one(run.count())
+
+
+def _rate(requirement: Requirement, plant: Plant) -> float:
+    """The decay rate in the plant's unit."""
+    unit = requirement.time_unit or plant.time_unit
+    return requirement.decay_rate / time_factor(unit, plant.time_unit)
+
+
+def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> ScheduleDesign:
+    """The result where every mode decays by itself."""
+    note = "no samples needed; ask for a faster decay with `decay_rate` to have slow modes observed"
+    return ScheduleDesign(
+        schedule=None,
+        sigma=np.inf,
+        sigma_attained=np.inf,
+        upper_bound=np.inf,
+        requirement=requirement,
+        defaults_used={},
+        plant=plant,
+        split=split,
+        zero_count=None,
+        window=None,
+        bound=None,
+        status="no samples needed",
+        notes=(note,),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sized:
+    """One count of samples: its problem, the relaxation to round, and the smaller of the bounds."""
+
+    problem: DesignProblem
+    relaxation: Relaxation
+    bound: UpperBound
+    solver: tuple[SolverRecord, ...]
+
+
+def bounded(plant: Plant, requirement: Requirement, samples: int) -> Sized:
+    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
+    problem = pose(plant, requirement, samples)
+    placed = relax_placed(problem)
+    found = [upper_bound(problem, "placed", placed)]
+    solver = [placed.record]
+    if samples > 1:
+        relative = relax_relative(problem)
+        found.append(upper_bound(problem, "relative", relative))
+        solver.append(relative.record)
+    return Sized(problem, placed, min(found, key=lambda b: b.value), tuple(solver))
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One call of `design_schedule`: everything that its steps share."""
+
+    plant: Plant
+    split: ModalSplit
+    requirement: Requirement
+    used: dict[str, Any]
+    rng: np.random.Generator
+    starts: int
+    rtol: float
+    seconds: float
+    progress: Progress | None
+    began: float
+
+    @property
+    def designed(self) -> Plant:
+        return designed_plant(self.split, self.requirement)
+
+    def say(self, fraction: float, message: str) -> None:
+        if self.progress:
+            self.progress(fraction, message)
+
+    def count(self) -> int:
+        """How many samples the requirement asks for; with "at_most" as many as there is room for."""
+        wanted = self.requirement.samples
+        if "exactly" in wanted:
+            return wanted["exactly"]
+        if "at_most" in wanted:
+            room = pose(self.designed, self.requirement, wanted["at_most"], check=False).capacity()
+            return max(min(wanted["at_most"], room), wanted.get("at_least", 1))
+        return wanted["at_least"]
+
+    def one(self, samples: int, low: float = 0.0, high: float = 1.0) -> ScheduleDesign:
+        """Bound, search and prove one count of samples."""
+        self.say(low, f"bounding {samples} samples per period")
+        sized = bounded(self.designed, self.requirement, samples)
+        return self.searched(sized, low + 0.15 * (high - low), high)
+
+    def searched(self, sized: Sized, low: float, high: float) -> ScheduleDesign:
+        """Search and prove where the bound is known already."""
+        near = low + 0.9 * (high - low)
+
+        def inner(fraction: float, message: str) -> None:
+            self.say(low + fraction * (near - low), message)
+
+        found = search(sized.problem, sized.relaxation, self.rng, self.starts, self.began + self.seconds, inner)
+        schedule = self.schedule(sized.problem, found)
+        self.say(near, "proving sigma over all window positions")
+        proof = prove(self.split, schedule, self.requirement, self.rtol)
+        sigma = stated(proof, self.requirement)
+        return ScheduleDesign(
+            schedule=schedule,
+            sigma=sigma.lower,
+            sigma_attained=sigma.upper,
+            upper_bound=sized.bound.value,
+            requirement=self.requirement,
+            defaults_used=self.used,
+            plant=self.plant,
+            split=self.split,
+            zero_count=zero_count_bound(self.split.retained, float(self.requirement.window or 0)),
+            window=proof,
+            bound=sized.bound,
+            history=tuple(asdict(trial) for trial in found.trials),
+            solver=sized.solver,
+            status="complete" if found.complete else "budget",
+            notes=(self.used["notice"],) if "notice" in self.used else (),
+        )
+
+    def schedule(self, problem: DesignProblem, found: Found) -> PeriodicSchedule:
+        """The found times as a schedule; outputs are listed only where some are not always available."""
+        mask = problem.mask(found.times)
+        return PeriodicSchedule.from_times(
+            found.times,
+            problem.period,
+            None if mask.all() else mask,
+            time_unit=self.plant.time_unit,
+            output_names=self.plant.outputs.names,
+        )
+
+    def fewest(self) -> ScheduleDesign:
+        """The fewest samples whose proven sigma reaches the target; counts whose bound falls short are skipped."""
+        target = float(self.requirement.target_sigma or 0)
+        low, high = self.limits()
+        ruled_out, best = low - 1, None
+        for samples in range(low, high + 1):
+            try:
+                sized = bounded(self.designed, self.requirement, samples)
+            except InfeasibleRequirementError as error:
+                if error.obstacle == "samples":  # too few to see the state at all: go on
+                    ruled_out = samples
+                    continue
+                break
+            if sized.bound.value < target:
+                if ruled_out == samples - 1:
+                    ruled_out = samples
+                continue
+            share = (samples - low) / (high - low + 1)
+            best = self.searched(sized, share, min(1.0, share + 1 / (high - low + 1)))
+            if best.sigma >= target:
+                return replace(best, notes=(*best.notes, _fewest_note(samples, ruled_out, target)))
+        reached = f"{best.sigma:.6g} with {len(best.schedule or ())} samples" if best is not None else "less"
+        raise InfeasibleRequirementError(
+            f"`target_sigma` {target:g} is not reached with up to {high} samples per period; found {reached}. "
+            "Ask for less, allow more samples, or narrow the spacing.",
+            "target_sigma",
+            {} if best is None else {"target_sigma": best.sigma, "samples": len(best.schedule or ())},
+        )
+
+    def limits(self) -> tuple[int, int]:
+        """Smallest and largest count to try; below the smallest an average over all windows rules the target out.
+
+        The mean of W over one period is (k/P) int_0^T G, so that sigma^2 <= (k/P) lambda_min(int_0^T G).
+        """
+        wanted = self.requirement.samples
+        problem = pose(self.designed, self.requirement, 1, check=False)
+        exact = wanted.get("exactly")
+        high = min(exact or wanted.get("at_most", MOST_TRIED), max(problem.capacity(), 1))
+        mean = problem.window / problem.period * float(problem.rows.least(np.eye(self.designed.n_states))[0])
+        needed = int(np.ceil(0.98 * float(self.requirement.target_sigma or 0) ** 2 / mean))
+        low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
+        return min(low, high), high
+
+
+def _fewest_note(samples: int, ruled_out: int, target: float) -> str:
+    if ruled_out >= samples - 1:
+        return f"{samples} is the fewest: the bound rules out {target:g} with {samples - 1}"
+    return f"{samples} is the fewest that was found; the bound rules out {target:g} up to {ruled_out} only"

@@ -1,0 +1,268 @@
+"""What a schedule must respect: window, period, spacing, number of samples, forbidden and fixed times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+COUNTS = ("exactly", "at_least", "at_most")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutputAccess(Record):
+    """When one output can be measured, and what a measurement of it costs.
+
+    Parameters
+    ----------
+    available : (m, 2) array, optional
+        Half-open intervals [start, stop) within the period; None means always.
+    cost : float
+        Price of one measurement of this output, >= 0.
+
+    Raises
+    ------
+    ArgumentError
+        If an interval is empty or the cost is negative.
+    """
+
+    available: Array | None = None
+    cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.available is not None:
+            object.__setattr__(self, "available", _intervals("available", self.available))
+        object.__setattr__(self, "cost", _checks.nonnegative("cost", self.cost))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("available", _spans(self.available, "always")), ("cost", short(self.cost))]
+
+    def explain(self) -> str:
+        """Say when the output can be measured."""
+        return f"Available {_spans(self.available, 'always')}, cost {short(self.cost)} a measurement."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Requirement(Record):
+    """What an endless periodic schedule must respect.
+
+    Parameters
+    ----------
+    window : float, optional
+        Length T of the window from which the state must be seen. Default: from the plant's modes.
+    period : float, optional
+        The schedule repeats after this time. Default: the window.
+    spacing : float, optional
+        Least time between two samples, the last of a lap and the first of the next included.
+        Default window/(4 samples).
+    samples : int or dict, optional
+        Samples per period: a number, or a dict with one of "exactly", "at_least", "at_most" (both of
+        the last two may be given). Default: the binding count of the zero-count bound, at most 24.
+    target_sigma : float, optional
+        Fewest samples (within `samples`) whose proven sigma reaches this.
+    decay_rate : float
+        Rate of the squared error that the rest of the plant brings by itself; modes with
+        Re < -decay_rate/2 need no samples.
+    forbidden : (m, 2) array
+        Half-open intervals [start, stop) within the period without samples.
+    fixed : (m,) array
+        Times within the period that must be sampled.
+    outputs : dict of str to OutputAccess or dict, optional
+        Availability and cost per output name.
+    time_unit : str, optional
+        Unit of all times here; None means the plant's.
+    scaled : bool
+        Design for sigma in scaled coordinates (x/s_x, y/s_y) instead of physical ones.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is not positive, a count is no whole number, or an interval is empty.
+
+    Notes
+    -----
+    A sample of several outputs counts once. "at_most" n designs with the most samples that n and the
+    spacing allow, since a further sample never lowers sigma; "at_least" n designs with n.
+
+    Examples
+    --------
+    >>> requirement = Requirement(window=4.0, spacing=0.5, samples=3)
+    >>> requirement.samples
+    {'exactly': 3}
+    >>> print(requirement.explain())
+    Exactly 3 samples per period, at least 0.5 apart, window 4.
+    """
+
+    window: float | None = None
+    period: float | None = None
+    spacing: float | None = None
+    samples: Any = None
+    target_sigma: float | None = None
+    decay_rate: float = 0.0
+    forbidden: Array = None  # type: ignore[assignment]
+    fixed: Array = None  # type: ignore[assignment]
+    outputs: Mapping[str, OutputAccess] = None  # type: ignore[assignment]
+    time_unit: str | None = field(default=None, kw_only=True)
+    scaled: bool = field(default=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        own: dict[str, Any] = {}
+        for key in ("window", "period", "spacing", "target_sigma"):
+            value = getattr(self, key)
+            own[key] = None if value is None else _checks.positive(key, value)
+        own["samples"] = _counts(self.samples)
+        own["decay_rate"] = _checks.nonnegative("decay_rate", self.decay_rate)
+        own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
+        own["fixed"] = _checks.increasing("fixed", () if self.fixed is None else self.fixed)
+        own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
+        if not isinstance(self.scaled, (bool, np.bool_)):
+            raise ArgumentError(f"`scaled` must be true or false, got {self.scaled!r}.")
+        for key, value in own.items():
+            object.__setattr__(self, key, value)
+        if self.period is not None:
+            self._check_within(self.period)
+
+    def _check_within(self, period: float) -> None:
+        """Refuse times beyond the period; called again when a default period is filled in."""
+        spans = [("forbidden", self.forbidden)]
+        spans += [(f"outputs.{k}.available", v.available) for k, v in self.outputs.items() if v.available is not None]
+        for name, value in spans:
+            if value.size and value.max() > period:
+                raise ArgumentError(f"`{name}` must lie within the period {period!r}, got {float(value.max())!r}.")
+        if self.fixed.size and self.fixed[-1] >= period:
+            raise ArgumentError(f"`fixed` must lie in [0, period) = [0, {period!r}), got {float(self.fixed[-1])!r}.")
+
+    def replace(self, **changes: Any) -> Requirement:
+        """Return a copy with some entries changed.
+
+        Raises
+        ------
+        ArgumentError
+            If an entry is unknown, or as for `Requirement`.
+        """
+        known = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        _checks.known_keys("the requirement", changes, known)
+        return Requirement(**{**known, **changes})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, the tree of the requirement file; entries that were not given are left out."""
+        data: dict[str, Any] = {"format": FORMAT}
+        for key in ("window", "period", "spacing", "target_sigma", "time_unit"):
+            if getattr(self, key) is not None:
+                data[key] = getattr(self, key)
+        if self.samples:
+            data["samples"] = dict(self.samples)
+        data["decay_rate"] = self.decay_rate
+        if self.scaled:
+            data["scaled"] = True
+        if self.forbidden.size:
+            data["forbidden"] = self.forbidden.tolist()
+        if self.fixed.size:
+            data["fixed"] = self.fixed.tolist()
+        if self.outputs:
+            data["outputs"] = {
+                name: {
+                    **({} if access.available is None else {"available": access.available.tolist()}),
+                    **({"cost": access.cost} if access.cost else {}),
+                }
+                for name, access in self.outputs.items()
+            }
+        return data
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [(key, _given(getattr(self, key))) for key in ("window", "period", "spacing")]
+        rows.append(("samples", ", ".join(f"{k} {v}" for k, v in self.samples.items()) or "default"))
+        if self.target_sigma is not None:
+            rows.append(("target sigma", short(self.target_sigma)))
+        rows += [("decay rate", short(self.decay_rate)), ("forbidden", _spans(self.forbidden, "none"))]
+        rows.append(("fixed", short(self.fixed) if self.fixed.size else "none"))
+        rows += [
+            (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
+        ]
+        return rows
+
+    def explain(self) -> str:
+        """Say the requirement in words; what is left to defaults is not mentioned."""
+        counts = " and ".join(f"{k.replace('_', ' ')} {v}" for k, v in self.samples.items())
+        parts = [f"{counts} samples per period".capitalize() if counts else "As many samples as the zero count asks"]
+        if self.target_sigma is not None:
+            parts[0] = f"Fewest samples with sigma >= {short(self.target_sigma)}" + (f", {counts}" if counts else "")
+        if self.spacing is not None:
+            parts.append(f"at least {short(self.spacing)} apart")
+        parts += [f"{key} {short(v)}" for key in ("window", "period") if (v := getattr(self, key)) is not None]
+        if self.forbidden.size:
+            parts.append(f"none in {_spans(self.forbidden, '')}")
+        if self.fixed.size:
+            parts.append(f"always at {short(self.fixed)}")
+        return ", ".join(parts) + "."
+
+
+FORMAT = "sampling-design/requirement/1"
+
+
+def _given(value: float | None) -> str:
+    return "default" if value is None else short(value)
+
+
+def _spans(value: Array | None, empty: str) -> str:
+    if value is None or not value.size:
+        return empty
+    return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
+
+
+def _intervals(name: str, value: Any) -> Array:
+    """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
+    if np.size(value) == 0:
+        return _checks.freeze(np.zeros((0, 2)))
+    array = _checks.matrix(name, value, None, 2)
+    if np.any(array < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
+    empty = np.flatnonzero(array[:, 1] <= array[:, 0])
+    if empty.size:
+        a, b = array[int(empty[0])]
+        raise ArgumentError(
+            f"`{name}` must hold intervals [start, stop) with start < stop, got [{float(a)!r}, {float(b)!r}]. "
+            "An interval over the end of the period is written as two."
+        )
+    joined: list[list[float]] = []
+    for a, b in array[np.argsort(array[:, 0])]:
+        if joined and a <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], float(b))
+        else:
+            joined.append([float(a), float(b)])
+    return _checks.freeze(joined)
+
+
+def _counts(value: Any) -> dict[str, int]:
+    """The sample count as a dict with "exactly", or with "at_least" and "at_most"."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        return {"exactly": _checks.whole("samples", value, 1)}
+    _checks.known_keys("`samples`", value, COUNTS)
+    counts = {k: _checks.whole(f"samples.{k}", value[k], 1) for k in COUNTS if k in value}
+    if "exactly" in counts and len(counts) > 1:
+        raise ArgumentError("`samples` must give either exactly or at_least and at_most, got both.")
+    if counts.get("at_least", 0) > counts.get("at_most", np.inf):
+        raise ArgumentError(f"`samples` asks for at_least {counts['at_least']} and at_most {counts['at_most']}.")
+    return counts
+
+
+def _access(name: str, value: Any) -> OutputAccess:
+    if isinstance(value, OutputAccess):
+        return value
+    if not isinstance(value, Mapping):
+        raise ArgumentError(f"`outputs.{name}` must be a table with available and cost, got {value!r:.60}.")
+    _checks.known_keys(f"`outputs.{name}`", value, ("available", "cost"))
+    return OutputAccess(**value)

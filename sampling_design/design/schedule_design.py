@@ -1,0 +1,231 @@
+"""The result of a design: schedule, proven sigma, the bound that none can beat, and all that a re-check needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sampling_design._record import Record, short
+from sampling_design.design.bounds import UpperBound
+from sampling_design.design.exchange import is_admissible
+from sampling_design.design.problem import DesignProblem, pose
+from sampling_design.design.requirement import Requirement
+from sampling_design.evidence import Claim, SolverRecord
+from sampling_design.observability.windows import WindowSigma, window_sigma
+from sampling_design.observability.zero_count import ZeroCountBound
+from sampling_design.plants.files import plant_to_dict
+from sampling_design.plants.modes import ModalSplit
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.files import schedule_to_dict
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScheduleDesign(Record):
+    """A designed schedule, what it proves, and how far from the best it can be.
+
+    Attributes
+    ----------
+    schedule : PeriodicSchedule or None
+        None where nothing has to be observed.
+    sigma : float
+        Proven lower bound over every real window position; of the state at the window's start.
+    sigma_attained : float
+        Least value that was evaluated; the true worst sigma lies between the two.
+    upper_bound : float
+        No admissible schedule over all real times has a larger worst sigma.
+    gap : float
+        1 - sigma/upper_bound: the share that a better schedule could at most gain.
+    requirement : Requirement
+        With all defaults filled in, in the plant's time unit.
+    defaults_used : dict
+        What was filled in, and a notice where the default count was cut.
+    split : ModalSplit
+        What is retained; sigma refers to the coordinates of `split.retained`.
+    zero_count : ZeroCountBound or None
+    window : WindowSigma or None
+        The proof of sigma, with its curve and its worst window; the same in scaled coordinates.
+    bound : UpperBound or None
+        The multipliers that prove `upper_bound`.
+    history : tuple of dict
+        Every start of the search and where it led.
+    status : str
+        "complete", "budget", or "no samples needed".
+    """
+
+    schedule: PeriodicSchedule | None
+    sigma: float
+    sigma_attained: float
+    upper_bound: float
+    requirement: Requirement
+    defaults_used: dict[str, Any]
+    plant: Plant
+    split: ModalSplit
+    zero_count: ZeroCountBound | None
+    window: WindowSigma | None
+    bound: UpperBound | None
+    history: tuple[dict[str, Any], ...] = ()
+    solver: tuple[SolverRecord, ...] = ()
+    status: str = "complete"
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def gap(self) -> float:
+        """1 - sigma/upper_bound; 0 where nothing has to be observed."""
+        if self.schedule is None or self.upper_bound == 0:
+            return 0.0
+        return max(0.0, 1.0 - self.sigma / self.upper_bound)
+
+    @property
+    def sigma_scaled(self) -> float | None:
+        """Proven sigma in scaled coordinates, where the plant has scales; beside sigma, never instead."""
+        if self.window is None or self.window.scaled is None:
+            return None
+        return self.window.scaled.lower
+
+    @property
+    def coordinates(self) -> str:
+        """Which coordinates sigma, the bound and the gap refer to."""
+        return "scaled" if self.requirement.scaled else "physical"
+
+    @property
+    def cost(self) -> float:
+        """Price of one lap: the sum of the outputs' costs over all measurements."""
+        if self.schedule is None:
+            return 0.0
+        prices = np.array([_cost(self.requirement, name) for name in self.plant.outputs.names])
+        mask = self.schedule.outputs
+        return float(np.sum(prices) * len(self.schedule) if mask is None else np.sum(mask * prices))
+
+    @cached_property
+    def problem(self) -> DesignProblem:
+        """The numbers of the design, posed anew from plant and requirement."""
+        samples = 1 if self.schedule is None else len(self.schedule)
+        return pose(designed_plant(self.split, self.requirement), self.requirement, samples)
+
+    @property
+    def claim(self) -> Claim:
+        """What is claimed, and how strongly."""
+        if self.schedule is None:
+            return Claim("no samples needed: nothing is retained", theorem="Theorem 16", strength="proven")
+        return Claim(
+            f"sigma >= {short(self.sigma)} over every window of length {short(self.requirement.window)}, and no "
+            f"admissible schedule with {len(self.schedule)} samples per period exceeds {short(self.upper_bound)}",
+            theorem="Theorems 14 and 16; weak duality",
+            assumptions=("the plant's matrices are exact", f"sigma in {self.coordinates} coordinates"),
+        )
+
+    def verify(self, rtol: float = 0.01) -> bool:
+        """Work out sigma and the bound anew from the data alone, and whether the schedule is admissible.
+
+        Parameters
+        ----------
+        rtol : float
+            As for `window_sigma`.
+
+        Returns
+        -------
+        bool
+            True where the new proofs carry the stated numbers (to 1e-6 relative) and every constraint holds.
+        """
+        if self.schedule is None:
+            return self.split.retained.n_states == 0
+        if self.bound is None or not is_admissible(self.problem, self.schedule.times):
+            return False
+        proof = prove(self.split, self.schedule, self.requirement, rtol)
+        sigma = stated(proof, self.requirement)
+        bound = self.bound.value_for(self.problem)
+        return bool(sigma.upper >= self.sigma * (1 - 1e-6) and sigma.lower >= self.sigma * (1 - 1e-6)) and bool(
+            bound <= self.upper_bound * (1 + 1e-6)
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data with everything that a re-check needs."""
+        return {
+            "format": "sampling-design/design/1",
+            "status": self.status,
+            "claim": self.claim.to_dict(),
+            "plant": plant_to_dict(self.plant),
+            "requirement": self.requirement.to_dict(),
+            "defaults_used": dict(self.defaults_used),
+            "retained_states": self.split.retained.n_states,
+            "schedule": None if self.schedule is None else schedule_to_dict(self.schedule),
+            "coordinates": self.coordinates,
+            "sigma": None if self.schedule is None else self.sigma,
+            "sigma_attained": None if self.schedule is None else self.sigma_attained,
+            "sigma_scaled": self.sigma_scaled,
+            "upper_bound": None if self.schedule is None else self.upper_bound,
+            "gap": self.gap,
+            "cost": self.cost,
+            "zero_count": None if self.zero_count is None else self.zero_count.to_dict(),
+            "bound": None if self.bound is None else self.bound.to_dict(),
+            "history": list(self.history),
+            "solver": [record.to_dict() for record in self.solver],
+            "notes": list(self.notes),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        if self.schedule is None:
+            return [("schedule", "no samples needed"), ("ask for more with", "decay_rate")]
+        unit = self.plant.time_unit
+        rows = [
+            ("samples per period", str(len(self.schedule))),
+            ("sigma", f"{short(self.sigma)} proven ({self.coordinates} coordinates, state at the window's start)"),
+            ("no schedule exceeds", short(self.upper_bound)),
+            ("gap", f"{100 * self.gap:.2f} %"),
+            ("window, period", f"{short(self.requirement.window)}, {short(self.requirement.period)} {unit}"),
+            ("spacing", f"{short(self.schedule.gaps.min())} (asked {short(self.requirement.spacing)}) {unit}"),
+            ("times", short(self.schedule.times)),
+            ("retained", f"{self.split.retained.n_states} of {self.plant.n_states} states"),
+            ("status", self.status),
+        ]
+        if self.sigma_scaled is not None and not self.requirement.scaled:
+            rows.insert(2, ("sigma, scaled", f"{short(self.sigma_scaled)} proven"))
+        if self.cost:
+            rows.append(("cost of a lap", short(self.cost)))
+        return rows
+
+    def explain(self) -> str:
+        """Say what was designed and how good it is."""
+        if self.schedule is None:
+            return (
+                "No samples needed: every mode decays by itself at the rate asked for. "
+                "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
+            )
+        return (
+            f"{len(self.schedule)} samples every {short(self.schedule.period)} {self.plant.time_unit} see every state "
+            f"direction in every window with sigma >= {short(self.sigma)}; no admissible schedule can exceed "
+            f"{short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
+        )
+
+
+def designed_plant(split: ModalSplit, requirement: Requirement) -> Plant:
+    """The plant whose sigma is designed: the retained part, scaled where that was asked."""
+    return split.retained.scaled() if requirement.scaled else split.retained
+
+
+def stated(proof: WindowSigma, requirement: Requirement) -> WindowSigma:
+    """The proof in the coordinates that were asked for."""
+    return proof.scaled if requirement.scaled and proof.scaled is not None else proof
+
+
+def prove(
+    split: ModalSplit,
+    schedule: PeriodicSchedule,
+    requirement: Requirement,
+    rtol: float,
+    progress: Progress | None = None,
+) -> WindowSigma:
+    """Sigma of the retained part over all real window positions."""
+    return window_sigma(split.retained, schedule, float(requirement.window or 0), rtol, progress=progress)
+
+
+def _cost(requirement: Requirement, name: str) -> float:
+    access = requirement.outputs.get(name)
+    return 0.0 if access is None else access.cost

@@ -1,0 +1,115 @@
+"""The search for one schedule of k samples: starts, exchange, refinement. All of it seeded, none of it a claim."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.exchange import even, exchanged, is_admissible, repaired, rounded
+from sampling_design.design.positions import worst_sigma2
+from sampling_design.design.problem import DesignProblem
+from sampling_design.design.refine import refined
+from sampling_design.design.relaxation import Relaxation
+from sampling_design.errors import SolverError
+
+Array = npt.NDArray[np.floating[Any]]
+Progress = Callable[[float, str], None]
+
+DRAWS = 60
+"""Random schedules that are looked at before the best few are refined."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One start and where it led: sigma at the start and after refinement."""
+
+    start: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best schedule of the search, sigma as the search sees it, and all trials."""
+
+    times: Array
+    sigma: float
+    trials: tuple[Trial, ...]
+    complete: bool
+
+
+def search(
+    problem: DesignProblem,
+    relaxation: Relaxation,
+    rng: np.random.Generator,
+    starts: int,
+    deadline: float = np.inf,
+    progress: Progress | None = None,
+) -> Found:
+    """Refine the best starts and return the best schedule; stops early at `deadline` (perf_counter seconds).
+
+    Raises
+    ------
+    SolverError
+        If no admissible start was found although the requirement leaves room for one.
+    """
+    pool = _starts(problem, relaxation, rng)
+    if not pool:
+        raise SolverError(
+            f"No admissible start was found for {problem.samples} samples, although there is room for them. "
+            "Widen the allowed times or ask for less spacing.",
+            status="no start",
+        )
+    values = worst_sigma2(problem, np.array([t for _, t in pool]))
+    order = np.argsort(-values, kind="stable")[:starts]
+    named = [i for i, (name, _) in enumerate(pool) if name != "random" and i not in order]
+    best, best_value = pool[order[0]][1], float(values[order[0]])
+    trials: list[Trial] = []
+    chosen = [*order, *named]
+    for done, i in enumerate(chosen):
+        if trials and time.perf_counter() > deadline:
+            break
+        name, t = pool[i]
+        t, value = refined(problem, t, float(values[i]))
+        trials.append(Trial(name, float(np.sqrt(values[i])), float(np.sqrt(value))))
+        if value > best_value:
+            best, best_value = t, value
+        if progress:
+            progress((done + 1) / (len(chosen) + 1), f"refined start {done + 1} of {len(chosen)}")
+    complete = len(trials) == len(chosen)
+    if complete and time.perf_counter() <= deadline:
+        t, value = exchanged(problem, best, best_value, count=_places(problem), rounds=1)
+        if value > best_value:
+            t, value = refined(problem, t, value)
+            trials.append(Trial("exchange", float(np.sqrt(best_value)), float(np.sqrt(value))))
+            best, best_value = t, value
+    return Found(best, float(np.sqrt(max(best_value, 0.0))), tuple(trials), complete)
+
+
+def _places(problem: DesignProblem) -> int:
+    """Places that exchange tries for one sample: fewer where one look costs more."""
+    return int(np.clip(6000 // problem.samples**1.5, 24, 96))
+
+
+def _starts(problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator) -> list[tuple[str, Array]]:
+    """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
+    found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
+    found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
+    size = problem.samples - problem.fixed.size
+    lengths = np.diff(problem.intervals, axis=1)[:, 0]
+    ends = np.cumsum(lengths)
+    for i in range(DRAWS):
+        if i % 3 == 0:
+            marks = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
+        else:
+            marks = rng.uniform(size=size)
+        marks = marks * ends[-1] * (1 - 1e-12)
+        place = np.searchsorted(ends, marks, side="right")
+        wish = problem.intervals[place, 1] - (ends[place] - marks)
+        found.append(("random", repaired(problem, np.concatenate([problem.fixed, wish]))))
+    return [(name, t) for name, t in found if t is not None and is_admissible(problem, t)]

@@ -28,6 +28,7 @@ _FRONT_DOOR = {
     "certificates.certificate": ("Certificate", "Verification"),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),
+    "design.problem": ("default_window",),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
     "schedules.sampling_set": ("SamplingSet",),
     "schedules.spaced_windows": ("SpacedWindows",),

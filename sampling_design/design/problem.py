@@ -109,17 +109,35 @@ def _within(t: Array, spans: Array) -> Mask:
     return np.any((t[..., None] >= spans[:, 0]) & (t[..., None] < spans[:, 1]), axis=-1)
 
 
+def default_window(split: ModalSplit) -> float | None:
+    """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
+
+        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|
+
+    Parameters
+    ----------
+    split : ModalSplit
+
+    Returns
+    -------
+    float or None
+        In the plant's time unit; None where the retained part neither oscillates nor moves.
+    """
+    rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
+    rates = rates[rates > 0]
+    norm = float(np.linalg.norm(split.retained.A, 2)) if split.retained.n_states else 0.0
+    if rates.size:
+        return float(2 * np.pi / rates.min())
+    return 4 / norm if norm else None
+
+
 def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, dict[str, Any]]:
     """Fill in the defaults, in the plant's time unit; return the requirement and the defaults used, with reasons."""
     r = _in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
     retained = split.retained
     if r.window is None:
-        rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
-        rates = rates[rates > 0]
-        norm = float(np.linalg.norm(retained.A, 2))
-        window = 2 * np.pi / rates.min() if rates.size else (4 / norm if norm else r.period or 1.0)
-        r = r.replace(window=float(window))
+        r = r.replace(window=default_window(split) or r.period or 1.0)
         used["window"] = r.window
     if r.period is None:
         r = r.replace(period=r.window)

@@ -28,6 +28,8 @@ _FRONT_DOOR = {
     "certificates.certificate": ("Certificate", "Verification"),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),
+    "estimators.mhe": ("MovingHorizonEstimator",),
+    "estimators.estimator": ("Estimate", "EstimateRecord", "Estimator", "Sample", "GuaranteeWarning"),
     "design.problem": ("default_window",),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
     "schedules.sampling_set": ("SamplingSet",),

@@ -1,0 +1,248 @@
+"""What every estimator hands out, and what may be asked of any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import freeze
+from sampling_design._record import Record, short
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
+"""How an estimate came about.
+
+prior: given, not estimated. ok: the window problem was solved. predicted: open loop since the last solve.
+infeasible: no trajectory meets the constraints and the data; solver failed: no engine reached its
+tolerance (in both cases the state is the open-loop prediction). bounds disproved: solved, and the cost is
+larger than the assumed noise bounds allow.
+"""
+
+FAILURES: tuple[Status, ...] = ("infeasible", "solver failed", "bounds disproved")
+
+
+class GuaranteeWarning(UserWarning):
+    """A choice that gives up the certificate's claim: the estimator works on, and its estimates say so."""
+
+
+class Sample(NamedTuple):
+    """A time stamp with what came at it: y (NaN where not measured; None for no measurement) and u from then on."""
+
+    t: float
+    y: Any = None
+    u: Any = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Record):
+    """The state at one time, with the ellipsoid that holds it.
+
+        |x(t) - x|^2_Pi <= radius,    |x_i(t) - x_i| <= radii_i = sqrt(radius (Pi^-1)_ii)
+
+    Attributes
+    ----------
+    t : float
+    x : (n,) array
+    covariance : (n, n) array
+        Pi^-1, the discounted Kalman covariance of the window.
+    radius : float
+        Bound on |x(t) - x|^2_Pi; infinity where a bound on w, v or the initial error was not given.
+    status : str
+        See `Status`.
+    cost : float
+        Optimal cost of the window problem (NaN where none was solved).
+    certified : bool
+        The ellipsoid is proven, provided that w, v and the initial error keep their bounds.
+    on_schedule : bool
+        The certificate's a-priori claim covers this estimate: its own weights, cost and horizon, and no
+        sample off its schedule so far.
+    window_start : float
+        Where the window began.
+    engine : str
+        What solved the window problem.
+    note : str
+        Why a flag is down or a solve failed, in words.
+    """
+
+    t: float
+    x: Array
+    covariance: Array
+    radius: float = np.inf
+    status: Status = "ok"
+    cost: float = np.nan
+    certified: bool = False
+    on_schedule: bool = False
+    window_start: float = np.nan
+    engine: str = ""
+    note: str = ""
+
+    @cached_property
+    def Pi(self) -> Array:
+        """Information matrix, the inverse of `covariance`."""
+        factor = np.linalg.cholesky(self.covariance)
+        half = np.linalg.solve(factor, np.eye(self.x.size))
+        return freeze(half.T @ half)
+
+    @cached_property
+    def radii(self) -> Array:
+        """Half-widths of the ellipsoid, one per state."""
+        variance = np.maximum(np.diag(self.covariance), 0.0)
+        with np.errstate(invalid="ignore"):
+            spread = np.where(variance > 0, self.radius * variance, 0.0)
+        return freeze(np.sqrt(np.maximum(spread, 0.0)))
+
+    @property
+    def failed(self) -> bool:
+        """Whether the solve failed or the data contradict the bounds."""
+        return self.status in FAILURES
+
+    def holds(self, truth: npt.ArrayLike) -> bool:
+        """Whether `truth` lies in the ellipsoid."""
+        return self.ratio(truth) <= 1.0
+
+    def ratio(self, truth: npt.ArrayLike) -> float:
+        """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds."""
+        half = np.linalg.solve(np.linalg.cholesky(self.covariance), np.asarray(truth, dtype=np.float64) - self.x)
+        square = float(half @ half)
+        return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("t", short(self.t)),
+            ("x", short(self.x)),
+            ("radii", short(self.radii)),
+            ("status", self.status),
+            ("certified", "yes" if self.certified else "no"),
+            ("on schedule", "yes" if self.on_schedule else "no"),
+            ("cost", short(self.cost)),
+            *([("note", self.note)] if self.note else []),
+        ]
+
+    def explain(self) -> str:
+        """Say what this estimate promises."""
+        text = f"At {short(self.t)} the state is {short(self.x)} ({self.status})."
+        if self.certified:
+            text += f" It is within {short(self.radii)} of the truth, state by state, if the given bounds hold."
+        else:
+            text += " No radius is proven."
+        return text + (f" {self.note}" if self.note else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; NaN and infinity become None."""
+        return {
+            "t": self.t,
+            "x": self.x.tolist(),
+            "radii": [_finite(r) for r in self.radii],
+            "radius": _finite(self.radius),
+            "status": self.status,
+            "cost": _finite(self.cost),
+            "certified": self.certified,
+            "on_schedule": self.on_schedule,
+            "note": self.note,
+        }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EstimateRecord(Record):
+    """Estimates in order of time, as arrays.
+
+    Attributes
+    ----------
+    times : (N,), x : (N, n), radii : (N, n), radius : (N,), cost : (N,) arrays
+    covariance : (N, n, n) array
+    status : tuple of str
+    certified, on_schedule : (N,) arrays of bool
+    notes : tuple of str
+    """
+
+    plant: Plant
+    times: Array
+    x: Array
+    covariance: Array
+    radius: Array
+    cost: Array
+    status: tuple[Status, ...]
+    certified: npt.NDArray[np.bool_]
+    on_schedule: npt.NDArray[np.bool_]
+    notes: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def collect(cls, plant: Plant, estimates: Iterable[Estimate]) -> EstimateRecord:
+        """Return the record of some estimates of one plant."""
+        found: Sequence[Estimate] = list(estimates)
+        n = plant.n_states
+        return cls(
+            plant=plant,
+            times=freeze([e.t for e in found]),
+            x=freeze(np.array([e.x for e in found]).reshape(-1, n)),
+            covariance=freeze(np.array([e.covariance for e in found]).reshape(-1, n, n)),
+            radius=freeze([e.radius for e in found]),
+            cost=freeze([e.cost for e in found]),
+            status=tuple(e.status for e in found),
+            certified=np.array([e.certified for e in found], dtype=bool),
+            on_schedule=np.array([e.on_schedule for e in found], dtype=bool),
+            notes=tuple(e.note for e in found),
+        )
+
+    def __len__(self) -> int:
+        return self.times.size
+
+    @cached_property
+    def radii(self) -> Array:
+        """Half-widths of the ellipsoids, (N, n)."""
+        variance = np.maximum(np.einsum("kii->ki", self.covariance), 0.0)
+        with np.errstate(invalid="ignore"):
+            spread = np.where(variance > 0, self.radius[:, None] * variance, 0.0)
+        return freeze(np.sqrt(np.maximum(spread, 0.0)))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        span = f"{short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}" if len(self) else "-"
+        counts = {s: self.status.count(s) for s in dict.fromkeys(self.status)}
+        return [
+            ("estimates", str(len(self))),
+            ("time", span),
+            ("status", ", ".join(f"{k}: {v}" for k, v in counts.items()) or "-"),
+            ("certified", f"{int(self.certified.sum())} of {len(self)}"),
+            ("on schedule", f"{int(self.on_schedule.sum())} of {len(self)}"),
+        ]
+
+    def explain(self) -> str:
+        """Say how many estimates there are and what they promise."""
+        failed = sum(s in FAILURES for s in self.status)
+        trouble = f" {failed} failed; their notes say why." if failed else ""
+        return f"{len(self)} estimates, {int(self.certified.sum())} of them with a proven radius.{trouble}"
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """Anything that turns samples into estimates as they come."""
+
+    plant: Plant
+
+    def update(self, t: float, y: Any = None, u: Any = None) -> Estimate:
+        """Take in a sample and return the estimate at the latest sample."""
+        ...
+
+    def predict(self, t: float) -> Estimate:
+        """Return the estimate at any later time, open loop."""
+        ...
+
+    def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:
+        """Take in a whole record."""
+        ...
+
+    def stream(self, samples: Iterable[Any]) -> Iterator[Estimate]:
+        """Yield one estimate per sample."""
+        ...

@@ -1,0 +1,171 @@
+"""The weights of an estimator's cost, and what bounds on the noise are worth in them.
+
+Two costs are known. "certificate" carries the weights as they are,
+    e^{-eta M}|x(s) - prior|^2_{P2} + int e^{-eta(t-tau)}|w|^2_{Qw} + sum e^{-eta(t-tau)}|y - Cx - Du|^2_{R~},
+"paper" is (15): twice P2, Qw and Qv, once R. With v eliminated both have this one form, with weights
+`prior`, `w` and `y` below; everything after this file knows only these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._linalg import symmetrise
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+COSTS = ("certificate", "paper")
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Effective weights of one cost, all positive definite.
+
+    Attributes
+    ----------
+    prior : (n, n), w : (q, q), y : (p, p)
+        Of the error at the window's start, the disturbance, and the residual with v eliminated.
+    R, v : (p, p)
+        Of the fit and of v where v is kept: y = (R^-1 + v^-1)^-1.
+    eta : float
+        Discount rate [1/time].
+    """
+
+    plant: Plant
+    prior: Array
+    w: Array
+    R: Array
+    v: Array
+    y: Array
+    eta: float
+    cost: str
+
+    @cached_property
+    def noise(self) -> Array:
+        """G Qw^-1 G', the intensity with which information is lost between samples."""
+        return symmetrise(self.plant.G @ np.linalg.solve(self.w, self.plant.G.T))
+
+    @cached_property
+    def prior_factor(self) -> Array:
+        """Lower triangular L with L L' = `prior`."""
+        return np.asarray(np.linalg.cholesky(self.prior))
+
+    @cached_property
+    def prior_root(self) -> Array:
+        """S with S S' = `prior`^-1."""
+        return np.asarray(np.linalg.solve(self.prior_factor, np.eye(self.plant.n_states)).T)
+
+    @cached_property
+    def y_root(self) -> Array:
+        """U with U'U = `y`."""
+        return np.asarray(np.linalg.cholesky(self.y).T)
+
+    def prior_energy(self, bound: Array | None) -> float:
+        """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
+        return _energy(self.prior, bound)
+
+    def disturbance_energy(self, bound: Array | None) -> float:
+        """Return the largest |w|^2_w over the bound on w (infinity for None)."""
+        return _energy(self.w, bound)
+
+    def sample_energy(self, bound: Array | None, kept: bool, masks: Array) -> Array:
+        """Return, per row of the (N, p) `masks`, a bound on the weighted square of v over its measured outputs.
+
+        `kept` says that v is a variable of the problem, so that its own weight counts instead of R~.
+        """
+        weight = self.v if kept else self.y
+        if bound is None:
+            return np.where(masks.any(axis=1), np.inf, 0.0)
+        if bound.ndim == 0:
+            return np.where(masks.any(axis=1), _energy(weight, bound), 0.0)
+        scaled = masks * bound
+        return np.asarray(np.einsum("ki,ij,kj->k", scaled, np.abs(weight), scaled))
+
+
+def _energy(weight: Array, bound: Array | None) -> float:
+    """Largest z'Wz over |z| <= bound (a number) or |z_i| <= bound_i (a vector; an upper bound unless W is diagonal)."""
+    if weight.shape[0] == 0:
+        return 0.0
+    if bound is None:
+        return np.inf
+    if bound.ndim == 0:
+        return float(np.linalg.eigvalsh(weight)[-1]) * float(bound) ** 2
+    return float(bound @ np.abs(weight) @ bound)
+
+
+def noise_bound(name: str, value: Any, length: int) -> Array | None:
+    """Return a bound as a 0-d array (on the Euclidean norm) or a vector (entry by entry); None stays None.
+
+    Raises
+    ------
+    ArgumentError
+        If it is negative, not finite, or of another length.
+    """
+    if value is None:
+        return None
+    if np.ndim(value) == 0:
+        return np.asarray(_checks.nonnegative(name, value))
+    bound = _checks.vector(name, value, length)
+    if np.any(bound < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(bound.min())!r}.")
+    return bound
+
+
+def build_weights(
+    plant: Plant,
+    certificate: Any = None,
+    *,
+    P2: Any = None,
+    Qw: Any = None,
+    R: Any = None,
+    Qv: Any = None,
+    eta: Any = None,
+    cost: str = "certificate",
+) -> tuple[Weights, tuple[str, ...]]:
+    """Return the effective weights, and the names of those of the certificate that were overridden.
+
+    What neither the caller nor a certificate gives: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2),
+    R = Qv = 2 diag(1/s_y^2), eta = 0.
+
+    Raises
+    ------
+    ArgumentError
+        If a weight is not positive definite, eta is negative, or the cost is unknown.
+    """
+    if cost not in COSTS:
+        raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
+    given = {"P2": P2, "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
+    overridden = tuple(k for k, value in given.items() if value is not None) if certificate is not None else ()
+    inverse = {
+        "P2": plant.states.scales**-2.0,
+        "Qw": plant.disturbances.scales**-2.0,
+        "R": 2 * plant.outputs.scales**-2.0,
+        "Qv": 2 * plant.outputs.scales**-2.0,
+    }
+    matrices = {}
+    for key, diagonal in inverse.items():
+        value = given[key] if given[key] is not None else getattr(certificate, key, None)
+        matrices[key] = _checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
+    rate = eta if eta is not None else getattr(certificate, "eta", 0.0)
+    rate = _checks.nonnegative("eta", rate)
+    twice = 2.0 if cost == "paper" else 1.0
+    kept = twice * matrices["Qv"]
+    together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
+    weights = Weights(
+        plant=plant,
+        prior=twice * matrices["P2"],
+        w=twice * matrices["Qw"],
+        R=matrices["R"],
+        v=kept,
+        y=together,
+        eta=rate,
+        cost=cost,
+    )
+    return weights, overridden

@@ -128,7 +128,8 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
         pencil = np.vstack([(A - cluster.value * np.eye(n)) / (norm or 1.0), C])
         _, sizes, right = np.linalg.svd(pencil)
         null = sizes < tolerance
-        margin = min(margin, float(np.min(sizes[~null], initial=np.inf)))
+        if not null.any():
+            margin = min(margin, float(sizes[-1]))
         found = right.conj().T[:, null] * d[:, None]
         vectors.extend((v / np.linalg.norm(v)).astype(complex) for v in found.T)
         values.extend([cluster.value] * int(null.sum()))

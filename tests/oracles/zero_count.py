@@ -93,7 +93,7 @@ def minor_zero(eigenvalues, start, stop, points):
             t = mp.mpf(start) + (mp.mpf(stop) - mp.mpf(start)) * i / points
             E = mp.expm(A * t, method="taylor")
             minors = [mp.det(E[0:k, n - k : n]) for k in range(1, n)]
-            signs = [int(mp.sign(m)) if abs(m) > mp.mpf(10) ** -12 else 0 for m in minors]
+            signs = [int(mp.sign(m)) if abs(m) > mp.mpf(10) ** -20 else 0 for m in minors]
             if 0 in signs or (before is not None and signs != before):
                 return float(t)
             before = signs

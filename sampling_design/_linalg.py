@@ -15,10 +15,11 @@ _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below 
 
 
 def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
-    """Return e^{A t} for every t in `times`, shape (N, n, n).
+    """Return e^{A t} for every t in `times`, shape (N, n, n); A real or complex.
 
-    Taylor polynomials of one matrix are one matrix product: the powers of A are shared by all
-    times, so that only the scalar coefficients differ; then repeated squaring.
+    Taylor polynomials of one matrix are one matrix product: the powers of A are shared by all times, so
+    that only the scalar coefficients differ; then repeated squaring. Many times share their squarings:
+    e^{A t} = e^{A k h} e^{A r} with few different k and |r| <= h/2.
     """
     t = np.atleast_1d(np.asarray(times, dtype=np.float64))
     n = A.shape[0]
@@ -27,17 +28,28 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
     norm = float(np.linalg.norm(A, 1))
     if norm == 0.0:
         return np.broadcast_to(np.eye(n, dtype=A.dtype), (t.size, n, n)).copy()
+    h = np.exp2(np.floor(np.log2(1 / norm)))  # a power of two: k h is exact
+    if np.abs(t).max() * norm > _TAYLOR_RADIUS:
+        k, place = np.unique(np.rint(t / h), return_inverse=True)
+        if 4 * k.size <= t.size:
+            return _squared(A, norm, k * h)[place] @ _squared(A, norm, t - k[place] * h)
+    return _squared(A, norm, t)
+
+
+def _squared(A: Array, norm: float, t: Array) -> Array:
+    """e^{A t}: a Taylor polynomial at t/2^s, squared s times; `norm` = |A|_1 > 0."""
+    n = A.shape[0]
     size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
     squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
-    scaled = np.ldexp(t * norm, -squarings)
     unit = A / norm
-    powers = np.empty((_TAYLOR_DEGREE + 1, n * n), dtype=A.dtype)
-    current = np.eye(n, dtype=A.dtype)
-    for k in range(_TAYLOR_DEGREE + 1):
-        powers[k] = current.ravel()
-        current = current @ unit / (k + 1)
-    coefficients = np.vander(scaled, _TAYLOR_DEGREE + 1, increasing=True)
-    result = (coefficients @ powers).reshape(-1, n, n)
+    powers = np.empty((_TAYLOR_DEGREE + 1, n, n), dtype=A.dtype)
+    powers[0] = np.eye(n)
+    coefficients = np.ones((_TAYLOR_DEGREE + 1, t.size))
+    scaled = np.ldexp(t * norm, -squarings)
+    for k in range(1, _TAYLOR_DEGREE + 1):
+        powers[k] = powers[k - 1] @ unit / k
+        np.multiply(coefficients[k - 1], scaled, out=coefficients[k])
+    result = (coefficients.T @ powers.reshape(len(powers), -1)).reshape(-1, n, n)
     for s in range(int(squarings.max())):
         todo = np.flatnonzero(squarings > s)
         if todo.size == t.size:
@@ -45,7 +57,7 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
         else:
             part = result[todo]
             result[todo] = part @ part
-    return result
+    return np.asarray(result)
 
 
 def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.0) -> tuple[Array, Array]:

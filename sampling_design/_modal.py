@@ -73,75 +73,75 @@ class Flow:
         self._layout()
 
     def _layout(self) -> None:
-        """Flatten the blocks' matrices into one basis, a column of coefficients for each."""
-        index, degree, imaginary, basis = [], [], [], []
+        """Flatten the blocks' matrices into one basis, a row of coefficients for each."""
+        entries, pair = [], 0
         for b, block in enumerate(self._blocks):
             for k, term in enumerate(block.terms):
-                parts = (term.real,) if block.weight == 1 else (term.real, -term.imag)
-                for part, matrix in enumerate(parts):
-                    index.append(b)
-                    degree.append(k)
-                    imaginary.append(part == 1)
-                    basis.append(block.weight * np.asarray(matrix, dtype=np.float64))
-        self._index, self._degree = np.array(index, dtype=int), np.array(degree, dtype=int)
-        self._imaginary = np.array(imaginary, dtype=bool)
-        self._basis = np.array(basis).reshape(-1, self.n, self.n)
-        self._means = np.array([b.mean for b in self._blocks], dtype=complex)
-        self._reach = np.array([b.reach for b in self._blocks])
+                entries.append((b, k, 2 * pair, block.weight * term.real))
+                if block.weight == 2:
+                    entries.append((b, k, 2 * pair + 1, -block.weight * term.imag))
+            pair += block.weight == 2
+        plain = 2 * pair  # the row of ones that real blocks use for their cosine
+        self._index = np.array([b for b, *_ in entries], dtype=int)
+        self._degree = np.array([k for _, k, *_ in entries], dtype=int)
+        self._wave = np.array([w if self._blocks[b].weight == 2 else plain for b, _, w, _ in entries], dtype=int)
+        self._basis = np.array([m for *_, m in entries], dtype=np.float64).reshape(len(entries), self.n, self.n)
+        self._growth = np.array([b.mean.real for b in self._blocks])
+        self._frequency = np.array([b.mean.imag for b in self._blocks if b.weight == 2])
         # |V_b e^{..} W_b| <= |V_b W_b| |e^{At}|: terms cancel at most by the sum of the projectors' norms
         projectors = self._basis[self._degree == 0]
         self._delicate = bool(np.sum(np.linalg.norm(projectors, axis=(1, 2))) > _CANCELLED)
 
     def __call__(self, times: npt.ArrayLike) -> Array:
         """Return e^{A t} for every t, (N, n, n)."""
-        t = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        if self.route == "dense" or t.size == 0 or self.n == 0:
-            return self._dense(t)
-        coefficients = self._coefficients(t)
-        result = self._combined(np.eye(self.n), t, coefficients)
-        if self._delicate:
-            terms = np.abs(coefficients) @ np.linalg.norm(self._basis, axis=(1, 2))
-            lost = terms > _CANCELLED * np.linalg.norm(result, axis=(1, 2))
-            lost &= np.abs(t) * np.linalg.norm(self._balanced) <= _FAR
-            result[lost] = self._dense(t[lost])
-        return result
+        return self.rows(None, times)
 
-    def rows(self, C: Array, times: npt.ArrayLike) -> Array:
+    def rows(self, C: Array | None, times: npt.ArrayLike) -> Array:
         """Return C e^{A t} for every t, (N, p, n); on the modal route without forming e^{A t}."""
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        if self.route == "dense" or self._delicate or t.size == 0 or self.n == 0:
-            return np.asarray(C @ self(t))
-        return self._combined(C, t, self._coefficients(t))
-
-    def _dense(self, t: Array) -> Array:
-        return np.asarray(expm_batch(self._balanced, t) * (self._scale[:, None] / self._scale))
-
-    def _combined(self, C: Array, t: Array, coefficients: Array) -> Array:
-        """C e^{A t} from the blocks."""
-        basis = C @ self._basis
-        result = (coefficients @ basis.reshape(len(basis), -1)).reshape(t.size, C.shape[0], self.n)
+        if self.route == "dense" or t.size == 0 or self.n == 0:
+            return self._dense(C, t)
+        basis = self._basis if C is None else C @ self._basis
+        coefficients = self._coefficients(t)
+        flat = coefficients.T @ basis.reshape(len(basis), -1)
+        result = flat.reshape(t.size, -1, self.n)
         for block in (self._blocks[b] for b in self._wide):
             far = np.flatnonzero(np.abs(t) > block.reach)
             if far.size:
                 inner = expm_batch(block.N, t[far]) * np.exp(block.mean * t[far])[:, None, None]
-                result[far] += block.weight * ((C @ block.V) @ inner @ block.W).real
+                result[far] += block.weight * ((block.V if C is None else C @ block.V) @ inner @ block.W).real
+        if self._delicate:
+            terms = np.linalg.norm(basis, axis=(1, 2)) @ np.abs(coefficients)
+            lost = terms > _CANCELLED * np.sqrt(np.einsum("ij,ij->i", flat, flat))
+            lost &= np.abs(t) * np.linalg.norm(self._balanced) <= _FAR
+            if lost.any():
+                result[lost] = self._dense(C, t[lost])
         return np.asarray(result)
 
+    def _dense(self, C: Array | None, t: Array) -> Array:
+        """Scaling and squaring of the balanced matrix."""
+        flow = expm_batch(self._balanced, t) * (self._scale[:, None] / self._scale)
+        return np.asarray(flow if C is None else C @ flow)
+
     def _coefficients(self, t: Array) -> Array:
-        """e^{Re mu t} t^k/k! cos or sin (Im mu t), one column per matrix of the basis."""
-        growth = np.exp(np.multiply.outer(t, self._means.real))
-        angle = np.multiply.outer(t, self._means.imag)
-        if self._wide:
-            growth = np.where(np.abs(t)[:, None] > self._reach, 0.0, growth)
-        both = np.concatenate([growth * np.cos(angle), growth * np.sin(angle)], axis=1)
-        columns = both[:, self._index + self._imaginary * len(self._blocks)]
+        """e^{Re mu t} t^k/k! cos or sin (Im mu t), one row per matrix of the basis."""
+        growth = np.exp(self._growth[:, None] * t)
+        for b in self._wide:
+            growth[b, np.abs(t) > self._blocks[b].reach] = 0.0
+        rows = growth[self._index]
+        if self._frequency.size:
+            waves = np.ones((2 * self._frequency.size + 1, t.size))
+            angle = self._frequency[:, None] * t
+            np.cos(angle, out=waves[:-1:2])
+            np.sin(angle, out=waves[1::2])
+            rows *= waves[self._wave]
         top = int(self._degree.max())
         if top:
-            powers = np.cumprod(
-                np.concatenate([np.ones((t.size, 1)), t[:, None] / np.arange(1, top + 1)], axis=1), axis=1
-            )
-            columns = columns * powers[:, self._degree]
-        return np.asarray(columns)
+            powers = np.ones((top + 1, t.size))
+            for k in range(1, top + 1):
+                np.multiply(powers[k - 1], t / k, out=powers[k])
+            rows *= powers[self._degree]
+        return np.asarray(rows)
 
 
 def exponential(A: Array) -> Flow:

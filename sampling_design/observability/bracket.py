@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.errors import ArgumentError
 from sampling_design.observability.pieces import Pieces
 from sampling_design.plants.plant import Plant
 
@@ -84,7 +85,13 @@ class _Pieced:
                 if len(pieces.times)
                 else there * 0.0
             )
-            flow = self.plant.transition(tau.ravel()).reshape(*tau.shape, n, n)
+            with np.errstate(over="ignore", invalid="ignore"):
+                flow = self.plant.transition(tau.ravel()).reshape(*tau.shape, n, n)
+            if not np.isfinite(flow).all():
+                raise ArgumentError(
+                    f"`window` must be short enough for e^(A T) to be a number, got {pieces.window!r}: "
+                    "its unstable modes overflow. Refer sigma to a shorter window."
+                )
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
             rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
             rows = np.concatenate(
@@ -112,8 +119,10 @@ class _Pieced:
     def unseen(self, owner: Indices, start: Array, value: Array) -> npt.NDArray[np.bool_]:
         """Where sigma = 1/value lies below n eps |O(s)|."""
         back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
+        with np.errstate(divide="ignore"):
+            sigma = 1 / value
         least = self.plant.n_states * _EPS * np.linalg.norm(back, axis=(1, 2))
-        return np.asarray(least >= 1 / value)
+        return np.asarray(least >= sigma)
 
     def ceiling(self, h: Array, fa: Array, fb: Array, ga: Array, gb: Array) -> Array:
         """Proven upper bound on |F| over intervals of length h with |F|, |A^2 F| at both ends."""
@@ -155,6 +164,8 @@ class _Search:
         lower = self.pieced.kept[self.owner] / ceiling
         middle = (self.a + self.b) / 2
         done = (lower >= (1 - 0.99 * self.rtol) / self.top) | (middle <= self.a) | (middle >= self.b)
+        # nothing to gain by halving: only the allowance for rounding keeps such an interval open
+        done |= ceiling <= (1 + 0.1 * self.rtol) * np.maximum(self.fa, self.fb)
         np.minimum.at(self.piece_lower, self.owner[done], lower[done])
         self.lower_open = lower[~done]
         for name in ("owner", "a", "b", "fa", "fb", "ga", "gb"):
@@ -224,21 +235,21 @@ def _bracket(plant: Plant, search: _Search, status: str, g: int, start: float) -
         status = "rounding"
     owner, nodes = np.concatenate(search.owners), np.concatenate(search.nodes)
     order = np.lexsort((nodes, owner))
-    sigma = 1 / np.concatenate(search.values)
-    floor = np.minimum(search.piece_lower, np.inf)
+    with np.errstate(divide="ignore"):
+        sigma = 1 / np.concatenate(search.values)
     return Bracket(
         lower,
         upper,
         status,
         start,
-        _side(pieces, g, start),
+        pieces.side(g, start),
         pieces.samples(g),
         right[-1],
         pieces,
         nodes[order],
         sigma[order],
         owner[order],
-        floor,
+        search.piece_lower,
     )
 
 
@@ -247,14 +258,6 @@ def _rows(plant: Plant, pieces: Pieces, g: int, start: float) -> Array:
     rows = plant.C @ plant.transition(pieces.samples(g) - start)
     mask = pieces.measured(g)
     return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
-
-
-def _side(pieces: Pieces, g: int, start: float) -> str:
-    """Whether the closed window at `start` itself holds more samples than those on piece g."""
-    neighbour = {pieces.left[g]: g - 1, pieces.right[g]: g + 1}.get(start)
-    if pieces.left[g] == pieces.right[g] or neighbour is None:
-        return "at"
-    return "after" if neighbour < g else "before"
 
 
 def _too_few(plant: Plant, pieces: Pieces) -> int | None:

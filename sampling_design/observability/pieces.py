@@ -35,6 +35,8 @@ class Pieces:
     stop: Indices
     times: Array
     mask: Mask | None
+    window: float
+    tolerance: float
 
     def __len__(self) -> int:
         return self.left.size
@@ -42,6 +44,14 @@ class Pieces:
     def samples(self, g: int) -> Array:
         """Times of the samples on piece g."""
         return self.times[self.first[g] : self.stop[g]]
+
+    def side(self, g: int, start: float) -> str:
+        """ "at", or "after" or "before" where the closed window at `start` itself holds more samples."""
+        ends = np.array([start - self.tolerance, start + self.window + self.tolerance])
+        first, stop = np.searchsorted(self.times, ends)
+        if stop - first == self.stop[g] - self.first[g]:
+            return "at"
+        return "after" if start - self.left[g] < self.right[g] - start else "before"
 
     def measured(self, g: int) -> Mask | None:
         """Mask of the samples on piece g."""
@@ -72,7 +82,7 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
     if high - low <= tolerance:
         ends = np.array([low - tolerance, low + window + tolerance])
         held = np.searchsorted(times, ends)
-        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask)
+        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask, window, tolerance)
     events = np.sort(np.concatenate([times, times - window]))
     events = events[(events > low + tolerance) & (events < high - tolerance)]
     cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])
@@ -81,4 +91,4 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
     index = np.arange(cuts.size - 1)
     first = np.searchsorted(leaves, index + 1)
     stop = np.maximum(first, np.searchsorted(enters, index, side="right"))
-    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask)
+    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask, window, tolerance)

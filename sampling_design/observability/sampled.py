@@ -40,8 +40,8 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
     Raises
     ------
     ArgumentError
-        If a time is not finite, the mask has the wrong shape, a schedule is endless or in another
-        unit of time, or a mask is given although the schedule has its own.
+        If a time is not finite or so far that e^{A t} overflows, the mask has the wrong shape, a schedule
+        is endless or in another unit of time, or a mask is given although the schedule has its own.
 
     Notes
     -----
@@ -61,7 +61,11 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
            [1., 3.]])
     """
     tau, mask = _times_and_mask(plant, times, outputs)
-    rows = exponential(plant.A).rows(plant.C, tau)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rows = exponential(plant.A).rows(plant.C, tau)
+    if not np.isfinite(rows).all():
+        far = float(tau[np.argmax(~np.isfinite(rows).all(axis=(1, 2)))])
+        raise ArgumentError(f"`times` must keep e^(A t) a number, got {far!r}, where unstable modes overflow.")
     return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
 
 

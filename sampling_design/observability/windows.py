@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -126,6 +127,29 @@ class WindowSigma(Record):
             theorem="Theorem 14, hypothesis",
             assumptions=("the plant's matrices and the sample times are exact",),
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the curve; infinite values (a plant without states) become None."""
+        finite = bool(np.isfinite(self.upper))
+        witness = self.witness
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "closed": self.closed,
+            "status": self.status,
+            "window": self.window,
+            "rtol": self.rtol,
+            "time_unit": self.time_unit,
+            "refers_to": "the state at the window's start",
+            "witness": {
+                "t": witness.t,
+                "side": witness.side,
+                "samples": witness.samples.tolist(),
+                "direction": witness.direction.tolist(),
+            },
+            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+            "claim": self.claim.to_dict(),
+        }
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [

@@ -23,7 +23,7 @@ def flow(A, G, Qw, eta, h):
 def riccati_margin(A, C, G, gaps, P1, P2, Qw, R, Qv, eta, laps=12, steps=24, start=0.0, masks=None):
     """min over t of lambda_min(Pi(t), P1), Pi from P2 at `start` after a sample, samples by the periodic `gaps`.
 
-    Values just before and just after every sample and at `steps` instants of every gap; a sample at the start does not count.
+    Values before and after every sample and at `steps` instants of every gap; a sample at the start is left out.
     """
     Rtilde = np.linalg.inv(np.linalg.inv(R) + np.linalg.inv(Qv))
     L = np.linalg.cholesky(P1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from sampling_design.plants.plant import Plant, Signals
 FORMAT = "sampling-design/plant/1"
 _MATRICES = ("A", "B", "C", "D", "G")
 _GROUPS = ("states", "outputs", "inputs", "disturbances")
+_COLUMNS = {"A": "states", "B": "inputs", "C": "states", "D": "inputs", "G": "disturbances"}
 _KEYS = ("names", "units", "scales")
 _TREE = ("format", "name", "time_unit", "matrices", *_GROUPS, "source")
 _FLAT = ("format", "name", "time_unit", *_MATRICES, *(f"{g}_{k}" for g in _GROUPS for k in _KEYS), "citation")
@@ -126,8 +127,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     source = _table(data, "source")
     _checks.known_keys("[source]", source, ("citation",))
     groups = {group: _signals_from_dict(group, _table(data, group)) for group in _GROUPS}
-    columns = {"A": 0, "C": 0, "B": len(groups["inputs"] or ()), "D": 0, "G": len(groups["disturbances"] or ())}
-    arrays = {key: _rows(value, columns[key]) for key, value in matrices.items()}
+    arrays = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
     return Plant(
         **arrays,
         **groups,  # type: ignore[arg-type]
@@ -159,9 +159,9 @@ def _text(key: str, value: Any) -> str:
     return value
 
 
-def _rows(value: Any, columns: int) -> Any:
+def _rows(value: Any, columns: Sized | None) -> Any:
     """An empty list of rows does not say how many columns it has; the names of the signals do."""
-    return np.zeros((0, columns)) if isinstance(value, list) and not value else value
+    return np.zeros((0, len(columns or ()))) if isinstance(value, list) and not value else value
 
 
 def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:
@@ -230,7 +230,7 @@ def _read_npz(where: str) -> dict[str, Any]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             flat = {key: archive[key] for key in archive.files}
-    except (ValueError, EOFError, OSError, AttributeError, zipfile.BadZipFile, KeyError):
+    except (ValueError, TypeError, EOFError, OSError, AttributeError, KeyError, zipfile.BadZipFile):
         raise FileFormatError(
             f"{where}: is not a readable .npz archive of plain arrays. Was it cut off?", where
         ) from None
@@ -282,7 +282,7 @@ def _words(value: Any) -> list[str]:
 def _flat(tree: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
     for key, rows in tree["matrices"].items():
-        flat[key] = np.array(rows, dtype=np.float64)
+        flat[key] = np.array(_rows(rows, tree.get(_COLUMNS[key], {}).get("names")), dtype=np.float64)
     for group in _GROUPS:
         for key, entries in tree.get(group, {}).items():
             flat[f"{group}_{key}"] = np.array(entries)

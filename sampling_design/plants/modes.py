@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +78,27 @@ class ModalSplit(Record):
     offset: float
     clusters: tuple[EigenvalueCluster, ...]
     retained_clusters: tuple[EigenvalueCluster, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: eigenvalues with multiplicity and index, and what was decided about them."""
+        modes = [
+            {
+                "eigenvalue": [c.value.real, c.value.imag],
+                "multiplicity": c.multiplicity,
+                "index": c.index,
+                "retained": c in self.retained_clusters,
+            }
+            for c in self.clusters
+        ]
+        return {
+            "decay_rate": self.decay_rate,
+            "retained_states": self.retained.n_states,
+            "residual_states": self.residual.n_states,
+            "modes": modes,
+            "near_line": [[v.real, v.imag] for v in self.near_line.tolist()],
+            "separation": self.separation if np.isfinite(self.separation) else None,
+            "condition": self.condition,
+        }
 
     def _rows(self) -> list[tuple[str, str]]:
         near = (format_eigenvalue(value, grain=1e-4 * self.offset) for value in self.near_line)

@@ -1,0 +1,212 @@
+"""Plant files: what is written, what is refused, and with which sentence."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from sampling_design import ArgumentError, Plant, Signals, library, read_plant, write_plant
+from sampling_design.errors import FileFormatError
+from sampling_design.plants.files import plant_from_dict, plant_to_dict
+
+SUFFIXES = ["toml", "json", "mat", "npz"]
+
+
+@pytest.fixture
+def plant():
+    return Plant(
+        [[-1.0, 0.1], [1 / 3, -2e-300]],
+        [[1.0, 0.0]],
+        [[1e22], [-0.0]],
+        [[0.5]],
+        [[np.nextafter(1.0, 2.0)], [5e-324]],
+        time_unit="h",
+        name='odd "name"',
+        states=Signals(("longer", "x"), ("Ω", ""), [1e-3, 7.0]),
+        outputs=Signals(("Temperatur °C",)),
+        source="A\\B\nC",
+    )
+
+
+def same(a, b):
+    return a.to_dict() == b.to_dict() and all(getattr(a, k).tobytes() == getattr(b, k).tobytes() for k in "ABCDG")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_round_trip_is_exact_to_the_bit(plant, suffix, tmp_path):
+    assert same(read_plant(write_plant(plant, tmp_path / f"plant.{suffix}")), plant)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_plants_without_states_survive(suffix, tmp_path):
+    empty = Plant(np.zeros((0, 0)), np.zeros((2, 0)), np.zeros((0, 1)), G=np.zeros((0, 3)))
+    back = read_plant(write_plant(empty, tmp_path / f"plant.{suffix}"))
+    assert same(back, empty)
+    assert (back.n_inputs, back.n_disturbances, back.n_outputs) == (1, 3, 2)
+
+
+def test_defaults_are_left_out():
+    tree = plant_to_dict(Plant([[0.0]], [[1.0]]))
+    assert set(tree["matrices"]) == {"A", "C"}
+    assert "inputs" not in tree
+    assert "source" not in tree
+    assert "scales" not in tree["states"]
+
+
+def test_a_hand_written_file_needs_little(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(
+        'format = "sampling-design/plant/1"\ntime_unit = "s"\n[matrices]\nA = [[0, 1], [0, 0]]\nC = [[1, 0]]\n'
+    )
+    plant = read_plant(path)
+    assert plant.states.names == ("x1", "x2")
+    np.testing.assert_array_equal(plant.G, np.eye(2))
+
+
+def test_toml_has_one_matrix_row_per_line(tmp_path):
+    text = write_plant(library.oscillator(), tmp_path / "o.toml").read_text()
+    assert "A = [\n    [0.0, 1.0],\n    [-1.0, 0.0],\n]\n" in text
+
+
+def test_a_matlab_workspace_without_names_is_read(tmp_path):
+    path = tmp_path / "workspace.mat"
+    savemat(path, {"A": [[0.0, 1.0], [-1.0, 0.0]], "C": [[1.0, 0.0]]})
+    assert read_plant(path, time_unit="s").n_states == 2
+    with pytest.raises(FileFormatError, match=r"workspace\.mat: `time_unit` is missing\. Write it into the file or"):
+        read_plant(path)
+
+
+def test_matlab_character_arrays_are_names(tmp_path):
+    path = tmp_path / "chars.mat"
+    savemat(path, {"A": np.eye(2), "C": [[1.0, 1.0]], "time_unit": "min", "states_names": ["a", "bcd"]})
+    assert read_plant(path).states.names == ("a", "bcd")
+
+
+def edited(tmp_path, change):
+    tree = library.oscillator().to_dict()
+    change(tree)
+    path = tmp_path / "edited.json"
+    path.write_text(json.dumps(tree))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.update(format="sampling-design/plant/2"), "`format` must be 'sampling-design/plant/1', got"),
+        (lambda t: t.pop("format"), "`format` must be .* got None. Is this a plant file"),
+        (lambda t: t.pop("time_unit"), "`time_unit` is missing"),
+        (lambda t: t.update(time_unit="sec"), "`time_unit` must be one of ms, s, min, h, d, wk, got 'sec'"),
+        (lambda t: t.update(time_unitt="s"), "unknown key 'time_unitt' in the file. Did you mean 'time_unit'"),
+        (lambda t: t["matrices"].update(a=[[1.0]]), r"unknown key 'a' in \[matrices\]. Did you mean"),
+        (lambda t: t["states"].update(scale=[1.0]), r"unknown key 'scale' in \[states\]. Did you mean 'scales'"),
+        (lambda t: t["source"].update(cite="x"), r"unknown key 'cite' in \[source\]. Did you mean 'citation'"),
+        (lambda t: t["source"].update(citation=1), "`citation` must be a string, got 1"),
+        (lambda t: t.update(name=3), "`name` must be a string, got 3"),
+        (lambda t: t.update(matrices=[1]), r"`matrices` must be a table of keys and values, got \[1\]"),
+        (lambda t: t["matrices"].pop("C"), r"`C` is missing in \[matrices\]. Was the file cut off"),
+        (lambda t: t["matrices"].update(A=[[0.0, 1.0]]), r"`A` must have shape"),
+        (lambda t: t["matrices"].update(A="x"), "`A` must hold real numbers"),
+        (lambda t: t["states"].pop("names"), r"`names` is missing in \[states\]"),
+        (lambda t: t["states"].update(names=5), r"in \[states\]"),
+        (lambda t: t["states"].update(names=["a"]), r"in \[states\] `units` must be 1 strings"),
+        (lambda t: t["states"].update(scales=[1.0, -1.0]), r"in \[states\] `scales` must be positive"),
+        (lambda t: t.update(states={"names": ["a"]}), "`states` must have 2 entries, got 1"),
+    ],
+)
+def test_bad_content_is_named_with_the_path(change, message, tmp_path):
+    path = edited(tmp_path, change)
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_plant(path)
+    assert str(caught.value).startswith(str(path))
+    assert caught.value.path == str(path)
+
+
+def test_a_time_unit_that_disagrees_is_refused(tmp_path):
+    path = write_plant(library.oscillator(), tmp_path / "o.toml")
+    assert read_plant(path, time_unit="s").time_unit == "s"
+    with pytest.raises(FileFormatError, match="`time_unit` must agree with the file, got 'h' where the file says 's'"):
+        read_plant(path, time_unit="h")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_cut_off_is_refused(suffix, tmp_path):
+    path = write_plant(library.satellite(), tmp_path / f"plant.{suffix}")
+    content = path.read_bytes()
+    for part in (0.0, 0.3, 0.6, 0.9):
+        path.write_bytes(content[: int(part * len(content))])
+        with pytest.raises(FileFormatError, match=r"cut off|format"):
+            read_plant(path)
+
+
+@pytest.mark.parametrize("suffix", ["mat", "npz"])
+def test_unknown_arrays_are_named(suffix, tmp_path):
+    path = tmp_path / f"plant.{suffix}"
+    data = {"A": np.eye(1), "C": np.eye(1), "time_unit": "s", "state_names": np.array(["a"])}
+    savemat(path, data) if suffix == "mat" else np.savez(path, **data)
+    with pytest.raises(FileFormatError, match=r"unknown key 'state_names' in the file\. Did you mean 'states_names'"):
+        read_plant(path)
+
+
+def test_pickles_are_not_loaded(tmp_path):
+    path = tmp_path / "plant.npz"
+    np.savez(path, A=np.eye(1), C=np.eye(1), time_unit="s", states_names=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(FileFormatError, match=r"is not a readable \.npz archive of plain arrays"):
+        read_plant(path)
+
+
+def test_a_plain_npy_array_is_no_archive(tmp_path):
+    path = tmp_path / "plant.npz"
+    with path.open("wb") as stream:
+        np.save(stream, np.eye(2))
+    with pytest.raises(FileFormatError, match="is not a readable"):
+        read_plant(path)
+
+
+def test_matlab_7_3_files_are_told_apart(tmp_path):
+    path = tmp_path / "plant.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(64))
+    with pytest.raises(FileFormatError, match=r"is a version 7\.3 \.mat file\. Save it with the option -v7"):
+        read_plant(path)
+
+
+def test_a_text_that_is_no_matlab_file_is_refused(tmp_path):
+    path = tmp_path / "plant.mat"
+    path.write_text("hello")
+    with pytest.raises(FileFormatError, match=r"is not a readable \.mat file\. Was it cut off"):
+        read_plant(path)
+
+
+def test_unknown_suffixes_are_refused(tmp_path):
+    with pytest.raises(FileFormatError, match=r"the suffix must be one of \.toml, \.json, \.mat, \.npz, got '\.csv'"):
+        read_plant(tmp_path / "plant.csv")
+    with pytest.raises(FileFormatError, match="the suffix must be one of"):
+        write_plant(library.oscillator(), tmp_path / "plant")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_file_is_named(tmp_path):
+    for suffix in SUFFIXES:
+        with pytest.raises(FileFormatError, match="no such file"):
+            read_plant(tmp_path / f"none.{suffix}")
+
+
+def test_writing_into_a_missing_folder_leaves_nothing(tmp_path):
+    with pytest.raises(FileFormatError, match="cannot be written"):
+        write_plant(library.oscillator(), tmp_path / "no" / "plant.toml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_trees_keep_their_own_place_in_messages():
+    with pytest.raises(FileFormatError, match=r"^certificate: `A` is missing"):
+        plant_from_dict({"format": "sampling-design/plant/1", "time_unit": "s"}, "certificate")
+    with pytest.raises(ArgumentError, match="`time_unit`"):
+        Plant([[0.0]], [[1.0]], time_unit="x")
+
+
+def test_paths_may_be_strings(tmp_path):
+    target = str(tmp_path / "o.json")
+    assert write_plant(library.oscillator(), target) == Path(target)
+    assert read_plant(target).name == "oscillator"

@@ -58,8 +58,6 @@ class Verification(Record):
         By how much: the least relative slack found (negative: how far it is violated).
     reason : str
         One sentence.
-    digest_checked : bool
-        Whether the data carried a digest that was compared.
     """
 
     passed: bool
@@ -68,7 +66,6 @@ class Verification(Record):
     start: float | None
     amount: float
     reason: str
-    digest_checked: bool = False
 
     def __bool__(self) -> bool:
         return self.passed
@@ -329,8 +326,8 @@ class Certificate(Record):
         """Say what the certificate proves."""
         until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
         return (
-            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{until}: whatever the "
-            f"window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
+            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{until}: whatever "
+            f"the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
             f"window longer than {short(self.horizon().minimum)} contracts."
         )
 

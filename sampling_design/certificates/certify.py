@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
-from sampling_design._linalg import symmetrise
-from sampling_design.certificates.certificate import RESOLUTION, Certificate, Verification, Witness
+from sampling_design.certificates.certificate import RESOLUTION, Certificate, Witness
 from sampling_design.certificates.existence import require_certificate
-from sampling_design.certificates.riccati import Peak, at_peak, supremum
+from sampling_design.certificates.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.window_problem import AnySchedule, WindowProblem, window_problem
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.errors import CertificateError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -25,8 +22,9 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 STATED_MARGIN = 1e-4
-"""Margin that a certificate states: Pi >= (1 + this) P1; the rest of the 1e-3 between P1 and P2/lam is for the proof."""
-ATTEMPTS = 6
+"""Margin that a certificate states, Pi >= (1 + this) P1; what is left of the 1e-3 is for the proof."""
+ATTEMPTS = 8
+"""How often a window that the checker found may raise lambda before the proof is given up."""
 
 
 def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
@@ -58,28 +56,41 @@ def certify_given(
         If no certificate with that rate exists, or the proof does not close.
     """
     require_certificate(plant, schedule, eta)
+    if not plant.n_states:
+        return Certificate(plant, schedule, P2, P2, Qw, R, Qv, eta, 1.0, 1.0, 0.0, None, solver)
     problem = window_problem(plant, schedule, P2, Qw, R, Qv, eta)
-    lam, lam_samples, witness = 1.0, 1.0, Witness(0.0, 0.0, (), 1.0)
-    if plant.n_states:
-        anywhere, at_samples = supremum(problem)
-        lam, lam_samples = max(anywhere.value, 1.0), max(at_samples.value, 1.0)
-        witness = witness_of(problem, anywhere)
-    made = Certificate(
-        plant,
-        schedule,
-        (1 - RESOLUTION) * P2 / lam,
-        P2,
-        Qw,
-        R,
-        Qv,
-        eta,
-        lam,
-        lam_samples,
-        STATED_MARGIN,
-        witness if witness.direction else None,
-        solver,
+    anywhere, at_samples = supremum(problem)
+    for _ in range(ATTEMPTS):
+        made = _made(plant, schedule, problem, (P2, Qw, R, Qv), (anywhere, at_samples), solver)
+        verdict = made.verify()
+        if verdict.passed:
+            return made
+        if verdict.time is None or verdict.start is None:
+            break
+        missed = located(problem, verdict.start, verdict.time)
+        if "samples" in verdict.inequality:
+            at_samples = max(refine(problem, missed, 0.0), at_samples, key=lambda peak: peak.value)
+        else:
+            missed = refine(problem, missed, problem.reach[missed.index] / 16)
+        anywhere = max(anywhere, missed, at_samples, key=lambda peak: peak.value)
+    raise CertificateError(
+        f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
     )
-    return made
+
+
+def _made(
+    plant: Plant,
+    schedule: AnySchedule,
+    problem: WindowProblem,
+    weights: tuple[Array, Array, Array, Array],
+    peaks: tuple[Peak, Peak],
+    solver: SolverRecord,
+) -> Certificate:
+    lam, lam_samples = (max(peak.value, 1.0) for peak in peaks)
+    P2, Qw, R, Qv = weights
+    P1 = (1 - RESOLUTION) * P2 / lam
+    seen = witness_of(problem, peaks[0])
+    return Certificate(plant, schedule, P1, P2, Qw, R, Qv, problem.eta, lam, lam_samples, STATED_MARGIN, seen, solver)
 
 
 def witness_of(problem: WindowProblem, peak: Peak) -> Witness:

@@ -1,4 +1,4 @@
-"""Does any certificate with a given rate exist on a periodic schedule? If not: which mode, aliased by what, and a repair."""
+"""Does any certificate with a given rate exist on a periodic schedule? If not: which mode, and what repairs it."""
 
 from __future__ import annotations
 

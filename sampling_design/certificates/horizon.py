@@ -83,8 +83,8 @@ class Horizon(Record):
     def explain(self) -> str:
         """Say what the horizon promises."""
         return (
-            f"With a window of {short(self.length)} {self.time_unit} (anything above {short(self.minimum)}) the squared "
-            f"error decays at rate {short(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
+            f"With a window of {short(self.length)} {self.time_unit} (anything above {short(self.minimum)}) the "
+            f"squared error decays at rate {short(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
             f"C_w = {short(self.C_w)}, measurement noise with C_v = {short(self.C_v)}."
         )
 
@@ -122,8 +122,8 @@ def horizon_of(certificate: Any, theorem: str = "sharp", length: float | None = 
     minimum = factor * np.log(factor * lam) / eta
     default = max(certificate.d_max, factor * np.log(_CONTRACTION * lam) / eta)
     M = default if length is None else _checks.positive("length", length)
-    if M <= minimum or (theorem == "paper" and M < certificate.d_max):
-        least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
+    least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
+    if not (minimum < M and least <= M):
         raise CertificateError(
             f"`length` = {M:.6g} is too short: this theorem needs M > {least:.6g}.", minimum=least, length=M
         )

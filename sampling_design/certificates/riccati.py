@@ -22,7 +22,11 @@ MERGED_RTOL = 1e-5
 """A window below (1 + this) times the steady lap brings nothing new: lambda is then the steady one within 1e-5."""
 MAX_DOUBLINGS = 40
 MAX_STEPS = 100_000
-START_FRACTIONS = (1.0, 0.75, 0.5, 0.25)
+LONGEST_RUN = 20_000
+"""Samples along which a window is followed towards the steady lap."""
+START_CELLS = 3
+MIN_STARTS = 16
+"""Inner starts: at least two per gap and at least this many per lap."""
 TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 REFINEMENTS = 4
 
@@ -179,18 +183,42 @@ def supremum(problem: WindowProblem) -> tuple[Peak, Peak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
-    for the checker to prove.
+    for the checker to prove, which names a window where something was missed.
     """
     index, remaining = problem.sample_starts()
     steady = None if problem.period is None else steady_lap(problem)
-    own = sweep(problem, index, remaining, steady=steady)
-    more = np.repeat(np.arange(problem.count), len(START_FRACTIONS))
-    fractions = np.tile(START_FRACTIONS, problem.count)
-    inner = sweep(problem, more, problem.reach[more] * fractions, steady=steady)
-    at_sample = refine(problem, max(own, key=lambda p: p.value), 0.0)
-    anywhere = max([*inner, at_sample], key=lambda p: p.value)
-    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / 4)
-    return max(anywhere, at_sample, key=lambda p: p.value), at_sample
+    inner = np.arange(1, max(START_CELLS, -(-MIN_STARTS // problem.count)))
+    more = np.repeat(np.arange(problem.count), inner.size)
+    starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
+    found = sweep(problem, np.append(index, more), np.append(remaining, starts), steady=steady)
+    own, others = found[: index.size], found[index.size :]
+    if steady is not None:
+        own.append(long_run(problem, steady, max(own, key=_value)))
+    at_sample = refine(problem, max(own, key=_value), 0.0)
+    anywhere = max([*others, at_sample], key=_value)
+    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1))
+    return max(anywhere, at_sample, key=_value), at_sample
+
+
+def _value(peak: Peak) -> float:
+    return peak.value
+
+
+def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
+    """Return `best`, or where the steady lap exceeds it: a window followed until it reaches that."""
+    follower = (np.arange(problem.count) + 1) % problem.count
+    part = np.asarray(TIME_FRACTIONS)
+    F, W = problem.flow(np.outer(problem.gaps[follower], part).ravel())
+    values = np.linalg.eigvalsh(push(np.repeat(steady, part.size, axis=0), F, W))[:, -1]
+    if values.max() <= best.value:
+        return best
+    index, remaining = problem.sample_starts()
+    laps = 1
+    found = best
+    while found.value < (1 - MERGED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
+        laps *= 4
+        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count)[0]
+    return max(found, best, key=_value)
 
 
 def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25) -> Peak:
@@ -198,12 +226,26 @@ def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float =
     for _ in range(REFINEMENTS):
         lowest = max(peak.remaining - width, 0.0)
         highest = min(peak.remaining + width, float(problem.reach[peak.index]))
-        starts = np.linspace(lowest, highest, 9) if width else np.array([peak.remaining])
-        parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 9)
+        starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
+        parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 5)
         found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0))
-        peak = max([peak, *found], key=lambda p: p.value)
-        width, time_width = width / 4, time_width / 4
+        peak = max([peak, *found], key=_value)
+        width, time_width = width / 3, time_width / 2
     return peak
+
+
+def located(problem: WindowProblem, start: float, t: float) -> Peak:
+    """Return the window that starts at `start`, at time `t`, as a peak without value."""
+    laps = 1 if problem.period is None else int(t / problem.period) + 2
+    times = (problem.times + (problem.period or 0.0) * np.arange(laps)[:, None]).ravel()
+    first = int(np.searchsorted(times, start * (1 + 1e-12), side="right"))
+    index = first % problem.count
+    remaining = float(min(times[first] - start, problem.reach[index]))
+    if t <= times[first]:
+        return Peak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
+    last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
+    gap = problem.gaps[last % problem.count]
+    return Peak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
 
 
 def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:

@@ -9,9 +9,12 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
 from sampling_design._record import short
-from sampling_design.cli.settings import Settings, record_table, table
+from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.files import plant_to_dict
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
@@ -28,31 +31,36 @@ def info(
     """
     plant = sd.read_plant(plant_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
-    modes = _mode_rows(split, plant.time_unit)
-    tables: list[Any] = [record_table(plant), modes, split.explain()]
-    data: dict[str, Any] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
+    tables: list[Any] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
+    data: dict[str, Any] = {"plant": plant_to_dict(plant), "split": split.to_dict(), "counts": None}
     if split.retained.n_states:
-        length = sd.default_window(split.retained) if window is None else window
-        if window is None:
-            settings.notice(f"window not given: {short(length)} {plant.time_unit} is used.")
-        count = sd.zero_count_bound(split.retained, length)
+        count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
         tables += [record_table(count), count.explain()]
         data["counts"] = count.to_dict()
     settings.show(data, *tables)
 
 
-def _mode_rows(split: Any, unit: str) -> Any:
+def window_length(settings: Settings, split: Any, given: float | None) -> float:
+    """Return the window that was given, or the plant's default with a notice that says so."""
+    if given is not None:
+        return positive("window", given)
+    length = sd.default_window(split) or 1.0
+    settings.notice(f"window not given: {short(length)} {split.plant.time_unit} is used.")
+    return length
+
+
+def _modes(split: Any, unit: str) -> Any:
     rows = []
     for cluster in split.clusters:
         value = complex(cluster.value)
-        period = f"{short(2 * np.pi / abs(value.imag))}" if value.imag else "-"
-        kept = "retained" if cluster.retained else "left to decay"
-        rows.append([_eigenvalue(value), str(cluster.multiplicity), str(cluster.index), period, kept])
+        if value.imag < 0:
+            continue  # its conjugate has a row already
+        real = format_eigenvalue(value.real, grain=split.offset)
+        written = f"{real} ± {short(value.imag)}i" if value.imag else real
+        period = short(2 * np.pi / value.imag) if value.imag else "-"
+        part = "retained" if cluster in split.retained_clusters else "left to decay"
+        rows.append([written, str(cluster.multiplicity), str(cluster.index), period, part])
     return table("Modes", [f"eigenvalue [1/{unit}]", "multiplicity", "index", f"period [{unit}]", "part"], rows)
-
-
-def _eigenvalue(value: complex) -> str:
-    return short(value.real) if not value.imag else f"{short(value.real)} ± {short(abs(value.imag))}i"
 
 
 def design(
@@ -66,6 +74,7 @@ def design(
     spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None,
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
+    scaled: Annotated[bool, typer.Option("--scaled", help="Design for sigma in scaled coordinates.")] = False,
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
 
@@ -74,37 +83,31 @@ def design(
     plant = sd.read_plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
     flags["decay_rate"] = settings.decay_rate
-    given = {key: value for key, value in flags.items() if value is not None}
+    flags["scaled"] = scaled or None
     requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
-    requirement = requirement.with_changes(**given)
+    requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
-        result = sd.design_schedule(plant, requirement, budget=settings.budget, seed=settings.seed, progress=progress)
+        rng = np.random.default_rng(settings.seed)
+        result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress)
     for name, value in result.defaults_used.items():
-        settings.notice(f"{name} not given: {value} is used.")
+        settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
         if result.schedule is not None:
-            settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
-            settings.wrote(_picture(result, folder / "design.png"))
-    settings.show(result.to_dict(), record_table(result), *_sample_table(result), result.explain())
+            sd.write_schedule(result.schedule, folder / "schedule.csv")
+            settings.wrote(folder / "schedule.csv")
+            settings.wrote(save_picture(result, folder / "design.png"))
+    settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
 
 
-def _sample_table(result: Any) -> list[Any]:
+def _samples(result: Any) -> list[Any]:
     if result.schedule is None:
         return []
-    schedule = result.schedule
-    rows = [
-        [str(i + 1), short(t, 9), short(g)] for i, (t, g) in enumerate(zip(schedule.times, schedule.gaps, strict=True))
-    ]
-    unit = schedule.time_unit or ""
+    schedule, unit = result.schedule, result.schedule.time_unit or ""
+    times = zip(schedule.times, schedule.gaps, strict=True)
+    rows = [[str(i + 1), short(t, 9), short(g)] for i, (t, g) in enumerate(times)]
     return [table("Samples of one period", ["sample", f"time [{unit}]", f"gap before [{unit}]"], rows)]
-
-
-def _picture(record: Any, path: Path) -> Path:
-    from sampling_design import plotting
-
-    return plotting.save(record, path)
 
 
 def sigma(
@@ -119,26 +122,22 @@ def sigma(
     """
     plant = sd.read_plant(plant_file)
     schedule = sd.read_schedule(schedule_file)
-    retained = sd.split_modes(plant, settings.decay_rate or 0.0).retained
-    if not retained.n_states:
-        settings.show(
-            {"sigma": None}, "No samples needed: every mode decays. Ask for a faster decay with --decay-rate."
-        )
+    split = sd.split_modes(plant, settings.decay_rate or 0.0)
+    if not split.retained.n_states:
+        settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
         return
-    length = sd.default_window(retained) if window is None else window
-    if window is None:
-        settings.notice(f"window not given: {short(length)} {plant.time_unit} is used.")
+    length = window_length(settings, split, window)
     with settings.progress("sigma") as progress:
-        result = sd.window_sigma(retained, schedule, length, budget=settings.budget, progress=progress)
+        result = sd.window_sigma(split.retained, schedule, length, budget=settings.budget, progress=progress)
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "sigma.json", to_json(result.to_dict())))
-        settings.wrote(_picture(result, folder / "sigma.png"))
+        settings.wrote(save_picture(result, folder / "sigma.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
-    if result.upper == 0 or (result.closed and result.lower == 0):
-        raise typer.Exit(1)
     if not result.closed:
         raise typer.Exit(3)
+    if result.lower == 0:
+        raise typer.Exit(1)
 
 
 COMMANDS = (info, design, sigma)

@@ -156,3 +156,10 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command
+
+
+def save_picture(record: Any, path: Path) -> Path:
+    """Draw a record into a file; the plotting library loads only now."""
+    from sampling_design import plotting
+
+    return plotting.save(record, path)

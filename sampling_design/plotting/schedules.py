@@ -14,9 +14,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Any = None) -> Any:
     """Draw the samples of a schedule (of two laps, the second pale, if it is periodic)."""
     ax = style.new_axes(ax, height=1.8 + 0.25 * _rows(schedule))
-    periodic = isinstance(schedule, PeriodicSchedule)
     _stems(ax, schedule.times, schedule.outputs, _rows(schedule), 1.0)
-    if periodic:
+    if isinstance(schedule, PeriodicSchedule):
         _stems(ax, schedule.times + schedule.period, schedule.outputs, _rows(schedule), 0.35)
         ax.axvline(schedule.first + schedule.period, color=style.ALLOWED, linewidth=0.8, linestyle=":")
     names = schedule.output_names or tuple(f"y{i + 1}" for i in range(_rows(schedule)))

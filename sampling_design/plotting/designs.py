@@ -1,0 +1,45 @@
+"""A design in one picture: the samples of a lap, what is forbidden, and sigma over the window's position."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sampling_design._record import short
+from sampling_design.design.schedule_design import ScheduleDesign, stated
+from sampling_design.errors import ArgumentError
+from sampling_design.plotting import style
+from sampling_design.plotting.schedules import draw_schedule
+from sampling_design.plotting.windows import draw_window_sigma
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+
+def draw_design(result: ScheduleDesign, ax: Any = None) -> Any:
+    """Draw the schedule (on `ax` alone if given), and below it sigma, its proven bound and the bound on all schedules.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no schedule: nothing has to be observed.
+    """
+    if result.schedule is None or result.window is None:
+        raise ArgumentError("`record` has no schedule to draw: every mode decays by itself.")
+    if ax is not None:
+        return _time_line(result.schedule, result, ax)
+    figure, (top, bottom) = style.new_figure(2, ratios=(1.0, 2.2))
+    _time_line(result.schedule, result, top)
+    shown = stated(result.window, result.requirement)
+    draw_window_sigma(shown, bottom)
+    note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
+    bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
+    bottom.legend(loc="upper right", fontsize="small", frameon=False, ncols=3)
+    bottom.set_ylim(0.0, 1.3 * max(result.upper_bound, float(shown.profile.sigma.max())))
+    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
+    return [top, bottom]
+
+
+def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Any) -> Any:
+    draw_schedule(schedule, ax)
+    for lap in (0.0, schedule.period):
+        for start, stop in result.requirement.forbidden:
+            ax.axvspan(lap + start, lap + stop, color=style.ALLOWED, alpha=0.35, linewidth=0)
+    return ax

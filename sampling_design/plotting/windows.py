@@ -1,0 +1,32 @@
+"""Sigma over the position of a sliding window, with the bound that is proven for every position."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sampling_design._record import short
+from sampling_design.observability.windows import WindowSigma
+from sampling_design.plotting import style
+
+
+def draw_window_sigma(result: WindowSigma, ax: Any = None) -> Any:
+    """Draw sigma over the window's end: attained values, proven bound, and the worst position."""
+    ax = style.new_axes(ax)
+    profile = result.profile
+    for index in np.unique(profile.piece):
+        here = profile.piece == index
+        ax.plot(profile.t[here], profile.sigma[here], color=style.MEASURED, linewidth=1.3)
+    ax.axhline(
+        result.lower, color=style.PROVEN, linewidth=1.2, label=f"proven for every position: {short(result.lower, 4)}"
+    )
+    # an open ring where sigma is only a one-sided limit, a full one where it is reached
+    face = style.ATTAINED if result.witness.side == "at" else "none"
+    label = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
+    ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=label)
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
+    ax.set_ylabel("sigma (state at window's start)")
+    ax.legend(loc="upper right", fontsize="small", frameon=False)
+    return ax

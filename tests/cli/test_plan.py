@@ -1,0 +1,150 @@
+"""info, design and sigma on the example plants, with right and with wrong input."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sampling_design import read_schedule
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLANTS, REQUIREMENTS = EXAMPLES / "plants", EXAMPLES / "requirements"
+
+
+def plant(name):
+    return PLANTS / f"{name}.toml"
+
+
+def test_info_lists_modes_and_counts(shell):
+    result = shell("info", plant("satellite"))
+    assert result.code == 0
+    assert "0.00113129i" in result.out
+    assert "samples needed" in result.out
+    assert "window not given: 5554 s is used." in result.err
+
+
+def test_info_as_json_is_one_object(shell):
+    result = shell("info", plant("oscillator"), "--json", "--window", "4")
+    data = json.loads(result.out)
+    assert data["counts"]["samples_needed"] == 3
+    assert data["split"]["retained_states"] == 2
+    assert result.err == ""
+
+
+def test_info_says_when_nothing_needs_samples(shell):
+    result = shell("info", plant("three_compartment"))
+    assert result.code == 0
+    assert "no samples are needed" in result.out.replace("\n", " ")
+    assert "faster decay" in result.out
+
+
+def test_design_writes_table_picture_and_files(shell, tmp_path):
+    folder = tmp_path / "out"
+    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", folder)
+    assert result.code == 0
+    assert {p.name for p in folder.iterdir()} == {"schedule.csv", "design.json", "design.png"}
+    assert (folder / "design.png").read_bytes().startswith(b"\x89PNG")
+    data = json.loads((folder / "design.json").read_text())
+    schedule = read_schedule(folder / "schedule.csv")
+    assert len(schedule) == 12
+    assert schedule.gaps.min() >= 60
+    assert 0 < data["sigma"] <= data["sigma_attained"] <= data["upper_bound"]
+    judged = json.loads(shell("sigma", plant("satellite"), folder / "schedule.csv", "--json", "--window", 5554).out)
+    assert judged["lower"] == pytest.approx(data["sigma"], rel=0.02)
+    assert judged["lower"] <= data["sigma_attained"]
+
+
+def test_design_prints_the_defaults_it_used(shell):
+    result = shell("design", plant("oscillator"))
+    assert result.code == 0
+    for word in ("window", "period", "samples", "spacing"):
+        assert f"{word} not given:" in result.err
+    assert shell("design", plant("oscillator"), "--quiet").err == ""
+
+
+def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
+    for folder in ("one", "two"):
+        arguments = ("design", plant("oscillator"), "--samples", 4, "-o", tmp_path / folder, "--seed", 3)
+        assert shell(*arguments).code == 0
+    for name in ("schedule.csv", "design.png"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_flags_override_the_file(shell):
+    data = json.loads(
+        shell("design", plant("oscillator"), REQUIREMENTS / "oscillator.toml", "--samples", 5, "--json").out
+    )
+    assert data["requirement"]["samples"] == {"exactly": 5}
+
+
+def test_design_of_a_decaying_plant_names_the_decay_rate(shell, tmp_path):
+    result = shell("design", plant("three_compartment"), "-o", tmp_path)
+    assert result.code == 0
+    assert "--decay-rate" in result.out
+    assert json.loads((tmp_path / "design.json").read_text())["schedule"] is None
+
+
+def test_sigma_of_a_blind_schedule_is_a_no(shell, tmp_path):
+    (tmp_path / "blind.csv").write_text(
+        "# sampling-design schedule; time_unit=s; period=3.141592653589793\ntime\n0.5\n"
+    )
+    result = shell("sigma", plant("oscillator"), tmp_path / "blind.csv", "--window", "10", "-o", tmp_path)
+    assert result.code == 1
+    assert (tmp_path / "sigma.png").exists()
+
+
+def test_an_impossible_requirement_is_a_no(shell):
+    result = shell("design", plant("oscillator"), "--samples", 9, "--spacing", 1, "--window", 4)
+    assert result.code == 1
+    assert result.err.count("\n") == 1 or "not given" in result.err
+    assert "sampling-design:" in result.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("info", "nowhere.toml"), "no such file"),
+        (("info", PLANTS), "suffix must be one of"),
+        (("info", plant("oscillator"), "--window", "-1"), "`window` must be positive"),
+        (("info", plant("oscillator"), "--decay-rate", "-1"), "must not be negative"),
+        (("design", plant("oscillator"), "--spacing", "0"), "`spacing` must be positive"),
+        (("design", plant("oscillator"), plant("oscillator")), "oscillator.toml"),
+        (("sigma", plant("oscillator"), "nowhere.csv"), "no such file"),
+        (("design", plant("oscillator"), "-o", "/proc/nowhere/out"), "cannot be made a folder"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(shell, arguments, words):
+    result = shell(*arguments)
+    assert result.code == 2
+    assert words in result.err
+    assert "Traceback" not in result.err
+    assert result.err.strip().splitlines()[-1].startswith("sampling-design: ")
+
+
+def test_wrong_usage_is_exit_code_2(shell):
+    result = shell("infos")
+    assert result.code == 2
+    assert "info" in result.err
+
+
+def test_version(shell):
+    assert shell("--version").out.startswith("sampling-design ")
+    assert shell("info", "--version").out.startswith("sampling-design ")
+
+
+def test_an_interrupt_ends_with_130(shell, monkeypatch):
+    from sampling_design.cli import app
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "app", interrupted)
+    result = shell("info")
+    assert result.code == 130
+    assert "interrupted" in result.err
+
+
+def test_every_command_teaches_by_an_example(shell):
+    for command in ("info", "design", "sigma"):
+        text = shell(command, "--help").out
+        assert "Example: sampling-design" in text

@@ -1,0 +1,66 @@
+"""Pictures: what they show is what the record says, and they are written whole or not at all."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import plotting
+from sampling_design.errors import ArgumentError
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
+
+
+def test_a_schedule_is_drawn_with_one_stem_per_sample_and_a_second_lap():
+    ax = SCHEDULE.plot()
+    stems = [c.get_segments() for c in ax.collections]
+    assert [len(s) for s in stems] == [3, 3]
+    assert [s[0][0] for s in stems[0]] == pytest.approx(SCHEDULE.times)
+    assert ax.get_xlabel() == "time [s]"
+
+
+def test_a_mask_has_one_row_per_output():
+    mask = np.array([[1, 0], [1, 1], [0, 1]])
+    schedule = sd.Schedule([0.0, 1.0, 2.0], mask, output_names=("tsh", "t3"))
+    ax = schedule.plot()
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["tsh", "t3"]
+    assert [len(c.get_segments()) for c in ax.collections] == [2, 2]
+
+
+def test_sigma_is_drawn_with_its_proven_bound():
+    result = sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0)
+    ax = result.plot()
+    drawn = [line.get_ydata() for line in ax.lines]
+    assert min(np.min(y) for y in drawn) == pytest.approx(result.lower)
+    assert any(f"{result.lower:.4g}" in t.get_text() for t in ax.get_legend().get_texts())
+
+
+def test_a_design_has_two_rows_and_its_bounds(tmp_path):
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3, forbidden=[[1.0, 1.5]]))
+    top, bottom = plotting.draw(design)
+    assert top.figure is bottom.figure
+    assert top.figure.get_suptitle().count(f"{design.sigma:.4g}") == 1
+    for suffix, magic in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
+        path = plotting.save(design, tmp_path / f"design.{suffix}")
+        assert path.read_bytes().startswith(magic)
+
+
+def test_pictures_are_drawn_on_given_axes():
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots(3, 1)
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    for record, ax in zip((SCHEDULE, design, design.window), axes, strict=True):
+        assert record.plot(ax) is ax
+        assert ax.has_data()
+
+
+def test_what_has_no_picture_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="`record` has no picture"):
+        plotting.draw(OSCILLATOR)
+    with pytest.raises(ArgumentError, match=r"`path` must end in \.png, \.svg or \.pdf"):
+        plotting.save(SCHEDULE, tmp_path / "a.gif")
+    nothing = sd.design_schedule(sd.Plant([[-1.0]], [[1.0]]))
+    with pytest.raises(ArgumentError, match="`record` has no schedule to draw"):
+        plotting.draw(nothing)
+    assert list(tmp_path.iterdir()) == []

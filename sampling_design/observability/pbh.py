@@ -138,7 +138,19 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
 
 
 def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
-    """Raise if some mode is seen by no output; `purpose` begins the message.
+    """Raise if some mode is seen by no output.
+
+    Parameters
+    ----------
+    plant : Plant
+    purpose : str
+        What needs it; begins the message.
+    rtol : float
+        As for `unseen_modes`.
+
+    Returns
+    -------
+    None
 
     Raises
     ------

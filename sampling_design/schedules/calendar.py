@@ -88,6 +88,17 @@ def write_calendar_csv(
 ) -> Path:
     """Write `calendar(schedule, start, span)` as CSV: date, time, and per output 1 or 0; return the path.
 
+    Parameters
+    ----------
+    schedule, start, span
+        As for `calendar`.
+    path : path
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
     Raises
     ------
     ArgumentError
@@ -122,6 +133,11 @@ def write_ics(
     path : path
     summary : str
         Title of the events; the outputs to measure are appended.
+
+    Returns
+    -------
+    Path
+        Where it was written.
 
     Raises
     ------

@@ -23,12 +23,31 @@ _KINDS: dict[str, tuple[type[Any], tuple[str, ...], tuple[str, ...]]] = {
 
 
 def family_to_dict(family: SamplingFamily) -> dict[str, Any]:
-    """Return a family as plain data; `kind` names it."""
+    """Return a family as plain data; `kind` names it.
+
+    Parameters
+    ----------
+    family : SamplingFamily
+
+    Returns
+    -------
+    dict
+        Lists, numbers and strings only; `family_from_dict` reads it back.
+    """
     return family.to_dict()
 
 
 def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     """Return the family in plain data.
+
+    Parameters
+    ----------
+    data : mapping
+        `kind` ("spaced-windows", "gap-range", "jitter", "lost-samples") and the arguments of that family.
+
+    Returns
+    -------
+    SamplingFamily
 
     Raises
     ------

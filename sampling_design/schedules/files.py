@@ -24,7 +24,22 @@ _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of 
 
 
 def schedule_to_dict(schedule: AnySchedule) -> dict[str, Any]:
-    """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period)."""
+    """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period).
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+
+    Returns
+    -------
+    dict
+        Lists, numbers and strings only; `schedule_from_dict` reads it back.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no schedule.
+    """
     return _check_schedule(schedule).to_dict()
 
 
@@ -36,6 +51,10 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     data : mapping
         `kind` "finite" with `times`, or "periodic" with `gaps` (and `first`) or `times` and `period` or
         both; `outputs`, `time_unit`, `origin`, `output_names` optional.
+
+    Returns
+    -------
+    Schedule or PeriodicSchedule
 
     Raises
     ------
@@ -70,7 +89,10 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
         return by_gaps
     by_times = PeriodicSchedule.from_times(data["times"], data["period"], outputs, **details)
     room = _REDUNDANCY * by_times.period
-    if len(by_gaps) != len(by_times) or not np.allclose(by_gaps.gaps, by_times.gaps, rtol=0, atol=room):
+    if len(by_gaps) != len(by_times) or any(
+        not np.allclose(a, b, rtol=0, atol=room)
+        for a, b in ((by_gaps.gaps, by_times.gaps), (by_gaps.times, by_times.times))
+    ):
         raise ArgumentError("`gaps` and `times` of a periodic schedule contradict each other. Give one of them.")
     by_times._own(gaps=by_gaps.gaps)
     return by_times
@@ -85,6 +107,11 @@ def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
         With its time unit.
     path : path
         The ending chooses the format.
+
+    Returns
+    -------
+    Path
+        Where it was written.
 
     Raises
     ------
@@ -109,6 +136,16 @@ def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
 def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
     """Return the schedule in a `.csv` or `.json` file.
 
+    Parameters
+    ----------
+    path : path
+        The ending says which format it is.
+
+    Returns
+    -------
+    Schedule or PeriodicSchedule
+        Periodic if the file names a period.
+
     Raises
     ------
     ArgumentError
@@ -130,7 +167,12 @@ def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
     try:
         return schedule_from_dict(data)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise in_file(error, where) from None
+
+
+def in_file(error: ArgumentError, where: str, line: int | None = None) -> FileFormatError:
+    """Return what a record refused as an error of the file that it was read from."""
+    return FileFormatError(f"{where}{'' if line is None else f', line {line}'}: {error}", where)
 
 
 def _check_schedule(schedule: Any) -> AnySchedule:
@@ -219,7 +261,7 @@ def _header(line: str, where: str) -> dict[str, str]:
         try:
             _checks.known_keys("the first line", [key], ("time_unit", "period", "origin"))
         except ArgumentError as error:
-            raise FileFormatError(f"{where}, line 1: {error}", where) from None
+            raise in_file(error, where, 1) from None
         if not equals or not value.strip() or key in keys:
             raise FileFormatError(f"{where}, line 1: expected {key}=... exactly once.", where)
         keys[key] = value.strip()
@@ -245,4 +287,4 @@ def _build(
             raise ArgumentError(f"`period` must be a number, got {keys['period']!r}.") from None
         return PeriodicSchedule.from_times(times, period, outputs, **details)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise in_file(error, where) from None

@@ -109,8 +109,8 @@ class LostSamples(Record):
         span = mine.period * ratio.numerator
         stop = span + mine.first + float(mine.gaps[1 % len(mine)]) / 2
         start = self._judge(mine.between(0.0, stop), schedule.between(0.0, stop), cyclic=False)
-        circle = (part.between(stop, stop + span) for part in (mine, schedule))
-        return start and self._judge(*circle, cyclic=True)
+        later = stop + span
+        return start and self._judge(mine.between(stop, later), schedule.between(stop, later), cyclic=True)
 
     def _judge(self, nominal: Schedule, schedule: Schedule, cyclic: bool) -> bool:
         kept = _positions(nominal.times, schedule.times)

@@ -192,6 +192,11 @@ class PeriodicSchedule(_Sampled):
         if first > period:
             raise ArgumentError(f"`first` must lie in [0, period] = [0, {period!r}], got {first!r}.")
         times = _checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
+        if np.any(np.diff(times, append=times[0] + period) <= 0):
+            raise ArgumentError(
+                f"`gaps` must be told apart from zero beside the period {period!r} in double precision, "
+                f"got a gap of {float(gaps.min())!r}."
+            )
         mask = _checks.output_mask("outputs", self.outputs, gaps.size)
         self._own(gaps=gaps, first=first, outputs=mask, times=times, period=period)
 

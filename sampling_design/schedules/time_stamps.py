@@ -14,6 +14,7 @@ import numpy as np
 from sampling_design._files import read_text
 from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
 
 MICROSECONDS = 1_000_000
@@ -140,7 +141,7 @@ def _value(cell: str, zero: datetime | None, unit: str, is_date: bool, where: st
     try:
         date = parse_date("date", cell)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise in_file(error, where) from None
     zero = date if zero is None else zero
     apart = date - zero
     micro = (apart.days * 86400 + apart.seconds) * MICROSECONDS + apart.microseconds

@@ -120,7 +120,7 @@ def test_the_compound_of_a_matrix_generates_its_minors():
 def test_bad_input():
     with pytest.raises(ArgumentError, match="eigenvalues must be closed under conjugation"):
         critical_length([1j])
-    with pytest.raises(ArgumentError, match="must have one output for its critical length, got 2"):
+    with pytest.raises(ArgumentError, match="must have one output for its critical length, got"):
         critical_length(Plant(np.zeros((2, 2)), np.eye(2)))
     with pytest.raises(ArgumentError, match="must have at most 12 states for its critical length, got 14"):
         critical_length([s * k * 1j for k in range(1, 8) for s in (1, -1)])

@@ -237,7 +237,7 @@ def test_bad_input():
         LostSamples(PeriodicSchedule([1.0]), 3, 3)
     with pytest.raises(ArgumentError, match="`kind` of a family must be one of spaced-windows"):
         family_from_dict({"kind": "spaced"})
-    with pytest.raises(ArgumentError, match="needs `longest`"):
+    with pytest.raises(ArgumentError, match="a family of kind 'gap-range' needs `longest`"):
         family_from_dict({"kind": "gap-range", "shortest": 1.0})
     with pytest.raises(ArgumentError, match=r"unknown key 'longst' .* Did you mean 'longest'"):
         family_from_dict({"kind": "gap-range", "shortest": 1.0, "longst": 2.0})

@@ -1,0 +1,158 @@
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule, calendar, write_calendar_csv, write_ics
+
+DAY = PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h", origin="2026-01-05")
+
+
+def parse_ics(data):
+    """Unfold and unescape by RFC 5545, independent of the writer: a list of events as dictionaries."""
+    text = data.decode("utf-8")
+    assert "\n" not in text.replace("\r\n", "")
+    for line in data.split(b"\r\n"):
+        assert len(line) <= 75
+    lines = text.replace("\r\n ", "").split("\r\n")
+    assert lines[0] == "BEGIN:VCALENDAR"
+    assert lines[-2:] == ["END:VCALENDAR", ""]
+    assert {"VERSION:2.0"} <= set(lines)
+    assert any(line.startswith("PRODID:") for line in lines)
+    events = []
+    for line in lines:
+        name, _, value = line.partition(":")
+        if line == "BEGIN:VEVENT":
+            events.append({})
+        elif events and name not in ("END", "BEGIN", ""):
+            plain = value.replace("\\,", ",").replace("\\;", ";").replace("\\n", "\n").replace("\\\\", "\\")
+            events[-1][name] = plain
+    assert all({"UID", "DTSTAMP", "DTSTART"} <= set(event) for event in events)
+    assert len({event["UID"] for event in events}) == len(events)
+    return events
+
+
+def expand(events, count):
+    """The first dates of weekly, daily, ... rules, merged."""
+    units = {"WEEKLY": 604800, "DAILY": 86400, "HOURLY": 3600, "MINUTELY": 60, "SECONDLY": 1}
+    dates = []
+    for event in events:
+        start = datetime.strptime(event["DTSTART"], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+        rule = dict(part.split("=") for part in event["RRULE"].split(";"))
+        step = timedelta(seconds=units[rule["FREQ"]] * int(rule["INTERVAL"]))
+        until = rule.get("UNTIL")
+        until = (
+            datetime.strptime(until, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+            if until
+            else datetime.max.replace(tzinfo=UTC)
+        )
+        dates += [start + i * step for i in range(count) if start + i * step <= until]
+    return sorted(dates)
+
+
+def test_dates_begin_at_the_origin_or_the_start_given():
+    assert [e.date.isoformat() for e in calendar(DAY)] == ["2026-01-05T00:00:00+00:00", "2026-01-05T16:00:00+00:00"]
+    zone = calendar(DAY, "2026-03-01T06:00+02:00", span=48.0)
+    assert [e.date.isoformat() for e in zone] == [
+        f"2026-03-0{d}T{h}:00:00+02:00" for d, h in ((1, "06"), (1, "22"), (2, "06"), (2, "22"))
+    ]
+    assert [e.time for e in zone] == [0.0, 16.0, 24.0, 40.0]
+    finite = Schedule([0.5, 1.0], [[1, 0], [1, 1]], time_unit="d", output_names=["TSH", "T3"])
+    entries = calendar(finite, datetime(2026, 1, 1))
+    assert [e.outputs for e in entries] == [("TSH",), ("TSH", "T3")]
+    assert entries[1].date == datetime(2026, 1, 2, tzinfo=UTC)
+    assert len(calendar(finite, "2026-01-01", span=1.0)) == 1  # the span is open at its end
+
+
+def test_csv(tmp_path):
+    path = tmp_path / "dates.csv"
+    schedule = Schedule([0.5, 1.0], [[1, 0], [1, 1]], time_unit="d", output_names=["TSH", 'a,"b"'])
+    write_calendar_csv(schedule, path, "2026-01-01")
+    assert path.read_text() == (
+        'date,time,TSH,"a,""b"""\n2026-01-01T12:00:00+00:00,0.5,1,0\n2026-01-02T00:00:00+00:00,1.0,1,1\n'
+    )
+    write_calendar_csv(Schedule([1.0], [[0, 1]], time_unit="s"), path, "2026-01-01")
+    assert path.read_text() == "date,time,y1,y2\n2026-01-01T00:00:01+00:00,1.0,0,1\n"
+
+
+def test_ics_repeats_by_rule_without_end(tmp_path):
+    path = tmp_path / "day.ics"
+    write_ics(DAY, path)
+    events = parse_ics(path.read_bytes())
+    assert [e["RRULE"] for e in events] == ["FREQ=DAILY;INTERVAL=1"] * 2
+    assert expand(events, 4) == [e.date for e in calendar(DAY, span=96.0)]
+
+
+@pytest.mark.parametrize(
+    ("gaps", "unit", "rule"),
+    [
+        ([3.0, 4.0], "d", "FREQ=WEEKLY;INTERVAL=1"),
+        ([36.0], "h", "FREQ=HOURLY;INTERVAL=36"),
+        ([48.0], "h", "FREQ=DAILY;INTERVAL=2"),
+        ([90.0], "s", "FREQ=SECONDLY;INTERVAL=90"),
+        ([0.1, 0.2], "min", "FREQ=SECONDLY;INTERVAL=18"),
+        ([90.0], "min", "FREQ=MINUTELY;INTERVAL=90"),
+    ],
+)
+def test_rules_use_the_largest_whole_unit(tmp_path, gaps, unit, rule):
+    schedule = PeriodicSchedule(gaps, time_unit=unit, origin="2026-01-05")
+    write_ics(schedule, tmp_path / "a.ics")
+    events = parse_ics((tmp_path / "a.ics").read_bytes())
+    assert {e["RRULE"] for e in events} == {rule}
+    expected = [e.date for e in calendar(schedule, span=5 * schedule.period)]
+    assert expand(events, 9)[: len(expected)] == expected
+
+
+def test_a_span_ends_the_repetition_where_the_dates_end(tmp_path):
+    for span in (24.0, 40.0, 40.5, 100.0):
+        write_ics(DAY, tmp_path / "a.ics", span=span)
+        events = parse_ics((tmp_path / "a.ics").read_bytes())
+        assert expand(events, 50) == [e.date for e in calendar(DAY, span=span)]
+    write_ics(DAY, tmp_path / "a.ics", span=10.0)
+    assert len(parse_ics((tmp_path / "a.ics").read_bytes())) == 1  # the second sample of the lap comes later
+
+
+def test_other_schedules_are_written_out_and_rounded_to_seconds(tmp_path):
+    path = tmp_path / "a.ics"
+    orbit = PeriodicSchedule([5554.4], time_unit="s", origin="2026-01-05")
+    write_ics(orbit, path, span=20000.0)
+    events = parse_ics(path.read_bytes())
+    assert [e["DTSTART"] for e in events] == ["20260105T013234Z", "20260105T030509Z", "20260105T043743Z"]
+    assert all("RRULE" not in e for e in events)
+    write_ics(Schedule([1.0], time_unit="h"), path, "2026-01-05T12:00+03:00")
+    assert parse_ics(path.read_bytes())[0]["DTSTART"] == "20260105T100000Z"
+    with pytest.raises(ArgumentError, match=r"`span` is missing: the period 5554.4 s is no whole number of seconds"):
+        write_ics(orbit, path)
+
+
+def test_text_is_escaped_and_folded(tmp_path):
+    names = ["Größe, links; \\unten", "日本語" * 30]
+    schedule = Schedule([1.0, 2.0], [[1, 1], [1, 0]], time_unit="h", output_names=names)
+    write_ics(schedule, tmp_path / "a.ics", "2026-01-05", summary="Line one\nand two")
+    events = parse_ics((tmp_path / "a.ics").read_bytes())
+    assert events[0]["SUMMARY"] == f"Line one\nand two: {', '.join(names)}"
+    assert events[1]["SUMMARY"] == f"Line one\nand two: {names[0]}"
+
+
+def test_the_same_schedule_gives_the_same_octets(tmp_path):
+    write_ics(DAY, tmp_path / "a.ics")
+    write_ics(PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h"), tmp_path / "b.ics", "2026-01-05T00:00Z")
+    assert (tmp_path / "a.ics").read_bytes() == (tmp_path / "b.ics").read_bytes()
+    assert b"DTSTAMP:20260105T000000Z" in (tmp_path / "a.ics").read_bytes()
+
+
+def test_bad_input(tmp_path):
+    with pytest.raises(ArgumentError, match="`schedule` must have a time unit to become dates"):
+        calendar(Schedule([1.0]), "2026-01-05")
+    with pytest.raises(ArgumentError, match="`start` is missing and the schedule has no origin"):
+        calendar(Schedule([1.0], time_unit="h"))
+    with pytest.raises(ArgumentError, match="`start` must be a date like 2026-01-05T08:00"):
+        calendar(DAY, "next week")
+    with pytest.raises(ArgumentError, match="`span` must be positive"):
+        calendar(DAY, span=0.0)
+    with pytest.raises(ArgumentError, match="asks for more than 100000 dates"):
+        calendar(DAY, span=1e9)
+    with pytest.raises(ArgumentError, match=r"lies beyond the year 9999. Is the time unit right\?"):
+        calendar(Schedule([1e9], time_unit="wk"), "2026-01-05")
+    with pytest.raises(ArgumentError, match="must be a Schedule or PeriodicSchedule, got list"):
+        write_ics([1.0], tmp_path / "a.ics", "2026-01-05")
+    assert not list(tmp_path.iterdir())

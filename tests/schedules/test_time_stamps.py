@@ -1,0 +1,91 @@
+from datetime import datetime
+
+import numpy as np
+import pytest
+
+from sampling_design import ArgumentError, import_time_stamps
+from sampling_design.errors import FileFormatError
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text):
+        path = tmp_path / "stamps.csv"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_dates_are_counted_from_the_first_naive_means_utc(table):
+    schedule = import_time_stamps(table("# log\ndate,y\n2026-01-05T08:00,1\n2026-01-05T09:30:00Z,2\n"), "h")
+    assert schedule.times.tolist() == [0.0, 1.5]
+    assert schedule.origin == "2026-01-05T08:00:00+00:00"
+    assert schedule.time_unit == "h"
+
+
+def test_offsets_are_honoured(table):
+    """A clock change: 02:30 summer time comes before 02:15 winter time."""
+    path = table("date\n2026-10-25T02:30+02:00\n2026-10-25T02:15+01:00\n")
+    assert import_time_stamps(path, "min").times.tolist() == [0.0, 45.0]
+    with_origin = import_time_stamps(path, "min", origin="2026-10-25")
+    assert with_origin.times.tolist() == [30.0, 75.0]
+    assert import_time_stamps(path, "min", origin=datetime(2026, 10, 25)).times.tolist() == [30.0, 75.0]
+
+
+def test_numbers_are_times_in_the_unit(table):
+    schedule = import_time_stamps(table("time,y\n0.5,1\n2.25,3\n"), "d")
+    assert schedule.times.tolist() == [0.5, 2.25]
+    assert schedule.origin is None
+
+
+def test_another_column_may_hold_the_times(table):
+    path = table('sample,"taken at"\nA,2026-01-01\nB,2026-01-08\n')
+    assert import_time_stamps(path, "wk", column="taken at").times.tolist() == [0.0, 1.0]
+
+
+def test_microseconds_are_kept_over_years(table):
+    path = table("date\n1990-01-01T00:00:00.000001\n2026-01-01T00:00:00.000002\n")
+    times = import_time_stamps(path, "ms").times
+    assert times[1] == (datetime(2026, 1, 1) - datetime(1990, 1, 1)).days * 86400000.0 + 0.001
+
+
+def test_cells_say_which_outputs_were_measured(table):
+    path = table("time,TSH,T3,note\n0,1.2,,a\n1,,,b\n2,nan,3.1,c\n3,1,2,\n")
+    schedule = import_time_stamps(path, "d", outputs=["TSH", "T3"])
+    assert schedule.times.tolist() == [0.0, 2.0, 3.0]
+    np.testing.assert_array_equal(schedule.outputs, [[True, False], [False, True], [True, True]])
+    assert schedule.output_names == ("TSH", "T3")
+    assert len(import_time_stamps(path, "d")) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", {}, "is empty, expected a header and rows"),
+        ("stamp\n1\n", {}, "no column 'time' or 'date'; there are stamp"),
+        ("time\n1\n", {"column": "t"}, "no column 't'; there are time"),
+        ("time\n1\n", {"outputs": ["y"]}, "no column 'y'; there are time"),
+        ("time,y\n1,2\n2\n", {}, r"line 3: expected 2 cells, got 1. Was the file cut off\?"),
+        ("time\n# note\n2\n1\n", {}, "line 4: times must increase strictly, got one not later."),
+        ("date\n2026-01-02\n2026-01-02\n", {}, "line 3: times must increase strictly"),
+        ("time\n-1\n", {}, "line 2: a time must be finite and not negative, got -1"),
+        ("time\ninf\n", {}, "line 2: a time must be finite and not negative, got inf"),
+        ("date\nyesterday\n", {}, "line 2: `date` must be a date like 2026-01-05T08:00 .*, got 'yesterday'"),
+        ("date\n2026-01-02\n", {"origin": "2026-01-03"}, r"line 2: 2026-01-02 comes before the origin 2026-01-03"),
+        ('time,y\n1,"a\nb"\n', {}, "a quoted cell runs over several lines"),
+    ],
+)
+def test_bad_files(table, text, options, message):
+    with pytest.raises(FileFormatError, match=message):
+        import_time_stamps(table(text), "h", **options)
+
+
+def test_bad_arguments(table):
+    path = table("time\n1\n")
+    with pytest.raises(ArgumentError, match="`time_unit` must be one of"):
+        import_time_stamps(path, "hours")
+    with pytest.raises(ArgumentError, match="must be a date like"):
+        import_time_stamps(path, "h", origin="Monday")
+    with pytest.raises(ArgumentError, match=r"`origin` must be a date like .*got 5"):
+        import_time_stamps(path, "h", origin=5)

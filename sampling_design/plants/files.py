@@ -112,7 +112,7 @@ def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: st
     except FileFormatError:
         raise
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise _located(where, error) from None
 
 
 def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
@@ -135,6 +135,11 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
         name=_text("name", data.get("name", "")),
         source=_text("citation", source.get("citation", "")),
     )
+
+
+def _located(where: str, error: ArgumentError) -> FileFormatError:
+    """The same sentence, with the file in front."""
+    return FileFormatError(f"{where}: {error}", where)
 
 
 def _agreed_unit(in_file: Any, given: str | None) -> str:
@@ -171,9 +176,9 @@ def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:
     if "names" not in table:
         raise ArgumentError(f"`names` is missing in [{group}].")
     try:
-        return Signals(table["names"], tuple(table.get("units", ())), table.get("scales"))
-    except (ArgumentError, TypeError) as error:
-        raise ArgumentError(f"in [{group}] {error}") from None
+        return Signals(table["names"], table.get("units", ()), table.get("scales"))
+    except ArgumentError as error:
+        raise ArgumentError(f"in the table [{group}]: {error}") from None
 
 
 def _signals_to_dict(signals: Signals) -> dict[str, Any]:
@@ -255,7 +260,7 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
     try:
         _checks.known_keys("the file", flat, _FLAT)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise _located(where, error) from None
     tree: dict[str, Any] = {"format": FORMAT, "matrices": {key: flat[key] for key in _MATRICES if key in flat}}
     for key in ("format", "name", "time_unit"):
         if key in flat:

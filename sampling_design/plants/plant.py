@@ -48,13 +48,14 @@ class Signals(Record):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        if isinstance(self.names, str):
-            raise ArgumentError(f"`names` must be a list of strings, got the string {self.names!r}.")
+        if isinstance(self.names, str) or not isinstance(self.names, Sequence):
+            raise ArgumentError(f"`names` must be a list of strings, got {self.names!r:.60}.")
         count = len(self.names)
         names = _checks.names("names", self.names, count, "")
-        units = tuple(self.units) if self.units else ("",) * count
+        listed = isinstance(self.units, Sequence) and not isinstance(self.units, str)
+        units = (tuple(self.units) or ("",) * count) if listed else ()
         if len(units) != count or not all(isinstance(u, str) for u in units):
-            raise ArgumentError(f"`units` must be {count} strings, one per name, got {self.units!r}.")
+            raise ArgumentError(f"`units` must be {count} strings, one per name, got {self.units!r:.60}.")
         scales = _checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")

@@ -70,7 +70,7 @@ def test_transpose_is_suspected_where_it_fits():
 
 
 def test_signals_refuse():
-    with pytest.raises(ArgumentError, match="`names` must be a list of strings, got the string 'ab'"):
+    with pytest.raises(ArgumentError, match="`names` must be a list of strings, got 'ab'"):
         Signals("ab")
     with pytest.raises(ArgumentError, match="`units` must be 2 strings, one per name"):
         Signals(["a", "b"], ["m"])

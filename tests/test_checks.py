@@ -1,0 +1,120 @@
+"""Arguments: every check accepts what it should, and refuses with one sentence that names the argument."""
+
+import numpy as np
+import pytest
+
+from sampling_design import ArgumentError, _checks
+
+
+def test_freeze_owns_and_locks():
+    mine = np.ones(3)
+    frozen = _checks.freeze(mine)
+    mine[0] = 7.0
+    assert frozen[0] == 1.0
+    assert not frozen.flags.writeable
+    assert frozen.dtype == np.float64
+
+
+def test_real_array_accepts_numbers_of_any_real_kind():
+    for value in ([1, 2], (1.5, 2), np.array([True, False]), np.float32([1, 2])):
+        assert _checks.real_array("x", value, 1).dtype == np.float64
+
+
+REFUSED = [
+    (_checks.real_array, ("x", [[1, 2], [3]], 2), "`x` .*must be a rectangular array of numbers"),
+    (_checks.real_array, ("x", None, 1), "`x` must hold real numbers, got None"),
+    (_checks.real_array, ("x", ["a"], 1), "`x` must hold real numbers, got list"),
+    (_checks.real_array, ("x", [{}], 1), "`x` must hold real numbers"),
+    (_checks.real_array, ("x", [1j], 1), "`x` .*must be real, got complex entries"),
+    (_checks.real_array, ("x", [1.0], 2), r"`x` must have 2 dimensions, got shape \(1,\)"),
+    (_checks.real_array, ("x", [[1.0]], 1), r"`x` must have 1 dimension, got shape \(1, 1\)"),
+    (_checks.real_array, ("x", [0.0, np.nan], 1), r"`x` must be finite, got x\[1\] = nan"),
+    (_checks.real_array, ("x", [[0.0, -np.inf]], 2), r"`x` must be finite, got x\[0, 1\] = -inf"),
+    (
+        _checks.matrix,
+        ("M", [[1.0, 2.0]], 2, 1),
+        r"`M` must have shape \(2, 1\), got \(1, 2\)\. Did you",
+    ),
+    (_checks.matrix, ("M", [[1.0, 2.0]], 3), r"`M` must have shape \(3, 2\), got \(1, 2\)\.$"),
+    (_checks.vector, ("v", [1.0, 2.0], 1), "`v` must have 1 entry, got 2"),
+    (_checks.vector, ("v", [1.0], 2), "`v` must have 2 entries, got 1"),
+    (_checks.number, ("a", "3"), "`a` must be a number, got str '3'"),
+    (_checks.number, ("a", True), "`a` must be a number, got bool True"),
+    (_checks.number, ("a", [1.0]), "`a` must be a number, got list"),
+    (_checks.number, ("a", np.nan), "`a` must be finite"),
+    (_checks.number, ("a", None), "`a` must hold real numbers, got"),
+    (_checks.positive, ("a", 0.0), r"`a` must be positive, got 0\.0"),
+    (_checks.nonnegative, ("a", -1e-300), r"`a` must not be negative, got -1e-300"),
+    (_checks.whole, ("k", 1.5), r"`k` must be a whole number of at least 0, got 1\.5"),
+    (_checks.whole, ("k", 1, 2), "`k` must be a whole number of at least 2, got 1"),
+    (_checks.increasing, ("t", [-1.0, 2.0]), r"`t` must not be negative, got t\[0\] = -1\.0"),
+    (
+        _checks.increasing,
+        ("t", [1.0, 1.0]),
+        r"`t` must increase strictly, got t\[1\] = 1\.0 which repeats t\[0\]",
+    ),
+    (_checks.increasing, ("t", [1.0, 0.5], "Gaps?"), r"t\[1\] = 0\.5 which comes after t\[0\] = 1\.0\. Gaps\?"),
+    (
+        _checks.symmetric,
+        ("P", [[1.0, 2.0], [0.0, 1.0]], 2),
+        "`P` .*must be symmetric, got entries that differ",
+    ),
+    (_checks.definite, ("P", [[1.0, 0.0], [0.0, 0.0]], 2), "`P` must be positive definite, got least eigenvalue 0"),
+    (_checks.names, ("states", "ab", 2, "x"), "`states` must be a list of strings, got str 'ab'"),
+    (_checks.names, ("states", [1, 2], 2, "x"), "`states` must be a list of strings, got list"),
+    (_checks.names, ("states", ["a"], 2, "x"), "`states` must have 2 entries, got 1"),
+    (_checks.names, ("states", ["a", "a"], 2, "x"), "`states` must be distinct, got 'a' twice"),
+    (
+        _checks.known_keys,
+        ("[x]", ["windw"], ["window", "period"]),
+        r"unknown key 'windw' in \[x\]\. Did you mean 'win",
+    ),
+    (
+        _checks.output_mask,
+        ("outputs", [1, 0], 2),
+        r"`outputs` must have shape .*, number of outputs",
+    ),
+    (_checks.output_mask, ("outputs", [[1, 2]], 1), "`outputs` .*must hold True/False or 1/0 only"),
+    (
+        _checks.output_mask,
+        ("outputs", [[1], [0]], 2),
+        "`outputs` .*must measure at least one output at each sample",
+    ),
+]
+
+
+@pytest.mark.parametrize(("check", "arguments", "message"), REFUSED)
+def test_refused(check, arguments, message):
+    with pytest.raises(ArgumentError, match=message):
+        check(*arguments)
+
+
+def test_accepted_at_the_edge():
+    assert _checks.positive("a", 5e-324) == 5e-324
+    assert _checks.nonnegative("a", 0) == 0.0
+    assert _checks.whole("k", 2.0, 2) == 2
+    assert _checks.number("a", np.float32(1.5)) == 1.5
+    assert _checks.increasing("t", []).size == 0
+    assert _checks.increasing("t", [0.0, np.nextafter(0.0, 1.0)]).size == 2
+    assert _checks.matrix("M", np.zeros((0, 3)), 0, 3).shape == (0, 3)
+    assert _checks.names("states", None, 2, "x") == ("x1", "x2")
+    assert _checks.known_keys("[x]", ["window"], ["window"]) is None
+    assert _checks.definite("P", np.zeros((0, 0)), 0).shape == (0, 0)
+    assert _checks.output_mask("outputs", None, 3) is None
+    np.testing.assert_array_equal(_checks.output_mask("outputs", [[1, 0], [0, 1]], 2), np.eye(2, dtype=bool))
+
+
+def test_rounding_of_a_symmetric_matrix_is_removed():
+    P = np.array([[1.0, 0.5], [0.5 * (1 + 1e-15), 1.0]])
+    result = _checks.symmetric("P", P, 2)
+    assert result[0, 1] == result[1, 0]
+    with pytest.raises(ArgumentError, match="`P` must be symmetric"):
+        _checks.symmetric("P", P + np.array([[0.0, 1e-11], [0.0, 0.0]]), 2)
+
+
+def test_a_refused_argument_is_not_changed():
+    mine = np.array([2.0, 1.0])
+    with pytest.raises(ArgumentError, match="`t` must increase strictly"):
+        _checks.increasing("t", mine)
+    np.testing.assert_array_equal(mine, [2.0, 1.0])
+    assert mine.flags.writeable

@@ -1,0 +1,105 @@
+"""Files: written whole or not at all; read with one sentence on failure."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from sampling_design import _files
+from sampling_design.errors import FileFormatError
+
+
+def test_text_round_trip(tmp_path):
+    path = _files.write_text(tmp_path / "a.txt", "grün\n")
+    assert _files.read_text(path) == "grün\n"
+    assert path.read_bytes() == "grün\n".encode()
+
+
+def test_byte_order_mark_and_foreign_line_ends_are_understood(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc\n")
+    assert _files.read_text(path) == "a\nb\nc\n"
+
+
+def test_files_get_ordinary_permissions(tmp_path):
+    path = _files.write_text(tmp_path / "a.txt", "x")
+    umask = os.umask(0)
+    os.umask(umask)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = _files.write_text(tmp_path / "a.txt", "old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_files.os, "replace", full)
+    with pytest.raises(FileFormatError, match=r"a\.txt: cannot be written \(No space left on device\)"):
+        _files.write_text(path, "new")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(FileFormatError, match=r"cannot be written \(No such file or directory\)"):
+        _files.write_text(tmp_path / "none" / "a.txt", "x")
+
+
+def test_what_cannot_be_read_is_named(tmp_path, monkeypatch):
+    with pytest.raises(FileFormatError, match=r"none\.txt: no such file"):
+        _files.read_text(tmp_path / "none.txt")
+    with pytest.raises(FileFormatError, match="is a folder, expected a file") as caught:
+        _files.read_bytes(tmp_path)
+    assert caught.value.path == str(tmp_path)
+    binary = tmp_path / "b.txt"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match=r"b\.txt: is not a text file \(not UTF-8\)"):
+        _files.read_text(binary)
+
+    def denied(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_bytes", denied)
+    with pytest.raises(FileFormatError, match=r"cannot be read \(Permission denied\)"):
+        _files.read_bytes(binary)
+
+
+def test_json_floats_are_exact():
+    values = [0.1, 1 / 3, 5e-324, 1.7976931348623157e308, -0.0]
+    back = _files.from_json(_files.to_json({"x": values}), "x")["x"]
+    assert [v.hex() for v in back] == [v.hex() for v in values]
+
+
+def test_json_refuses_what_has_no_number(tmp_path):
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            _files.to_json({"x": value})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"a": 1', r"x\.json: is not valid JSON at line 1 .*Was the file cut off"),
+        ("", "is not valid JSON at line 1"),
+        ("[1]", "must hold one JSON object"),
+        ('{"a": 1, "a": 2}', "key 'a' .*occurs twice"),
+        ('{"b": {"a": 1, "a": 2}}', "key 'a' .*occurs twice"),
+        ('{"a": NaN}', "holds NaN.*, which is not allowed"),
+        ('{"a": -Infinity}', "holds -Infinity.*, which is not allowed"),
+    ],
+)
+def test_bad_json(text, message):
+    with pytest.raises(FileFormatError, match=message):
+        _files.from_json(text, "x.json")
+
+
+@pytest.mark.parametrize("text", ["a = [1, 2", 'a = "x', "a = 1\na = 2", "[a\n"])
+def test_bad_toml(text):
+    with pytest.raises(FileFormatError, match=r"x\.toml: is not valid TOML .*Was the file cut off"):
+        _files.from_toml(text, "x.toml")
+
+
+def test_toml_is_read():
+    assert _files.from_toml("a = 1.5\n[b]\nc = [1]\n", "x") == {"a": 1.5, "b": {"c": [1]}}

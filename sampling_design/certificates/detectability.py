@@ -231,20 +231,29 @@ _SHIFTS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 def _least_overshoot(found: DetectabilityCertificate, margin: float) -> DetectabilityCertificate:
-    """P of least condition number for the same eta, c_w, c_y, from the matrix inequality."""
+    """P of least condition number for the same eta, c_w, c_y, from the matrix inequality.
+
+    Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
+    by the size of its terms, so that all data are of order one.
+    """
     cp, plant, n = _conic.cvxpy(), found.plant, found.plant.n_states
     L = np.linalg.cholesky(found.P)
     eta = found.eta * (1 + margin / 2)
-    A = plant.A / eta
-    P, top = cp.Variable((n, n), symmetric=True), cp.Variable()
-    off = P @ plant.G / np.sqrt(eta * found.c_w)
-    corner = A.T @ P + P @ A + P - found.c_y / eta * plant.C.T @ plant.C
+    A = np.linalg.solve(L, (plant.A / eta).T @ L).T
+    K = np.linalg.solve(L, plant.C.T) * np.sqrt(found.c_y / eta)
+    G = L.T @ plant.G / np.sqrt(eta * found.c_w)
+    unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(found.P)[0])
+    floor = unit @ unit.T  # the identity of the plant's coordinates, as large as the Riccati P allows
+    Z, top = cp.Variable((n, n), symmetric=True), cp.Variable()
+    _, modes = np.linalg.eigh(A.T + A + np.eye(n) - K @ K.T)
+    scale = modes / np.sqrt(1 + np.linalg.norm(modes.T @ K, axis=1) ** 2 + 2 * np.linalg.norm(A @ modes, axis=0))
+    corner, off = scale.T @ (A.T @ Z + Z @ A + Z - K @ K.T) @ scale, scale.T @ Z @ G
     matrix = cp.bmat([[corner, off], [off.T, -np.eye(plant.n_disturbances)]]) if plant.n_disturbances else corner
-    floor = np.linalg.norm(np.linalg.inv(L), 2) ** -2
-    problem = cp.Problem(cp.Minimize(top), [P >> floor * np.eye(n), P << top * np.eye(n), (matrix + matrix.T) / 2 << 0])
+    problem = cp.Problem(cp.Minimize(top), [Z >> floor, Z << top * floor, (matrix + matrix.T) / 2 << 0])
     record = _conic.require(_conic.solve(problem), "the least overshoot")
+    P_lmi = L @ Z.value @ L.T
     for shift in _SHIFTS:
-        P_new = symmetrise((1 - shift) * P.value + shift * found.P)
+        P_new = symmetrise((1 - shift) * P_lmi + shift * found.P)
         if dissipation_check(plant, P_new, found.eta, found.c_w, found.c_y).passed:
             return replace(found, P=P_new, method="lmi", solver=record)
     raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)

@@ -11,6 +11,7 @@ from sampling_design import (
     Plant,
     certify_detectability,
     detectability_from_proof,
+    named_plant,
 )
 from sampling_design.certificates import detectability as room
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
@@ -125,6 +126,16 @@ def test_matrix_inequality_gives_the_least_overshoot_for_the_same_constants():
     assert lmi.overshoot < riccati.overshoot / 2
     assert lmi.solver is not None
     assert oracle(lmi) <= 0
+
+
+@pytest.mark.parametrize("name", ["satellite", "tidal_gauge", "cart_pendulum", "three_compartment", "helicopter_he1"])
+def test_plants_of_the_library_are_certified_by_every_method(name):
+    plant = named_plant(name)
+    riccati, lmi = certify_detectability(plant), certify_detectability(plant, method="lmi")
+    assert lmi.overshoot <= riccati.overshoot * (1 + 1e-3)
+    for found in (riccati, lmi, detectability_from_proof(plant)):
+        assert found.verify().passed
+        assert oracle(found) <= 1e-12 * np.linalg.norm(plant.A, 2)
 
 
 def test_word_of_the_solver_is_not_believed(monkeypatch):

@@ -129,8 +129,9 @@ def test_nothing_retained_needs_no_samples():
     plant = Plant([[-1.0, 3.0], [0.0, -2.0]], [[1.0, 0.0]], G=[[0.0], [1.0]])
     for variant in ("paper", "tightened"):
         proof = constants_from_proof(plant, PeriodicSchedule([50.0]), variant=variant)
-        assert proof.lam == pytest.approx(1.0, abs=1e-12)
-        assert margin(proof, [50.0]) > 1 - 1e-9
+        assert proof.lam == pytest.approx(1.0, abs=2e-3)
+        assert margin(proof, [50.0]) > 1
+        assert proof.certificate().verify().passed
         assert proof.detectability is None
 
 

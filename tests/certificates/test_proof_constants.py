@@ -1,5 +1,7 @@
 """The chain of the paper's constants: reference numbers, validity by a plain Riccati recursion, each inequality."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.linalg as sla
@@ -27,6 +29,11 @@ PLANTS = {"double integrator": DOUBLE, "oscillator": OSCILLATOR, "four states": 
 EACH_SECOND = PeriodicSchedule([1.0])
 
 
+@cache
+def reference(name, variant):
+    return constants_from_proof(PLANTS[name], EACH_SECOND, variant=variant)
+
+
 def margin(proof, gaps, start=0.0, masks=None):
     plant = proof.plant
     weights = (proof.P1, proof.P2, proof.Qw, proof.R, proof.Qv, proof.eta)
@@ -45,13 +52,31 @@ def margin(proof, gaps, start=0.0, masks=None):
     ],
 )
 def test_reference_numbers_are_reached_and_valid(name, variant, horizon, window, kappa, sigma_bar, margins):
-    proof = constants_from_proof(PLANTS[name], EACH_SECOND, variant=variant)
+    proof = reference(name, variant)
     assert proof.horizon <= horizon
     assert proof.horizon == pytest.approx(2 * np.log(2 * proof.lam) / proof.eta)
     assert (proof["T"].value, proof["kappa"].value) == (window, kappa)
     assert proof["sigma_bar"].value == pytest.approx(sigma_bar, rel=0.01)
     assert margins[0] < margin(proof, [1.0]) < margins[1]
     assert all(margin(proof, [1.0], start=s) > 1 for s in (0.2, 0.5, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("name", "variant", "gains"),
+    [
+        ("double integrator", "paper", (4e8, 1.5e12, 2e11)),
+        ("double integrator", "tightened", (3e4, 1.3e7, 1.5e6)),
+        ("oscillator", "paper", (3e8, 3e10, 1.3e10)),
+        ("oscillator", "tightened", (5e3, 1.4e5, 4.6e4)),
+        ("four states", "paper", (1e12, 4e12, 9e11)),
+    ],
+)
+def test_noise_gains_have_the_size_of_the_reference(name, variant, gains):
+    proof = reference(name, variant)
+    found = [proof[key].value for key in ("C_x", "C_w", "C_v")]
+    assert np.all(np.abs(np.log10(np.divide(found, gains))) < 0.5)
+    horizon = proof.certificate().horizon("paper")
+    assert found == pytest.approx([horizon.C_x, horizon.C_w, horizon.C_v], rel=3e-3)
 
 
 def test_lambda_of_the_paper_chain_is_its_formula():
@@ -79,7 +104,7 @@ def test_longer_window_gives_the_second_row_of_the_reference():
 @pytest.mark.parametrize("variant", ["paper", "tightened"])
 def test_27_and_28_hold_in_the_worst_case(name, variant):
     plant = PLANTS[name]
-    proof = constants_from_proof(plant, EACH_SECOND, variant=variant)
+    proof = reference(name, variant)
     T, mu_bar, kappa, k_w = (proof[key].value for key in ("T", "mu_bar", "kappa", "k_w"))
     for samples in ([0.5, 1.5], [0.0, 1.0, 2.0], [0.9, 1.9]):
         assert worst_27(plant.A, plant.C, plant.G, T, samples, mu_bar, kappa, k_w) <= 1
@@ -232,7 +257,7 @@ def test_failing_riccati_equation_ends_the_sweep(monkeypatch):
 
 
 def test_every_constant_has_a_formula_and_a_source_and_is_exported():
-    proof = constants_from_proof(FOUR, EACH_SECOND)
+    proof = reference("four states", "paper")
     table, latex = proof.to_markdown(), proof.to_latex()
     for constant in proof.constants:
         assert constant.formula
@@ -243,7 +268,7 @@ def test_every_constant_has_a_formula_and_a_source_and_is_exported():
     assert len(set(names)) == len(names)
     assert latex.count("\\\\") == len(names) + 1
     assert "horizon of more than" in proof.explain()
-    assert proof.to_dict()["constants"][-1]["value"] == proof.horizon
+    assert proof.horizon in [c["value"] for c in proof.to_dict()["constants"]]
     assert "mu_bar" in str(proof)
     assert str(proof["mu_bar"]).startswith("mu_bar = ")
     assert "Theorems 5, 10, 14, 16" in proof.claim.theorem
@@ -251,7 +276,7 @@ def test_every_constant_has_a_formula_and_a_source_and_is_exported():
 
 def test_certificate_carries_the_weights_and_passes():
     certificate = certify_from_proof(OSCILLATOR, EACH_SECOND)
-    proof = constants_from_proof(OSCILLATOR, EACH_SECOND)
+    proof = reference("oscillator", "paper")
     np.testing.assert_array_equal(certificate.P2, proof.P2)
     # the certificate adds its own resolution of lambda, a thousandth
     assert proof.horizon <= certificate.horizon("paper").minimum <= proof.horizon * (1 + 1e-3)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
-from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.pbh import require_observable, spectrum
 from sampling_design.plants.clusters import eigenvalue_clusters
@@ -17,6 +19,9 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 LARGEST_ORDER = 12  # the k-th compound has C(n, k) rows: 924 at n = 12, k = 6
+TERMS = 26  # of the Taylor series over one step; with REACH = 2 the remainder is 2^26/26! = 2e-19
+REACH = 2.0  # length of a step times the norm of the compound
+MOST_STEPS = 100_000  # estimate of Taylor steps over all k, a few seconds of work; more only for stiff spectra
 STEPS_PER_RADIAN = 12  # samples of a minor per radian of its fastest oscillation, so that no extremum is missed
 TOUCH = 1e-9  # a least |minor| below this fraction of the compound's column counts as a zero that touches
 
@@ -41,8 +46,8 @@ def critical_length(plant: Plant | npt.ArrayLike) -> float:
     Raises
     ------
     ArgumentError
-        If there is more than one output, the order is above `LARGEST_ORDER`, or eigenvalues are not
-        closed under conjugation.
+        If there is more than one output, the order is above `LARGEST_ORDER`, the spectrum is too stiff
+        (`MOST_STEPS`), or eigenvalues are not closed under conjugation.
     NotObservableError
         If the output does not see some mode.
 
@@ -52,16 +57,18 @@ def critical_length(plant: Plant | npt.ArrayLike) -> float:
     characteristic polynomial. W_k(t) = 0 says that some y has n-k zeros at 0 and k at t. Below the first
     such t no y != 0 has n zeros, so that n samples suffice; just above it some n distinct times fail.
     *Method.* W_k is an entry of the exponential of the k-th additive compound of A_c (eigenvalues: sums of
-    k eigenvalues), which keeps relative accuracy where the determinant of e^{A_c t} loses it. With
+    k eigenvalues), which keeps relative accuracy where the determinant of e^{A_c t} loses it; its column is
+    carried along in Taylor steps, so that W_k and its slope are polynomials on each. With
     omega = max |Im lambda| the search runs over [pi/omega, (n-1) pi/omega]: h lies there, since
     e^{at} cos(bt) has n zeros in a length (n-1) pi/b. *Numerical aspects.* Time is scaled by max |lambda|;
     zeros with a change of sign by bisection, touching ones as minima of |W_k| (roots of its derivative)
-    below `TOUCH`. The grid resolves the fastest oscillation of W_k; that is evidence, not an enclosure.
+    below `TOUCH`. Rounding moves a zero of order m by eps^{1/m}, towards shorter lengths. The grid
+    resolves the fastest oscillation of W_k; that is evidence, not an enclosure.
 
     References
     ----------
     Coppel, Disconjugacy (1971); Carnicer, Mainar, Pena, Critical length for design purposes and extended
-    Chebyshev spaces (2003).
+    Chebyshev spaces (2003); arXiv 1904.09253.
 
     Examples
     --------
@@ -69,17 +76,32 @@ def critical_length(plant: Plant | npt.ArrayLike) -> float:
     8.9868
     """
     values = _eigenvalues(plant)
+    found = search(values)
+    if found is not None:
+        return found
+    if values.size > LARGEST_ORDER:
+        raise ArgumentError(
+            f"`plant` must have at most {LARGEST_ORDER} states for its critical length, got {values.size}."
+        )
+    raise ArgumentError(
+        "`plant` is too stiff for its critical length: its fastest rate is far above its fastest frequency. "
+        "Split off the fast modes (split_modes)."
+    )
+
+
+def search(values: Complex) -> float | None:
+    """Critical length of a spectrum, None where the order or the stiffness is beyond the search."""
     n, omega = values.size, float(np.max(np.abs(values.imag), initial=0.0))
     if omega == 0.0 or n < 2:
         return np.inf
     if n == 2:
         return float(np.pi / omega)
-    if n > LARGEST_ORDER:
-        raise ArgumentError(f"`plant` must have at most {LARGEST_ORDER} states for its critical length, got {n}.")
     rho = float(np.max(np.abs(values)))
     companion = np.diag(np.ones(n - 1), 1)
     companion[-1] = -np.real(np.poly(values / rho))[:0:-1]
     start, stop = np.pi * rho / omega, (n - 1) * np.pi * rho / omega
+    if n > LARGEST_ORDER or stop * n * np.linalg.norm(companion, 1) / REACH > MOST_STEPS:
+        return None
     for k in range(1, n):
         stop = min(stop, _first_zero(values / rho, companion, k, start, stop))
     return stop / rho
@@ -101,68 +123,80 @@ def _eigenvalues(plant: Plant | npt.ArrayLike) -> Complex:
 
 def _first_zero(values: Complex, companion: Array, k: int, start: float, stop: float) -> float:
     """First zero of W_k on [start, stop], else `stop`; times in units of 1/max|lambda|."""
-    compound, shift = _compound(companion, k), _largest_sum(values, k)
-    compound = compound - shift * np.eye(compound.shape[0])  # e^{-shift t} W_k has the same zeros and never overflows
+    shift = float(np.sum(np.sort(values.real)[::-1][:k]))
+    compound = _compound(companion, k, shift)  # e^{-shift t} W_k has the same zeros and never overflows
     fastest = float(np.sum(np.sort(np.abs(values.imag))[::-1][:k]))
-    count = 2 + int(np.ceil((stop - start) * STEPS_PER_RADIAN * max(fastest, 1.0)))
-    times, step = np.linspace(start, stop, count, retstep=True)
-    advance = expm_batch(compound, [step])[0]
-    column = expm_batch(compound, [start])[0][:, -1]
-    for t in times:
-        following = advance @ column
-        zero = _zero_in_step(compound, column, following, float(step))
-        if zero is not None:
-            return float(min(t + zero, stop))
-        column = following
+    longest = REACH / max(float(abs(compound).sum(axis=0).max()), 1.0)
+    points = 2 + int(np.ceil(longest * STEPS_PER_RADIAN * max(fastest, 1.0)))
+    column = np.zeros(compound.shape[0])
+    column[-1] = 1.0
+    for begin, end in ((0.0, start), (start, stop)):
+        count = max(1, int(np.ceil((end - begin) / longest)))
+        step = (end - begin) / count
+        for i in range(count):
+            terms = _taylor(compound, column, step)
+            if begin == start:
+                zero = _zero_in_step(terms[:, 0], TOUCH * float(np.max(np.abs(column))), points)
+                if zero is not None:
+                    return float(min(start + (i + zero) * step, stop))
+            column = terms.sum(axis=0)
     return stop
 
 
-def _zero_in_step(compound: Array, left: Array, right: Array, step: float) -> float | None:
-    """Where in [0, step] the first entry of e^{compound s} left vanishes or touches zero, or None."""
-    floor = TOUCH * float(np.max(np.abs(left)))
-    if abs(left[0]) <= floor:
+def _taylor(compound: Any, column: Array, step: float) -> Array:
+    """Terms of e^{compound s step} column as a polynomial in s, 0 <= s <= 1, constant first."""
+    terms = np.empty((TERMS, column.size))
+    terms[0] = column
+    for j in range(1, TERMS):
+        terms[j] = compound @ terms[j - 1] * (step / j)
+    return terms
+
+
+def _zero_in_step(polynomial: Array, floor: float, points: int) -> float | None:
+    """Where in [0, 1] a polynomial first vanishes, or comes nearer to zero than `floor`; None if nowhere."""
+    sign = 1.0 if polynomial[0] > 0 else -1.0
+    value = np.polynomial.Polynomial(sign * polynomial)
+    slope = value.deriv()
+    grid = np.linspace(0.0, 1.0, points)
+    heights, slopes = value(grid), slope(grid)
+    if heights[0] <= floor:
         return 0.0
-    row = compound[0]
-    sign = np.sign(left[0])
-    if sign * right[0] < 0:
-        return _bisect(compound, left, step, lambda column: sign * column[0])
-    if sign * (row @ left) < 0 < sign * (row @ right):
-        low = _bisect(compound, left, step, lambda column: -sign * (row @ column))
-        if sign * (expm_batch(compound, [low])[0] @ left)[0] <= floor:
-            return low
+    for i in range(points - 1):
+        if heights[i + 1] <= 0:
+            return _bisect(value, grid[i], grid[i + 1])
+        if slopes[i] < 0 <= slopes[i + 1]:
+            lowest = _bisect(lambda s: -slope(s), grid[i], grid[i + 1])
+            if value(lowest) <= floor:
+                return lowest
     return None
 
 
-def _bisect(compound: Array, left: Array, step: float, test: object) -> float:
-    """Where `test` of e^{compound s} left, positive at 0, turns negative: halving with stored half steps."""
-    position, column = 0.0, left
-    for s in range(1, 50):
-        half = float(np.ldexp(step, -s))
-        trial = expm_batch(compound, [half])[0] @ column
-        if test(trial) > 0:  # type: ignore[operator]
-            position, column = position + half, trial
-    return position
+def _bisect(test: Callable[[float], float], low: float, high: float) -> float:
+    """Last point at which `test`, positive at `low` and not at `high`, was found positive."""
+    for _ in range(60):
+        middle = low + (high - low) / 2
+        if test(middle) > 0:
+            low = middle
+        else:
+            high = middle
+    return float(low)
 
 
-def _compound(A: Array, k: int) -> Array:
-    """k-th additive compound: sum over i of the wedge product with A in place i, rows and columns k-subsets in order.
+def _compound(A: Array, k: int, shift: float = 0.0) -> Any:
+    """k-th additive compound less shift I, sparse: e^A in place of A gives the k x k minors of e^A.
 
-    Its exponential is the matrix of k x k minors of e^A. The sign of an entry is that of the exchange.
+    Rows and columns are the k-subsets in order; an entry of A takes its place in the wedge product of the
+    unit vectors of a subset, its sign is that of the exchange.
     """
     subsets = list(combinations(range(A.shape[0]), k))
     place = {s: i for i, s in enumerate(subsets)}
-    result = np.zeros((len(subsets), len(subsets)))
+    entries: list[tuple[float, int, int]] = [(-shift, i, i) for i in range(len(subsets))]
     for column, subset in enumerate(subsets):
         for position, j in enumerate(subset):
             rest = subset[:position] + subset[position + 1 :]
-            for i in np.flatnonzero(A[:, j]):
-                if int(i) in rest:
-                    continue
-                target = tuple(sorted((*rest, int(i))))
-                sign = (-1) ** (position + target.index(int(i)))
-                result[place[target], column] += sign * A[i, j]
-    return result
-
-
-def _largest_sum(values: Complex, k: int) -> float:
-    return float(np.sum(np.sort(values.real)[::-1][:k]))
+            for i in (int(i) for i in np.flatnonzero(A[:, j]) if int(i) not in rest):
+                target = tuple(sorted((*rest, i)))
+                sign = (-1) ** (position + target.index(i))
+                entries.append((sign * A[i, j], place[target], column))
+    values, rows, columns = zip(*entries, strict=True)
+    return csr_array((np.array(values), (rows, columns)), shape=(len(subsets), len(subsets)))

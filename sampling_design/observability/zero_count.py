@@ -11,8 +11,8 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.evidence import Claim
-from sampling_design.observability.critical_length import LARGEST_ORDER, critical_length
-from sampling_design.observability.pbh import observable_rank, require_observable
+from sampling_design.observability.critical_length import search
+from sampling_design.observability.pbh import observable_rank, require_observable, spectrum
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
 
@@ -39,7 +39,8 @@ class ZeroCountBound(Record):
     duration : float
         T [time].
     critical_length : float or None
-        Below it any n distinct times suffice [time]; None for several outputs or a large order.
+        Below it any n distinct times suffice [time]; None for several outputs, a large order
+        or a stiff spectrum.
     samples_critical : int or None
         n where `duration` is strictly below the critical length, else None.
     samples_least : int
@@ -146,7 +147,7 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
 
     References
     ----------
-    The paper, equation (29); theory: Zeng, Ishii and Allgoewer.
+    The paper, equation (29), and its reference for it.
 
     Examples
     --------
@@ -164,7 +165,7 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     order, spread = _order_and_spread(clusters)
     value = order - 1 + T * spread / (2 * np.pi)
     needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
-    length = critical_length(plant) if p == 1 and n <= LARGEST_ORDER else None
+    length = search(spectrum(clusters)) if p == 1 else None
     return _record(plant, T, value, needed, order, spread, length, _least(plant))
 
 
@@ -177,7 +178,7 @@ def _record(
         f"any {needed} distinct times in a closed window of length {short(T)} determine the state",
         "the paper, equation (29)",
         ("every mode is seen by some output", f"r = {order} and delta = {short(spread)} as computed"),
-        citation="zeng2016",
+        citation="paper, equation (29)",
     )
     critical = n if below else None
     return ZeroCountBound(float(value), needed, order, spread, T, n, plant.n_outputs, length, critical, least, claim)

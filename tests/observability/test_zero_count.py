@@ -159,6 +159,10 @@ def test_an_order_beyond_the_search_leaves_the_critical_length_out():
     bound = zero_count_bound(Plant(A, np.tile([1.0, 0.0], 7)[None]), 1.0)
     assert bound.critical_length is None
     assert bound.order == len(eigenvalues)
+    stiff = zero_count_bound(
+        Plant(np.diag([-1e6, 0, 0]) + np.eye(3, k=1) - np.diag([0, 1.0], -1), [[1.0, 1.0, 0]]), 1.0
+    )
+    assert (stiff.critical_length, stiff.binding) == (None, "zero count")
 
 
 def test_doubt_about_clusters_takes_the_larger_order():

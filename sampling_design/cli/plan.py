@@ -13,6 +13,7 @@ from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.files import plant_to_dict
 
@@ -75,6 +76,10 @@ def design(
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     scaled: Annotated[bool, typer.Option("--scaled", help="Design for sigma in scaled coordinates.")] = False,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="DATE", help="Date of time 0 (ISO 8601): writes calendar.csv and schedule.ics too."),
+    ] = None,
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
 
@@ -95,10 +100,19 @@ def design(
     if folder is not None:
         settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
         if result.schedule is not None:
-            sd.write_schedule(result.schedule, folder / "schedule.csv")
-            settings.wrote(folder / "schedule.csv")
+            _schedule_files(settings, result, folder, start)
             settings.wrote(save_picture(result, folder / "design.png"))
+    elif start is not None:
+        raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
+
+
+def _schedule_files(settings: Settings, result: Any, folder: Path, start: str | None) -> None:
+    settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
+    if start is not None:
+        settings.wrote(sd.write_calendar_csv(result.schedule, folder / "calendar.csv", start))
+        title = f"{result.plant.name or 'plant'}: sample"
+        settings.wrote(sd.write_ics(result.schedule, folder / "schedule.ics", start, summary=title))
 
 
 def _samples(result: Any) -> list[Any]:

@@ -70,6 +70,18 @@ def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_design_writes_dates_from_a_start_date(shell, tmp_path):
+    start = "2026-01-05T00:00+01:00"
+    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", tmp_path, "--start", start)
+    assert result.code == 0
+    assert (tmp_path / "schedule.ics").read_bytes().startswith(b"BEGIN:VCALENDAR\r\n")
+    lines = (tmp_path / "calendar.csv").read_text().splitlines()
+    assert sum(line.startswith("2026-01-0") for line in lines) == 12
+    lonely = shell("design", plant("oscillator"), "--start", "2026-01-05")
+    assert lonely.code == 2
+    assert "needs a folder" in lonely.err
+
+
 def test_flags_override_the_file(shell):
     data = json.loads(
         shell("design", plant("oscillator"), REQUIREMENTS / "oscillator.toml", "--samples", 5, "--json").out

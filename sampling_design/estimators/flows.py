@@ -31,19 +31,19 @@ class Flow:
         e^{eta h}; a covariance Y becomes growth F Y F' + W.
     W, root : (n, n)
         Discounted noise Gramian and a root, W = root root'.
+    whiten : (n, n)
+        Pseudo-inverse of the root: omega = whiten d is the least omega with root omega = d.
     inputs : (n, m)
         int_0^h e^{A s} B ds.
     information : (3, n, n) or None
         W^-1, W^-1 F, F'W^-1 F; None where W is singular or badly conditioned.
     """
 
-    __slots__ = ("F", "W", "gap", "growth", "information", "inputs", "root")
+    __slots__ = ("F", "W", "gap", "growth", "information", "inputs", "root", "whiten")
 
-    def __init__(
-        self, gap: float, F: Array, growth: float, W: Array, root: Array, inputs: Array, information: Array | None
-    ):
-        self.gap, self.F, self.growth, self.W = gap, F, growth, W
-        self.root, self.inputs, self.information = root, inputs, information
+    def __init__(self, gap: float, growth: float, matrices: tuple[Array, ...], information: Array | None):
+        self.gap, self.growth, self.information = gap, growth, information
+        self.F, self.W, self.root, self.whiten, self.inputs = matrices
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
@@ -81,18 +81,20 @@ class FlowTable:
     def _fill(self, gaps: list[float]) -> None:
         plant, weights = self.weights.plant, self.weights
         F, W = discounted_flow(plant.A, weights.noise, gaps, weights.eta)
-        inputs = self._integrals(plant.B, gaps)
+        inputs = self.integrals(plant.B, gaps)
         if self.constant_w:
             root = self._constant_root(gaps)
+            whiten = np.linalg.pinv(root)
             W = root @ np.swapaxes(root, 1, 2)
-            information: list[Array] | list[None] = [None] * len(gaps)
+            information: list[Array | None] = [None] * len(gaps)
         else:
-            root, information = _roots(F, W)
+            root, whiten, information = _roots(F, W)
         for k, gap in enumerate(gaps):
             growth = float(np.exp(weights.eta * gap))
-            self._table[gap] = Flow(gap, F[k], growth, W[k], root[k], inputs[k], information[k])
+            matrices = (F[k], W[k], root[k], whiten[k], inputs[k])
+            self._table[gap] = Flow(gap, growth, matrices, information[k])
 
-    def _integrals(self, matrix: Array, gaps: list[float]) -> Array:
+    def integrals(self, matrix: Array, gaps: list[float]) -> Array:
         """int_0^h e^{A s} ds times `matrix`, per gap, from one augmented exponential."""
         n, m = matrix.shape
         if m == 0:
@@ -106,11 +108,9 @@ class FlowTable:
         plant, weights = self.weights.plant, self.weights
         length = discounted_length(weights.eta, np.asarray(gaps))
         half = np.linalg.solve(np.linalg.cholesky(weights.w), np.eye(plant.n_disturbances)).T
-        per_gap = self._integrals(plant.G, gaps) @ half
+        per_gap = self.integrals(plant.G, gaps) @ half
         scale = np.sqrt(np.where(length > 0, length, 1.0))
-        root = np.zeros((len(gaps), plant.n_states, max(plant.n_states, plant.n_disturbances)))
-        root[:, :, : plant.n_disturbances] = per_gap / scale[:, None, None]
-        return root
+        return np.asarray(per_gap / scale[:, None, None])
 
 
 def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
@@ -119,8 +119,8 @@ def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
     return gap if eta == 0 else -np.expm1(-eta * gap) / eta
 
 
-def _roots(F: Array, W: Array) -> tuple[Array, list[Array] | list[None]]:
-    """Roots of W and, where it is well conditioned, the blocks W^-1, W^-1 F, F'W^-1 F.
+def _roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:
+    """Roots of W, their pseudo-inverses and, where it is well conditioned, the blocks W^-1, W^-1 F, F'W^-1 F.
 
     Both go through the correlation matrix D^-1 W D^-1, D^2 = diag(W): units and the powers of h between
     position and velocity drop out, so that what is called ill-conditioned is so in every unit.
@@ -134,8 +134,9 @@ def _roots(F: Array, W: Array) -> tuple[Array, list[Array] | list[None]]:
     kept = np.where(values > tolerance, values, 0.0)
     root = unit[:, :, None] * vectors * np.sqrt(kept)[:, None, :]
     good = (values[:, 0] * CONDITION_LIMIT > values[:, -1]) & np.all(size > 0, axis=1)
-    half = np.swapaxes(vectors, 1, 2) / np.sqrt(np.where(kept > 0, kept, 1.0))[:, :, None] / unit[:, None, :]
+    inverse = np.where(kept > 0, 1 / np.sqrt(np.where(kept > 0, kept, 1.0)), 0.0)
+    half = np.swapaxes(vectors, 1, 2) * inverse[:, :, None] / unit[:, None, :]
     forward = half @ F
     half_t, forward_t = np.swapaxes(half, 1, 2), np.swapaxes(forward, 1, 2)
     blocks = np.stack([half_t @ half, half_t @ forward, forward_t @ forward], axis=1)
-    return root, [block if ok else None for block, ok in zip(blocks, good, strict=True)]
+    return root, half, [block if ok else None for block, ok in zip(blocks, good, strict=True)]

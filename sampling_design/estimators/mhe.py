@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.constraints import Constraints
+from sampling_design.estimators.convex_set import ConvexSet
 from sampling_design.estimators.estimator import Sample, Status
 from sampling_design.estimators.flows import Flow
 from sampling_design.estimators.guarantee import choose_horizon
 from sampling_design.estimators.history import Node, State
 from sampling_design.estimators.open_loop import OpenLoopEstimator
+from sampling_design.estimators.qp import ENGINES, solve_constrained
 from sampling_design.estimators.smoother import Solution, smooth
 from sampling_design.estimators.weights import build_weights
 from sampling_design.estimators.window import Window, build_window
@@ -21,6 +27,9 @@ Array = npt.NDArray[np.float64]
 
 SAME_TIME = 1e-12
 """A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""
+
+
+W_MODELS = ("outer", "constant")
 
 
 class Start(NamedTuple):
@@ -66,9 +75,11 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     w_model : "outer" or "constant"
         How bounds on w act: as an outer bound on what they can do over a gap, which provably contains
         the truth, or on a disturbance that is constant between nodes, which is not certified.
+    engine : "auto", "active set", "conic" or "reference"
+        What solves a window with active constraints.
     w_bound, v_bound, initial_error : float or array, optional
         Bounds on |w(t)|, |v| and |x - prior|: a number bounds the Euclidean norm, a vector each entry. All
-        three are needed for a radius.
+        three are needed for a radius; the first two default to what w_set and v_set allow.
     feedthrough : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
 
@@ -124,6 +135,13 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         prior_time: float = 0.0,
         cost: str = "certificate",
         carried_weight: bool = False,
+        x_set: Any = None,
+        y_set: Any = None,
+        v_set: Any = None,
+        w_set: Any = None,
+        check_spacing: float | None = None,
+        w_model: str = "outer",
+        engine: str = "auto",
         w_bound: Any = None,
         v_bound: Any = None,
         initial_error: Any = None,
@@ -131,14 +149,32 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     ):
         weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
-        self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough)
+        for name, value, known in (("w_model", w_model, W_MODELS), ("engine", engine, ENGINES)):
+            if value not in known:
+                raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r}.")
+        constant = w_model == "constant" and w_set is not None
+        self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough, constant)
+        self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
+        self.engine = engine
+        self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
         self.certificate, self.carried_weight = certificate, carried_weight
         self.memory, self.lateness = 2 * self.horizon, self.horizon
-        self._set_bounds(w_bound, v_bound, initial_error, kept_v=False)
+        sets = self.constraints
+        w_bound = _from_set(sets.w) if w_bound is None else w_bound
+        v_bound = _from_set(sets.v) if v_bound is None else v_bound
+        self._set_bounds(w_bound, v_bound, initial_error, kept_v=sets.keeps_v)
+        if constant:
+            self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
         self.state = self.initial_state(prior, prior_time)
+        outside = -np.inf if sets.x is None else sets.x.excess(self.state.last.x)
+        if outside > 0:
+            raise ArgumentError(f"`prior` must lie in `x_set`, got one outside by {outside:.6g}.")
 
     def _solve(self, window: Window) -> Solution:
-        return smooth(window)
+        free = smooth(window)
+        if not self.constraints.active or self.constraints.satisfied(window, free.nodes):
+            return free
+        return solve_constrained(window, self.constraints, free, self.engine)
 
     def _advance(self, state: State, sample: Sample) -> Node:
         self._prepare(state, sample.t)
@@ -220,6 +256,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         zero = np.zeros(self.plant.n_outputs)
         rows.insert(0, opening or (zero, zero, zero))
         flows, drift, reference = self._path(state, start, inside, times)
+        if self.check_spacing is not None and self.constraints.x is not None:
+            times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
         return build_window(self.weights, np.array(times), flows, drift, reference, y, masks, feedthrough, start.root)
 
@@ -242,3 +280,29 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         known = [start.x, *(node.x for node in inside)]
         known.append(flows[-1].F @ known[-1] + drift[-1])
         return flows, np.array(drift), np.array(known)
+
+    def _refined(
+        self, state: State, times: list[float], rows: list[tuple[Array, Array, Array]], reference: Array
+    ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[Flow], Array, Array]:
+        """Put unmeasured nodes between those given, at most `check_spacing` apart."""
+        assert self.check_spacing is not None
+        zero = np.zeros(self.plant.n_outputs)
+        edges, data, path, drift = [times[0]], [rows[0]], [reference[0]], []
+        for j, t in enumerate(times[1:]):
+            count = int(np.ceil((t - times[j]) / self.check_spacing - SAME_TIME))
+            for k in range(1, max(count, 1) + 1):
+                last = k >= count
+                when = t if last else times[j] + k * (t - times[j]) / count
+                drift.append(self._drift.between(state, edges[-1], when))
+                (flow,) = self.table.get([when - edges[-1]])
+                path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
+                edges.append(when)
+                data.append(rows[j + 1] if last else (zero, zero, zero))
+        flows = self.table.get([b - a for a, b in pairwise(edges)])
+        return edges, data, flows, np.array(drift).reshape(-1, self.plant.n_states), np.array(path)
+
+
+def _from_set(chosen: ConvexSet | None) -> Array | float | None:
+    """The bound that a constraint set implies, in the form that the bounds have."""
+    magnitude = None if chosen is None else chosen.magnitude()
+    return float(magnitude) if magnitude is not None and magnitude.ndim == 0 else magnitude

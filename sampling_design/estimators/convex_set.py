@@ -1,0 +1,253 @@
+"""Convex sets in which a signal lies: boxes, linear inequalities, norm balls, and their intersections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+
+EMPTY_MARGIN = 1e-9
+"""A set counts as empty if every point violates it by more than this, relative to the sizes it names."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """{z : |shape (z - centre)| <= radius}."""
+
+    radius: float
+    centre: Array
+    shape: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ConvexSet(Record):
+    """The intersection of a box, half-spaces and norm balls in R^k.
+
+        lower <= z <= upper,    rows z <= offsets,    |shape_i (z - centre_i)| <= radius_i
+
+    Parameters
+    ----------
+    lower, upper : (k,) arrays
+        May hold -inf and inf.
+    rows : (m, k) array; offsets : (m,) array
+    balls : tuple of Ball
+
+    Raises
+    ------
+    ArgumentError
+        If shapes differ, a bound is NaN, a radius is negative, or the set is empty.
+
+    Examples
+    --------
+    >>> disc = ConvexSet.box([-1, -1], [1, 1]) & ConvexSet.ball(1.2, dimension=2)
+    >>> disc.contains([1.0, 0.5]), disc.contains([1.0, 0.9])
+    (True, False)
+    """
+
+    lower: Array
+    upper: Array
+    rows: Array
+    offsets: Array
+    balls: tuple[Ball, ...] = ()
+
+    def __post_init__(self) -> None:
+        lower, upper = _bounds("lower", self.lower), _bounds("upper", self.upper)
+        k = lower.size
+        if upper.size != k:
+            raise ArgumentError(f"`upper` must have {k} entries as `lower` has, got {upper.size}.")
+        rows = _checks.matrix("rows", np.zeros((0, k)) if self.rows is None else self.rows, None, k)
+        offsets = _checks.vector("offsets", np.zeros(0) if self.offsets is None else self.offsets, rows.shape[0])
+        crossed = np.flatnonzero(lower > upper)
+        if crossed.size:
+            i = int(crossed[0])
+            raise ArgumentError(
+                f"`lower` must not exceed `upper`: the set is empty, got {lower[i]} > {upper[i]} at {i}."
+            )
+        for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
+            object.__setattr__(self, key, value)
+        if rows.shape[0] + len(self.balls) > 0:
+            self._refuse_empty()
+
+    @classmethod
+    def box(cls, lower: Any, upper: Any) -> ConvexSet:
+        """Return {z : lower <= z <= upper}; entries may be infinite."""
+        return cls(lower, upper, None, None)  # type: ignore[arg-type]
+
+    @classmethod
+    def halfspaces(cls, rows: Any, offsets: Any) -> ConvexSet:
+        """Return {z : rows z <= offsets}."""
+        matrix = _checks.matrix("rows", rows)
+        whole = np.full(matrix.shape[1], np.inf)
+        return cls(-whole, whole, matrix, offsets)
+
+    @classmethod
+    def ball(cls, radius: float, *, dimension: int | None = None, centre: Any = None, shape: Any = None) -> ConvexSet:
+        """Return {z : |shape (z - centre)| <= radius}; centre 0 and shape I by default.
+
+        Raises
+        ------
+        ArgumentError
+            If the radius is negative or the dimension cannot be told.
+        """
+        size = _checks.nonnegative("radius", radius)
+        if shape is not None:
+            E = _checks.matrix("shape", shape)
+            k = E.shape[1]
+        elif dimension is None and centre is None:
+            raise ArgumentError("`dimension` must be given for a ball without `centre` and `shape`.")
+        else:
+            k = len(centre) if dimension is None else _checks.whole("dimension", dimension, 1)
+            E = _checks.freeze(np.eye(k))
+        middle = _checks.vector("centre", np.zeros(k) if centre is None else centre, k)
+        whole = np.full(k, np.inf)
+        return cls(-whole, whole, None, None, (Ball(size, middle, E),))  # type: ignore[arg-type]
+
+    def __and__(self, other: ConvexSet) -> ConvexSet:
+        if other.dimension != self.dimension:
+            raise ArgumentError(f"sets must have one dimension, got {self.dimension} and {other.dimension}.")
+        return ConvexSet(
+            np.maximum(self.lower, other.lower),
+            np.minimum(self.upper, other.upper),
+            np.vstack([self.rows, other.rows]),
+            np.concatenate([self.offsets, other.offsets]),
+            self.balls + other.balls,
+        )
+
+    @property
+    def dimension(self) -> int:
+        """k."""
+        return self.lower.size
+
+    @property
+    def is_box(self) -> bool:
+        """Whether there are bounds on single entries only."""
+        return not self.balls and self.rows.shape[0] == 0
+
+    @property
+    def _is_ball(self) -> bool:
+        whole = np.isinf(self.lower).all() and np.isinf(self.upper).all()
+        return bool(whole) and self.rows.shape[0] == 0 and len(self.balls) == 1
+
+    def excess(self, values: npt.ArrayLike) -> float:
+        """Return by how much the worst of (N, k) `values` leaves the set (0 or negative: none does)."""
+        z = np.asarray(values, dtype=np.float64).reshape(-1, self.dimension)
+        if z.shape[0] == 0:
+            return -np.inf
+        worst = max(float(np.max(self.lower - z, initial=-np.inf)), float(np.max(z - self.upper, initial=-np.inf)))
+        if self.rows.shape[0]:
+            worst = max(worst, float(np.max(z @ self.rows.T - self.offsets)))
+        for ball in self.balls:
+            distance = np.linalg.norm((z - ball.centre) @ ball.shape.T, axis=1)
+            worst = max(worst, float(np.max(distance)) - ball.radius)
+        return worst
+
+    def contains(self, value: npt.ArrayLike, tolerance: float = 0.0) -> bool:
+        """Whether `value` lies in the set, up to `tolerance` in each inequality."""
+        return self.excess(value) <= tolerance
+
+    def magnitude(self) -> Array | None:
+        """Return a bound on the signal, as `noise_bound` makes them: on its norm (0-d), on its entries, or None."""
+        if self._is_ball and not self.balls[0].centre.any() and _is_identity(self.balls[0].shape):
+            return np.asarray(self.balls[0].radius)
+        lower, upper = self.bounding_box()
+        bound = np.maximum(np.abs(lower), np.abs(upper))
+        return bound if np.isfinite(bound).all() else None
+
+    def bounding_box(self) -> tuple[Array, Array]:
+        """Return bounds on each entry, from all parts of the set (by linear programs where there are half-spaces)."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for ball in self.balls:
+            if np.linalg.matrix_rank(ball.shape) == self.dimension:
+                reach = ball.radius * np.linalg.norm(np.linalg.pinv(ball.shape), axis=1)
+                lower, upper = np.maximum(lower, ball.centre - reach), np.minimum(upper, ball.centre + reach)
+        if self.rows.shape[0]:
+            lower, upper = _linear_extent(self.rows, self.offsets, lower, upper)
+        return lower, upper
+
+    def _refuse_empty(self) -> None:
+        if self._is_ball:
+            return
+        from sampling_design import _conic
+
+        cp = _conic.cvxpy()
+        z, excess = cp.Variable(self.dimension), cp.Variable()
+        finite = np.isfinite(self.lower), np.isfinite(self.upper)
+        parts = [self.lower[finite[0]] - z[finite[0]] <= excess, z[finite[1]] - self.upper[finite[1]] <= excess]
+        parts += [self.rows @ z - self.offsets <= excess] if self.rows.shape[0] else []
+        parts += [cp.norm(ball.shape @ (z - ball.centre)) - ball.radius <= excess for ball in self.balls]
+        record = _conic.solve(cp.Problem(cp.Minimize(excess), [*parts, excess >= -1]))
+        size = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)])
+        if _conic.usable(record) and float(excess.value) > EMPTY_MARGIN * size:
+            raise ArgumentError(f"the set is empty: every point violates it by {float(excess.value):.3g} or more.")
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("dimension", str(self.dimension)),
+            ("lower", short(self.lower)),
+            ("upper", short(self.upper)),
+            ("half-spaces", str(self.rows.shape[0])),
+            ("balls", str(len(self.balls))),
+        ]
+
+    def explain(self) -> str:
+        """Say what bounds the set."""
+        return f"A convex set in R^{self.dimension}: a box, {self.rows.shape[0]} half-spaces, {len(self.balls)} balls."
+
+
+def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
+    """Return `value`, a ConvexSet or a pair (lower, upper), as a set in R^dimension; None stays None.
+
+    Raises
+    ------
+    ArgumentError
+        If it is something else or has another dimension.
+    """
+    if value is None:
+        return None
+    if not isinstance(value, ConvexSet):
+        if not isinstance(value, (tuple, list)) or len(value) != 2:
+            raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
+        sides = (np.asarray(side, dtype=np.float64) for side in value)
+        lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
+        value = ConvexSet.box(lower, upper)
+    if value.dimension != dimension:
+        raise ArgumentError(f"`{name}` must have dimension {dimension}, got {value.dimension}.")
+    return value
+
+
+def _bounds(name: str, value: Any) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.ndim != 1 or np.isnan(array).any():
+        raise ArgumentError(f"`{name}` must be a vector without NaN, got {value!r:.60}.")
+    array.flags.writeable = False
+    return array
+
+
+def _is_identity(matrix: Array) -> bool:
+    return matrix.shape[0] == matrix.shape[1] and bool(np.array_equal(matrix, np.eye(matrix.shape[0])))
+
+
+def _linear_extent(rows: Array, offsets: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Tighten a box by half-spaces, entry by entry; an entry that stays unbounded keeps its infinity."""
+    from scipy.optimize import linprog
+
+    box = list(zip(lower, upper, strict=True))
+    low, high = lower.copy(), upper.copy()
+    for i in range(lower.size):
+        for sign, side in ((1.0, low), (-1.0, high)):
+            cost = np.zeros(lower.size)
+            cost[i] = sign
+            found = linprog(cost, A_ub=rows, b_ub=offsets, bounds=box)
+            if found.status == 0:
+                value = sign * float(found.fun or 0.0)
+                # outward by the solver's own tolerance, so that nothing of the set is cut off
+                side[i] = value - sign * 1e-7 * max(1.0, abs(value))
+    return low, high

@@ -72,6 +72,9 @@ def test_import_loads_numpy_at_most():
     assert found.strip() == "[]"
 
 
-def test_all_rooms_import():
-    for room in ("plants", "schedules", "observability", "design", "certificates", "estimators", "plotting", "cli"):
-        importlib.import_module(f"sampling_design.{room}")
+ROOMS = ["plants", "schedules", "observability", "design", "certificates", "estimators", "validation", "nonlinear"]
+
+
+@pytest.mark.parametrize("room", [*ROOMS, "plotting", "cli"])
+def test_every_room_imports_and_says_what_it_is(room):
+    assert importlib.import_module(f"sampling_design.{room}").__doc__

@@ -65,12 +65,24 @@ class Flow:
         self.n = self.A.shape[0]
         self._scale, self._balanced = _balance(self.A)
         blocks, self.condition, self.reason = _modal_blocks(self._balanced, self._scale)
+        if self.reason and np.any(self._scale != 1):
+            # balancing a reducible matrix has no end: it may hide a coupling that matters
+            plain, condition, reason = _modal_blocks(self.A, np.ones(self.n))
+            if not reason and not _wide(plain, self.A):
+                blocks, self.condition, self.reason = plain, condition, ""
         self._blocks = blocks
         self._wide = [b for b, block in enumerate(blocks) if np.isfinite(block.reach)]
-        near = _FAR / max(float(np.linalg.norm(self._balanced)), 1e-300)
-        wide = any(block.reach < 0.99 * near for block in blocks)
-        self.route = "dense" if self.reason else ("mixed" if wide else "modal")
+        self.route = "dense" if self.reason else ("mixed" if _wide(blocks, self._balanced) else "modal")
         self._layout()
+        if self.route == "mixed" and not self._agrees():
+            self.route, self.reason = "dense", "a wide block loses what the whole matrix keeps"
+
+    def _agrees(self) -> bool:
+        """Whether wide blocks and the dense route agree at |t||A| = 3 and 30, where the latter is good."""
+        t = np.array([3.0, 30.0]) / np.linalg.norm(self._balanced)
+        dense = self._dense(None, t)
+        difference = np.linalg.norm(self(t) - dense, axis=(1, 2))
+        return bool(np.all(difference <= 5e-13 * np.linalg.norm(dense, axis=(1, 2))))
 
     def _layout(self) -> None:
         """Flatten the blocks' matrices into one basis, a row of coefficients for each."""
@@ -155,6 +167,12 @@ def _cached(n: int, data: bytes) -> Flow:
     return Flow(np.frombuffer(data).reshape(n, n))
 
 
+def _wide(blocks: list[_Block], A: Array) -> list[_Block]:
+    """Blocks whose polynomial ends before |t||A| = 1e4."""
+    near = 0.99 * _FAR / max(float(np.linalg.norm(A)), 1e-300)
+    return [block for block in blocks if block.reach < near]
+
+
 def _balance(A: Array) -> tuple[Array, Array]:
     """Diagonal d (powers of two) and A with rows divided and columns multiplied by d, |A| about least."""
     if A.shape[0] < 2:
@@ -178,6 +196,8 @@ def _modal_blocks(A: Array, scale: Array) -> tuple[list[_Block], float, str]:
     values = _conjugate_pairs(np.diag(T))
     norm = float(np.linalg.norm(A))
     for labels in _clusterings(values, _RADIUS * norm):
+        if np.all(labels == labels[0]):  # nothing to separate: the coordinates stay as they are
+            return _refined(A, scale, np.eye(n, dtype=complex), [n], values, 1.0)
         V, sizes, order = _block_basis(T, Q, labels)
         condition = float(np.linalg.norm(V, 2) * np.linalg.norm(np.linalg.inv(V), 2)) if V is not None else np.inf
         if condition <= CONDITION_LIMIT:
@@ -260,12 +280,14 @@ def _refined(
     long, V, W = A.astype(np.longdouble), V.astype(np.clongdouble), np.linalg.inv(V).astype(np.clongdouble)
     norm = max(float(np.linalg.norm(A)), 1e-300)
     goal = 64 * _LONG * condition * norm
+    allowed = np.finfo(float).eps * float(np.linalg.norm(scale[:, None] * A / scale))
     for _ in range(6):
         for _ in range(2):
             W = W + W @ (np.eye(len(A)) - V @ W)
         S = W @ (long @ V)
         off = np.where(same, 0, S)
-        if np.linalg.norm(off.astype(complex)) <= goal:
+        physical = scale[:, None] * (V @ off @ W) / scale
+        if np.linalg.norm(off.astype(complex)) <= goal and np.linalg.norm(physical.astype(complex)) <= allowed:
             break
         V = V + V @ _decoupling(np.where(same, S, 0), off, values, parts, same)
     else:
@@ -273,7 +295,11 @@ def _refined(
     if _LONG > 1e-18 and max(sizes) > 1:
         return [], np.inf, "no extended precision for blocks of repeated eigenvalues"
     blocks = [_block(S[p, p], scale[:, None] * V[:, p], W[p] / scale, values[p], _FAR / norm) for p in parts]
-    return [b for b in blocks if b is not None], condition, ""
+    kept = [b for b in blocks if b is not None]
+    mixed = _wide(kept, A) if len(parts) > 1 else []
+    if any(np.linalg.norm(b.V) * np.linalg.norm(b.W) > CONDITION_LIMIT for b in mixed):
+        return [], np.inf, "a wide block of badly scaled states"
+    return kept, condition, ""
 
 
 def _decoupling(T: Complex, off: Complex, values: Complex, parts: list[slice], same: Any) -> Complex:
@@ -302,24 +328,23 @@ def _block(T: Complex, V: Complex, W: Complex, values: Complex, far: float) -> _
     powers = [np.eye(m, dtype=np.clongdouble)]
     for _ in range(m + _EXTRA_TERMS):
         powers.append(powers[-1] @ N)
-    kept, reach = _polynomial(powers, N.astype(complex), far)
-    terms = tuple((V @ P @ W).astype(complex) for P in powers[:kept])
-    return _Block(
-        complex(mean), N.astype(complex), V.astype(complex), W.astype(complex), 1.0 if real else 2.0, reach, terms
-    )
+    terms = [(V @ P @ W).astype(complex) for P in powers]
+    spread = float(np.max(np.abs(np.linalg.eigvals(N.astype(complex)))))
+    # entries of N^m no larger than the rounding of its products: N is nilpotent
+    rounding = np.abs(V) @ np.linalg.matrix_power(np.abs(N).astype(float), m) @ np.abs(W)
+    nilpotent = m == 1 or np.linalg.norm(terms[m]) <= 8 * m * _LONG * float(np.linalg.norm(rounding.astype(float)))
+    kept, reach = (m, np.inf) if nilpotent else _polynomial(terms, m, spread, far)
+    narrow = (N.astype(complex), V.astype(complex), W.astype(complex))
+    return _Block(complex(mean), *narrow, 1.0 if real else 2.0, reach, tuple(terms[:kept]))
 
 
-def _polynomial(powers: list[Complex], N: Complex, far: float) -> tuple[int, float]:
-    """How many powers e^{Nt} needs, and the |t| up to which they suffice."""
-    m = len(N)
-    size = np.array([np.linalg.norm(P.astype(complex)) for P in powers])
-    if m == 1 or size[m] <= 8 * m * _LONG * size[1] ** m:
-        return m, np.inf
-    spread = float(np.max(np.abs(np.linalg.eigvals(N))))
+def _polynomial(terms: list[Complex], m: int, spread: float, far: float) -> tuple[int, float]:
+    """How many terms of a block of size m its polynomial needs, and the |t| up to which they suffice."""
     if spread * far > _SPREAD:
         return m + _EXTRA_TERMS, _SPREAD / spread
-    degree = np.arange(size.size)
+    degree = np.arange(len(terms))
     with np.errstate(divide="ignore"):
-        logs = np.log(size) + degree * np.log(far) - np.cumsum(np.log(np.maximum(degree, 1)))
-    floor = max(0.0, float(np.max(logs[:m]))) + np.log(np.finfo(float).eps / 8)
+        logs = np.log([np.linalg.norm(M) for M in terms])
+    logs += degree * np.log(far) - np.cumsum(np.log(np.maximum(degree, 1)))
+    floor = float(np.max(logs[:m])) + np.log(np.finfo(float).eps / 8)
     return int(np.max(np.flatnonzero(logs > floor))) + 1, far

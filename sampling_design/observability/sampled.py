@@ -66,7 +66,7 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
     if not np.isfinite(rows).all():
         far = float(tau[np.argmax(~np.isfinite(rows).all(axis=(1, 2)))])
         raise ArgumentError(f"`times` must keep e^(A t) a number, got {far!r}, where unstable modes overflow.")
-    return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
+    return rows.reshape(tau.size * plant.n_outputs, plant.n_states) if mask is None else rows[mask]
 
 
 def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> float:

@@ -1,0 +1,263 @@
+"""Sigma over all real window positions: traps, tight cases, refusals, words."""
+
+import numpy as np
+import pytest
+
+from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, window_sigma
+from sampling_design.errors import ArgumentError
+from sampling_design.observability import bracket
+from sampling_design.plants import library
+from tests.oracles.observability import scan_windows, sigma_of_window
+
+J = np.array([[0.0, 1.0], [-1.0, 0.0]])
+INTEGRATOR = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+OSCILLATOR = Plant(J, [[1.0, 0.0]])
+
+
+def test_all_real_window_ends_and_not_only_sample_times():
+    # window 1, samples at the integers: two samples at t = 5, one at t = 5.5
+    at_sample = sigma_of_window(INTEGRATOR.A, INTEGRATOR.C, range(9), None, 5.0, 1.0)
+    assert at_sample == pytest.approx((np.sqrt(5) - 1) / 2, rel=1e-12)
+    result = window_sigma(INTEGRATOR, PeriodicSchedule([1.0]), 1.0)
+    assert (result.lower, result.upper, result.closed, result.status) == (0.0, 0.0, True, "too few samples")
+    assert result.witness.samples.size == 1
+    assert result.witness.t % 1 == 0.5
+
+
+def test_infimum_is_the_limit_just_after_a_sample_leaves():
+    result = window_sigma(INTEGRATOR, PeriodicSchedule([1.0]), 2.0)
+    expected = sigma_of_window(INTEGRATOR.A, INTEGRATOR.C, range(9), None, 5.0, 2.0, "after")
+    assert result.upper == pytest.approx(expected, rel=1e-12)
+    assert result.witness.side == "after"
+    assert result.witness.samples.size == 2
+    assert result.witness.position.startswith("just after ")
+    assert result.upper < 0.9 * sigma_of_window(INTEGRATOR.A, INTEGRATOR.C, range(9), None, 5.0, 2.0)
+
+
+def test_infimum_is_the_limit_just_before_a_sample_arrives():
+    # a growing mode weighs the latest sample most
+    result = window_sigma(Plant([[1.0]], [[1.0]]), PeriodicSchedule([1.0, 0.6]), 2.0)
+    assert result.witness.side == "before"
+    assert result.lower > 0.99 * result.upper
+
+
+def test_half_a_turn_between_samples_sees_nothing():
+    result = window_sigma(OSCILLATOR, PeriodicSchedule([np.pi]), 7.0)
+    assert (result.lower, result.closed, result.status) == (0.0, True, "below rounding")
+    assert result.upper < 1e-14
+    assert abs(result.witness.direction[0]) < 1e-12
+    assert "does not see the state" in result.explain()
+
+
+def test_nearly_half_a_turn_is_small_and_not_zero():
+    result = window_sigma(OSCILLATOR, PeriodicSchedule([np.pi - 1e-5]), 7.0)
+    assert result.closed
+    assert 0.99 * result.upper <= result.lower <= result.upper
+    assert result.upper == pytest.approx(1e-5 / np.sqrt(2), rel=1e-2)
+
+
+def test_tight_on_the_rotation():
+    # sigma of an oscillator does not change while the samples stay the same: the bracket is a point
+    result = window_sigma(OSCILLATOR, PeriodicSchedule([0.7, 0.4]), 2.0)
+    assert result.lower == pytest.approx(result.upper, rel=1e-9)
+
+
+def test_dip_narrower_than_the_first_grid():
+    # one state is 50 times the sum of three oscillators: sigma dips where their phases meet
+    S = np.eye(6)
+    S[0] = 50 * np.array([1.0, 0, 1, 0, 1, 0])
+    A = np.zeros((6, 6))
+    for k, rate in enumerate((40.0, 80.0, 120.0)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = rate * J
+    plant = Plant(S @ A @ np.linalg.inv(S), np.random.default_rng(3).standard_normal((2, 6)))
+    schedule = PeriodicSchedule([0.9, 0.5, 1.1, 0.7])
+    result = window_sigma(plant, schedule, 4.0)
+    times = schedule.between(0, 20).times
+    profile = result.profile
+    grid = [
+        sigma_of_window(plant.A, plant.C, times, None, left + part * (right - left), 4.0)
+        for left, right in zip(profile.start, profile.stop, strict=True)
+        for part in (0.25, 0.5, 0.75)
+    ]
+    ends = profile.start[0], profile.stop[-1]
+    least, *_ = scan_windows(plant.A, plant.C, times, None, 4.0, *ends, 1500)
+    assert result.closed
+    assert result.lower <= least * (1 + 1e-9)
+    assert 0.99 * result.upper <= least
+    assert min(grid) > 1.2 * least
+
+
+def test_partial_outputs():
+    rng = np.random.default_rng(4)
+    plant = Plant(rng.standard_normal((3, 3)), rng.standard_normal((2, 3)))
+    mask = np.array([[1, 0], [0, 1], [1, 1], [1, 0], [0, 1]], dtype=bool)
+    schedule = PeriodicSchedule([0.3, 0.5, 0.4, 0.6, 0.2], outputs=mask)
+    result = window_sigma(plant, schedule, 1.9)
+    held = schedule.between(0, 12)
+    low, high = result.profile.start[0], result.profile.stop[-1]
+    least, *_ = scan_windows(plant.A, plant.C, held.times, held.outputs, 1.9, low, high, 200)
+    assert 0.99 * result.upper <= result.lower <= least * (1 + 1e-12)
+    assert result.upper <= 1.005 * least
+    assert result.lower < window_sigma(plant, PeriodicSchedule(schedule.gaps), 1.9).lower
+
+
+def test_two_measurements_of_three_states_are_too_few():
+    plant = Plant(np.diag([-1.0, -2.0, -3.0]), [[1.0, 1, 1], [0, 1, 0]])
+    result = window_sigma(plant, Schedule([0.0, 0.5, 1.5, 4.0], [[1, 1], [1, 0], [1, 1], [1, 1]]), 1.2)
+    assert (result.lower, result.upper, result.status) == (0.0, 0.0, "too few samples")
+    rows = plant.C @ plant.transition(result.witness.samples - (result.witness.t - 1.2))
+    if rows.size:
+        assert np.abs(rows.reshape(-1, 3) @ result.witness.direction).max() < 1e-12
+
+
+def test_window_shorter_than_a_gap():
+    result = window_sigma(Plant([[-1.0]], [[1.0]]), PeriodicSchedule([1.0, 3.0]), 2.0)
+    assert (result.lower, result.upper, result.witness.samples.size) == (0.0, 0.0, 0)
+    assert "shorter than a gap" in result.explain()
+
+
+def test_window_equal_to_the_period_in_rounded_times():
+    # a sample leaves as its successor arrives: rounding must not make a window without both
+    gaps = np.full(10, 0.1)
+    result = window_sigma(Plant([[0.0]], [[1.0]]), PeriodicSchedule(gaps), float(np.sum(gaps)))
+    assert result.upper == pytest.approx(np.sqrt(10), rel=1e-12)
+    assert result.witness.samples.size == 10
+    third = window_sigma(Plant([[0.0]], [[1.0]]), PeriodicSchedule(gaps), 0.3)
+    assert third.upper == pytest.approx(np.sqrt(3), rel=1e-12)
+
+
+def test_finite_schedule_of_a_single_window():
+    times = [0.0, 0.5, 1.0]
+    result = window_sigma(OSCILLATOR, Schedule(times), 1.0)
+    assert result.witness.samples.size == 3
+    assert result.witness.side == "at"
+    assert result.upper == pytest.approx(sigma_of_window(J, OSCILLATOR.C, times, None, 1.0, 1.0), rel=1e-12)
+
+
+def test_finite_schedule_starts_with_its_first_full_window():
+    result = window_sigma(OSCILLATOR, Schedule([3.0, 3.5, 4.0]), 1.0)
+    assert (result.upper, result.witness.samples.size) == (0.0, 0)
+    assert result.profile.start[0] == 1.0
+    assert result.profile.stop[-1] == pytest.approx(4.0)
+
+
+def test_satellite_in_si_units_closes():
+    plant = library.satellite()
+    times = np.sort(np.random.default_rng(0).uniform(0, 5554, 20))
+    schedule = PeriodicSchedule.from_times(times, 5554.0)
+    result = window_sigma(plant, schedule, 5554.0)
+    assert result.closed
+    held = schedule.between(0, 3 * 5554.0)
+    ends = np.sort(np.random.default_rng(1).uniform(result.profile.start[0], result.profile.stop[-1], 150))
+    least = min(sigma_of_window(plant.A, plant.C, held.times, held.outputs, t, 5554.0) for t in ends)
+    assert result.lower <= least
+
+
+def test_scales_are_reported_beside_and_never_instead():
+    plain = Plant(J, np.eye(2))
+    scaled = Plant(J, np.eye(2), states=Signals(("a", "b"), scales=np.array([10.0, 0.1])))
+    schedule = PeriodicSchedule([0.5, 0.7])
+    result = window_sigma(scaled, schedule, 1.3)
+    assert result.upper == window_sigma(plain, schedule, 1.3).upper
+    assert result.scaled.upper == window_sigma(scaled.scaled(), schedule, 1.3).upper
+    assert "sigma, scaled" in str(result)
+    assert window_sigma(plain, schedule, 1.3).scaled is None
+
+
+def test_no_states_means_nothing_to_see():
+    result = window_sigma(Plant(np.zeros((0, 0)), np.zeros((1, 0))), PeriodicSchedule([1.0]), 2.0)
+    assert (result.lower, result.upper, result.closed) == (np.inf, np.inf, True)
+    assert "nothing to see" in result.explain()
+
+
+def slow_to_close():
+    A = np.array([[0.0, 900.0], [-100.0, 0.0]])
+    return Plant(A, [[1.0, 0.3]]), PeriodicSchedule([0.37, 0.23, 0.31])
+
+
+def test_budget_that_ran_out_is_said():
+    plant, schedule = slow_to_close()
+    result = window_sigma(plant, schedule, 2.0, budget=0)
+    assert (result.closed, result.status) == (False, "budget")
+    assert "the budget ran out before the bracket closed" in result.explain()
+    done = window_sigma(plant, schedule, 2.0)
+    assert done.closed
+    assert result.lower <= done.lower <= done.upper <= result.upper
+
+
+def test_node_limit_ends_a_search_without_a_budget(monkeypatch):
+    monkeypatch.setattr(bracket, "_MOST_NODES", 20)
+    plant, schedule = slow_to_close()
+    assert window_sigma(plant, schedule, 2.0).status == "budget"
+
+
+def test_rounding_that_keeps_the_bracket_open_is_said():
+    result = window_sigma(Plant(np.diag([5.0, -5.0]), [[1.0, 1.0]]), PeriodicSchedule([0.5, 0.7]), 3.0, rtol=1e-9)
+    assert (result.closed, result.status) == (False, "rounding")
+    assert "rounding" in result.explain()
+    assert result.lower < result.upper < (1 + 1e-4) * result.lower
+
+
+def test_tighter_brackets_on_demand():
+    for rtol in (0.3, 0.01, 1e-5):
+        result = window_sigma(INTEGRATOR, PeriodicSchedule([0.5, 0.7]), 3.0, rtol=rtol)
+        assert result.closed
+        assert result.lower >= (1 - rtol) * result.upper
+
+
+def test_profile_is_a_curve_above_its_own_bounds():
+    result = window_sigma(INTEGRATOR, PeriodicSchedule([0.5, 0.7]), 3.0)
+    profile = result.profile
+    assert profile.t.shape == profile.sigma.shape == profile.piece.shape
+    for g in range(profile.start.size):
+        here = profile.piece == g
+        assert profile.t[here][0] == pytest.approx(profile.start[g])
+        assert profile.t[here][-1] == pytest.approx(profile.stop[g])
+        assert np.all(np.diff(profile.t[here]) >= 0)
+        assert np.all(profile.sigma[here] >= profile.lower[g])
+    assert profile.sigma.min() == pytest.approx(result.upper, rel=1e-9)
+    assert profile.lower.min() == pytest.approx(result.lower, rel=1e-12)
+
+
+def test_witness_can_be_checked_by_hand():
+    result = window_sigma(INTEGRATOR, PeriodicSchedule([0.5, 0.7]), 3.0)
+    w = result.witness
+    rows = np.array([[1.0, tau - (w.t - 3.0)] for tau in w.samples])
+    assert np.linalg.norm(w.direction) == pytest.approx(1.0)
+    assert np.linalg.norm(rows @ w.direction) == pytest.approx(result.upper, rel=1e-9)
+    assert "window end" in str(w)
+    assert "sees the initial state" in w.explain()
+
+
+def test_progress_and_words():
+    seen = []
+    plant, schedule = slow_to_close()
+    result = window_sigma(plant, schedule, 2.0, progress=lambda done, text: seen.append((done, text)))
+    assert seen
+    assert all(0 <= done <= 1 and "intervals open" in text for done, text in seen)
+    assert "sigma at least" in str(result)
+    assert repr(result).startswith("WindowSigma(")
+    assert "(proven)" in result.explain()
+    assert result.claim.strength == "proven"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"window": 0.0}, "`window` must be positive"),
+        ({"window": np.nan}, "`window` must be finite"),
+        ({"rtol": 1.0}, "`rtol` must be less than 1"),
+        ({"rtol": -0.1}, "`rtol` must be positive"),
+        ({"budget": -1.0}, "`budget` must not be negative"),
+        ({"plant": J}, "`plant` must be a Plant, got ndarray"),
+        ({"schedule": [0.0, 1.0]}, r"Use Schedule\(times\)"),
+        ({"schedule": Schedule([0.0, 1.0])}, "`window` must fit into the schedule, which ends at 1, got 1.5"),
+        ({"schedule": Schedule([])}, "`window` must fit into the schedule"),
+        ({"schedule": PeriodicSchedule([1.0], time_unit="h")}, "in h and the plant in s"),
+        ({"plant": Plant([[900.0]], [[1.0]])}, "`window` must be short enough"),
+    ],
+)
+def test_bad_input(arguments, message):
+    given = {"plant": OSCILLATOR, "schedule": PeriodicSchedule([0.5]), "window": 1.5, **arguments}
+    with pytest.raises(ArgumentError, match=message):
+        window_sigma(**given)

@@ -16,12 +16,11 @@ import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
 from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import Relaxation
 
 Array = npt.NDArray[np.floating[Any]]
 
-CELLS = 1200
-"""Time cells per period at least, unless the spacing asks for more."""
+CELLS, CELLS_PER_RATE = 1200, 12.0
+"""Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
 
 ROUNDING = 1e-9
 """Relative allowance for rounding in the exponentials, added to every bound."""
@@ -125,9 +124,15 @@ class Cells:
 
 def cells(problem: DesignProblem, start: float, stop: float) -> Cells:
     """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
-    fine = problem.period / CELLS
+    fine = problem.period / cell_count(problem)
     parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
     return Cells(start, stop, problem.spacing / parts if parts else fine, parts)
+
+
+def cell_count(problem: DesignProblem) -> int:
+    """Cells per period at least."""
+    rate = float(np.linalg.norm(problem.rows.A, 2)) * problem.period
+    return int(np.clip(CELLS_PER_RATE * rate, CELLS, 10 * CELLS))
 
 
 def cell_values(found: Cells, edges: Array, values: Array) -> Array:
@@ -167,6 +172,27 @@ def best_cycle(values: Array, apart: int, count: int, period_cells: float) -> fl
     return float(layer.max())
 
 
+def best_layers(layers: list[Array], arc: Cells, high: float) -> float:
+    """Largest sum of one cell value per layer, successive cells `arc.apart` apart and at most `high` in time."""
+    reach = max(int(np.floor(high / arc.width + 1e-9)) + 1, arc.apart)
+    best = layers[0]
+    for values in layers[1:]:
+        best = values + reachable(best, arc.apart, reach)
+    return float(best.max())
+
+
+def reachable(layer: Array, nearest: int, farthest: int) -> Array:
+    """Maximum over the cells `nearest` to `farthest` cells earlier."""
+    from scipy.ndimage import maximum_filter1d
+
+    if farthest >= layer.size:
+        return _before(layer, nearest)
+    size = farthest - nearest + 1
+    padded = np.concatenate([np.full(farthest, -np.inf), layer])
+    run = maximum_filter1d(padded, size, mode="constant", cval=-np.inf, origin=-(size // 2))
+    return np.asarray(run[: layer.size])
+
+
 def _before(layer: Array, apart: int) -> Array:
     """Running maximum up to `apart` cells earlier, along the last axis."""
     run = np.maximum.accumulate(layer, axis=-1)
@@ -177,12 +203,11 @@ def _before(layer: Array, apart: int) -> Array:
     return shifted
 
 
-def placed_bound(problem: DesignProblem, found: Relaxation) -> float:
-    """Bound sigma of every schedule that meets the requirement, from `relax_placed`."""
-    starts, Z = found.starts, found.Z
+def placed_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
+    """Bound sigma of every schedule that meets the requirement, forbidden and fixed times included."""
     arcs = _arcs(problem)
     grid = np.concatenate([a.edges for a in arcs])
-    edges = _edges(problem, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
+    edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
     g = profile(problem, starts, Z, edges)
     roof = np.maximum(g.left, g.right) + np.diff(edges)[:, None] ** 2 / 8 * g.bend
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
@@ -191,7 +216,7 @@ def placed_bound(problem: DesignProblem, found: Relaxation) -> float:
         cycle = arcs[0]
         sums = cell_values(cycle, edges, values)
         total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
-        return _root(total)
+        return rooted(total)
     fixed = value_at(problem, starts, Z, problem.fixed) * problem.mask(problem.fixed)
     spare = problem.samples - problem.fixed.size
     best = np.append(0.0, np.full(spare, -np.inf))
@@ -199,7 +224,7 @@ def placed_bound(problem: DesignProblem, found: Relaxation) -> float:
     for arc in arcs:
         if arc.stop > arc.start:
             best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
-    return _root(float(fixed.sum() + best[spare]))
+    return rooted(float(fixed.sum() + best[spare]))
 
 
 def _arcs(problem: DesignProblem) -> list[Cells]:
@@ -212,9 +237,8 @@ def _arcs(problem: DesignProblem) -> list[Cells]:
     return [cells(problem, a, b) for a, b in pairs if b > a]
 
 
-def _edges(problem: DesignProblem, points: Array) -> Array:
+def piece_edges(period: float, points: Array) -> Array:
     """Sorted distinct piece ends in [0, period], points of later laps brought back."""
-    period = problem.period
     points = np.where(points > period, points - period, points)
     points = np.unique(np.concatenate([[0.0, period], points[(points > 0) & (points < period)]]))
     keep = np.append(np.diff(points) > 1e-13 * period, True)
@@ -230,37 +254,6 @@ def _joined(one: Array, other: Array) -> Array:
     return result
 
 
-def _root(total: float) -> float:
+def rooted(total: float) -> float:
+    """sigma from a bound on sigma^2, with the allowance for rounding."""
     return float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))
-
-
-def relative_bound(problem: DesignProblem, found: Relaxation) -> float:
-    """Bound sigma of every schedule of this count and spacing, from `relax_relative`.
-
-    Averaged over the lap's samples as origins, the windows a_m after each: sigma^2 <= g(0) + mean over
-    origins of the sum of g(d). Distances come as d and P - d, so g may be replaced by its mirror mean;
-    and sum_{i,j} cos(2 pi q (s_i - s_j)/P) = |sum e^{..}|^2 >= 0, so that non-negative multiples of
-    cosines may be added, with their value at 0.
-    """
-    starts, Z, period = found.starts, found.Z, problem.period
-    arc = cells(problem, min(problem.spacing, period / 2), max(period - problem.spacing, period / 2))
-    jumps = np.concatenate([jump_times(problem, starts), arc.edges])
-    edges = _edges(problem, np.concatenate([jumps, period - jumps]))
-    g = profile(problem, starts, Z, edges)
-    q = 2 * np.pi / period * np.arange(1, found.cosines.size + 1)
-    waves = np.cos(np.outer(edges, q)) @ found.cosines
-    left, right, bend = (np.sum(part, axis=1) for part in (g.left, g.right, g.bend))
-    mirrored = _mirror(edges, period)
-    ends_left = (left + right[mirrored]) / 2 + waves[:-1]
-    ends_right = (right + left[mirrored]) / 2 + waves[1:]
-    curve = (bend + bend[mirrored]) / 2 + float(found.cosines @ q**2)
-    values = np.maximum(ends_left, ends_right) + np.diff(edges) ** 2 / 8 * curve
-    alone = float(value_at(problem, starts, Z, np.zeros(1)).sum() + found.cosines.sum())
-    best = best_chain(cell_values(arc, edges, values), arc.apart, problem.samples - 1)
-    return _root(alone + float(best[-1]))
-
-
-def _mirror(edges: Array, period: float) -> npt.NDArray[np.intp]:
-    """Index of the piece that holds period - s for s in each piece."""
-    middle = (edges[:-1] + edges[1:]) / 2
-    return np.clip(np.searchsorted(edges, period - middle) - 1, 0, edges.size - 2)

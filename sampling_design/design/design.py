@@ -11,9 +11,9 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._units import time_factor
-from sampling_design.design.bounds import UpperBound, upper_bound
+from sampling_design.design.bounds import UpperBound, first_bound, narrowed
 from sampling_design.design.problem import DesignProblem, pose, resolve
-from sampling_design.design.relaxation import Relaxation, relax_placed, relax_relative
+from sampling_design.design.relaxation import Relaxation, relax_placed
 from sampling_design.design.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search import Found, search
@@ -29,6 +29,9 @@ Progress = Callable[[float, str], None]
 STARTS = 8
 """Starts that are refined by default."""
 
+BRANCHES = 6
+"""Splits of the largest gap by default."""
+
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
 
@@ -39,7 +42,8 @@ def design_schedule(
     *,
     rng: np.random.Generator | None = None,
     starts: int = STARTS,
-    rtol: float = 0.01,
+    branches: int = BRANCHES,
+    rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> ScheduleDesign:
@@ -56,6 +60,8 @@ def design_schedule(
         Draws the random starts. Default: seeded with 0.
     starts : int
         Starts that are refined, beside the even and the rounded ones.
+    branches : int
+        Splits of the largest gap that narrow the upper bound; 0 keeps the plain relaxations' bound.
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
@@ -81,9 +87,10 @@ def design_schedule(
     -----
     *Claim.* `sigma` is proven over all real window positions; `upper_bound` holds for every admissible
     schedule over all real times with this count of samples (not only on a grid).
-    *Method.* Two semidefinite relaxations on grids give weights and multipliers. The multipliers give the
-    bound by weak duality, re-normalised and maximised over real times, so that no solver is trusted. The
-    weights are rounded; even, rounded and random starts are refined by sequential semidefinite programs.
+    *Method.* Semidefinite relaxations on grids give weights and multipliers. The multipliers give the bound
+    by weak duality, re-normalised and maximised over real times, so that no solver is trusted; where the
+    requirement may be shifted in time, branching on the largest gap narrows it. The weights are rounded;
+    even, rounded and random starts are refined by sequential semidefinite programs.
     *Numerical aspects.* Everything runs in a basis in which the windows' Gram matrices are near the
     identity; a congruence keeps the inequalities.
 
@@ -106,6 +113,7 @@ def design_schedule(
         )
     wanted = Requirement() if requirement is None else requirement
     _checks.whole("starts", starts, 1)
+    _checks.whole("branches", branches)
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     split = split_modes(plant, _rate(wanted, plant))
     if split.retained.n_states == 0:
@@ -118,6 +126,7 @@ def design_schedule(
         used,
         rng or np.random.default_rng(0),
         starts,
+        branches,
         rtol,
         seconds,
         progress,
@@ -166,13 +175,7 @@ def bounded(plant: Plant, requirement: Requirement, samples: int) -> Sized:
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
     problem = pose(plant, requirement, samples)
     placed = relax_placed(problem)
-    found = [upper_bound(problem, "placed", placed)]
-    solver = [placed.record]
-    if samples > 1:
-        relative = relax_relative(problem)
-        found.append(upper_bound(problem, "relative", relative))
-        solver.append(relative.record)
-    return Sized(problem, placed, min(found, key=lambda b: b.value), tuple(solver))
+    return Sized(problem, placed, first_bound(problem, placed), (placed.record,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +188,7 @@ class _Run:
     used: dict[str, Any]
     rng: np.random.Generator
     starts: int
+    branches: int
     rtol: float
     seconds: float
     progress: Progress | None
@@ -222,6 +226,7 @@ class _Run:
             self.say(low + fraction * (near - low), message)
 
         found = search(sized.problem, sized.relaxation, self.rng, self.starts, self.began + self.seconds, inner)
+        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, self.began + self.seconds)
         schedule = self.schedule(sized.problem, found)
         self.say(near, "proving sigma over all window positions")
         proof = prove(self.split, schedule, self.requirement, self.rtol)
@@ -230,14 +235,14 @@ class _Run:
             schedule=schedule,
             sigma=sigma.lower,
             sigma_attained=sigma.upper,
-            upper_bound=sized.bound.value,
+            upper_bound=bound.value,
             requirement=self.requirement,
             defaults_used=self.used,
             plant=self.plant,
             split=self.split,
             zero_count=zero_count_bound(self.split.retained, float(self.requirement.window or 0)),
             window=proof,
-            bound=sized.bound,
+            bound=bound,
             history=tuple(asdict(trial) for trial in found.trials),
             solver=sized.solver,
             status="complete" if found.complete else "budget",

@@ -105,6 +105,15 @@ class ScaledRows:
         z = z / np.sqrt(np.maximum(largest[..., -1:] * self.unit, 1e-300))
         return np.where(values[..., 0] <= _FLOOR * top[..., 0], 0.0, sigma2), np.asarray(z)
 
+    def least_seen(self, grams: Array, count: int) -> Array:
+        """The `count` directions z of each Gram matrix that it sees least against z'S'Sz, (..., n, count)."""
+        values, vectors = np.linalg.eigh(grams)
+        floored = np.maximum(values, _FLOOR * np.maximum(values[..., -1:], 1e-300))
+        half = vectors / np.sqrt(floored)[..., None, :]
+        _, direction = np.linalg.eigh(np.swapaxes(half, -1, -2) @ self.N @ half)
+        z = half @ direction[..., -count:]
+        return np.asarray(z / np.sqrt(np.einsum("...iq,ij,...jq->...q", z, self.N, z))[..., None, :])
+
 
 def lags(times: Array, start: Array, window: float, period: float, closed: str) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the distances of all laps of `times` from `start`, and which lie in the half-open window.

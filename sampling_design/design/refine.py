@@ -20,6 +20,8 @@ from sampling_design.design.problem import DesignProblem
 Array = npt.NDArray[np.floating[Any]]
 
 _KEPT = 3.0  # windows whose sigma^2 exceeds this times the least one cannot become worst in a trusted step
+_MOST_WINDOWS = 40  # the worst ones; a step that forgets another one is refused by the evaluation after it
+_SUBSPACE = 4  # directions per window, the least seen ones: a larger inequality costs far more and says little more
 
 
 def refined(problem: DesignProblem, times: Array, sigma2: float, steps: int = 25) -> tuple[Array, float]:
@@ -63,13 +65,16 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float) -> 
     where = positions(problem, times[None, :])
     grams = window_grams(problem, times[None, :], where)[0]
     values, _ = rows.least(grams)
-    kept = np.flatnonzero(values <= _KEPT * max(sigma2, 1e-300))
-    slopes = _slopes(problem, times, where, kept)
+    kept = np.argsort(values, kind="stable")[:_MOST_WINDOWS]
+    kept = kept[values[kept] <= _KEPT * max(sigma2, 1e-300)]
+    V = rows.least_seen(grams[kept], _SUBSPACE)
+    W, roof = np.swapaxes(V, 1, 2) @ grams[kept] @ V, np.swapaxes(V, 1, 2) @ rows.N @ V
+    unit = max(float(np.trace(W, axis1=1, axis2=2).max()), 1e-300)
+    slopes = _slopes(problem, times, where, kept, V)
     blocks: list[tuple[str, Array, Array]] = [("nonnegative", *_limits(problem, times, trust))]
-    roof = _conic.svec(rows.N)[:, None]
-    for place, m in enumerate(kept):
-        D = _conic.svec(slopes[place]).T
-        blocks.append(("psd", np.hstack([-D * trust, roof]), _conic.svec(grams[m])))
+    for place in range(kept.size):
+        D = _conic.svec(slopes[place]).T * (trust / unit)
+        blocks.append(("psd", np.hstack([-D, _conic.svec(roof[place])[:, None]]), _conic.svec(W[place]) / unit))
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
     found = _conic.solve_cone_program(cost, blocks, tolerance=1e-8, iterations=60)
@@ -80,19 +85,19 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float) -> 
     return move
 
 
-def _slopes(problem: DesignProblem, times: Array, where: Positions, kept: npt.NDArray[np.intp]) -> Array:
-    """Derivatives (m, k, n, n) of the kept windows' Gram matrices by each sample time.
+def _slopes(problem: DesignProblem, times: Array, where: Positions, kept: npt.NDArray[np.intp], V: Array) -> Array:
+    """Derivatives (m, k, q, q) of the kept windows' Gram matrices, seen in the directions V, by each sample time.
 
     A lag is sample minus window start, and the start moves with the two events beside it.
     """
     rows, k, n = problem.rows, times.size, problem.plant.n_states
-    result = np.zeros((kept.size, k, n, n))
+    result = np.zeros((kept.size, k, V.shape[-1], V.shape[-1]))
     mask = problem.mask(times)
     for place, m in enumerate(kept):
         r, inside = lags(times, where.at[0, m], problem.window, problem.period, where.closed[m])
         c = rows.rows(r) * (inside[..., None] & mask[:, None, :])[..., None]
         c = c.reshape(k, -1, n)
-        half = np.swapaxes(c, -1, -2) @ (c @ rows.A)
+        half = np.swapaxes(c @ V[place], -1, -2) @ (c @ (rows.A @ V[place]))
         D = half + np.swapaxes(half, -1, -2)
         result[place] = D
         total = D.sum(axis=0)

@@ -121,7 +121,7 @@ class ScheduleDesign(Record):
             assumptions=("the plant's matrices are exact", f"sigma in {self.coordinates} coordinates"),
         )
 
-    def verify(self, rtol: float = 0.01) -> bool:
+    def verify(self, rtol: float = 0.001) -> bool:
         """Work out sigma and the bound anew from the data alone, and whether the schedule is admissible.
 
         Parameters

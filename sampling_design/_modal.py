@@ -196,13 +196,14 @@ def _modal_blocks(A: Array, scale: Array) -> tuple[list[_Block], float, str]:
     values = _conjugate_pairs(np.diag(T))
     norm = float(np.linalg.norm(A))
     for labels in _clusterings(values, _RADIUS * norm):
-        if np.all(labels == labels[0]):  # nothing to separate: the coordinates stay as they are
-            return _refined(A, scale, np.eye(n, dtype=complex), [n], values, 1.0)
+        if np.all(labels == labels[0]):
+            break
         V, sizes, order = _block_basis(T, Q, labels)
         condition = float(np.linalg.norm(V, 2) * np.linalg.norm(np.linalg.inv(V), 2)) if V is not None else np.inf
         if condition <= CONDITION_LIMIT:
             return _refined(A, scale, V, sizes, values[order], condition)
-    return [], np.inf, "no well-conditioned blocks"
+    # one block only, nothing to separate: the coordinates stay as they are
+    return _refined(A, scale, np.eye(n, dtype=complex), [n], values, 1.0)
 
 
 def _conjugate_pairs(values: Complex) -> Complex:

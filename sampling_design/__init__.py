@@ -25,6 +25,7 @@ _FRONT_DOOR = {
     "observability.pbh": ("UnseenModes", "unseen_modes", "require_observable"),
     "observability.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "observability.windows": ("window_sigma", "WindowSigma", "WindowWitness", "WindowProfile"),
+    "observability.worst_case": ("worst_case_sigma", "WorstCaseSigma", "WorstCaseProfile"),
     "certificates.certificate": ("Certificate", "Verification"),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),

@@ -36,8 +36,8 @@ class SpacedRows:
         (i - 1) epsilon.
     survey : (N p, n) array
         Rows over the whole window, weighted to the size of k samples.
-    rounding : float
-        How far rounding in the exponentials can move sigma.
+    grade : float
+        Relative error granted to C e^{A tau}, of |C||e^{A tau}|.
 
     Raises
     ------
@@ -60,8 +60,7 @@ class SpacedRows:
                 "Split off the fast unstable modes or use a shorter window."
             )
         self.survey = (self.C @ flow).reshape(-1, self.n) * np.sqrt(count / (_SURVEY + 1))
-        grade = ALLOWANCE * max(1.0, float(np.linalg.norm(self.A, 1)) * window / 200)
-        self.rounding = float(np.sqrt(count)) * grade * size
+        self.grade = ALLOWANCE * max(1.0, float(np.linalg.norm(self.A, 1)) * window / 200)
 
     def times(self, slacks: Array) -> Array:
         """Sample times (..., k) of slacks (..., k), within [0, T]."""
@@ -90,6 +89,16 @@ class SpacedRows:
         scale = np.maximum(singular, max(self.n * _EPS * float(singular[0]), 1e-300))
         return right.T / scale, scale[:, None] * right
 
+    def blur(self, times: Array) -> Array:
+        """How far rounding in the exponentials can move |C e^{A tau} x|, |x| = 1, for each of `times` (N,)."""
+        flow = np.linalg.norm(self.plant.transition(times), axis=(1, 2))
+        return np.asarray(self.grade * float(np.linalg.norm(self.C)) * flow)
+
+    def rounding(self, slacks: Array) -> float:
+        """How far rounding in the exponentials can move sigma of one schedule (k,)."""
+        return float(np.linalg.norm(self.blur(self.times(slacks))))
+
     def counts_as_zero(self, sigma: float, slacks: Array) -> bool:
-        """Whether sigma of this schedule lies below n eps |O|."""
-        return sigma <= self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None])))
+        """Whether sigma of this schedule cannot be told from 0."""
+        least = self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None])))
+        return sigma <= max(least, self.rounding(slacks))

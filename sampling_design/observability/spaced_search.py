@@ -15,6 +15,7 @@ Array = npt.NDArray[np.float64]
 _STARTS = 32
 _TURNS = 30
 _NEWTON_STEPS = 40
+_DAMPING = np.append(10.0 ** np.arange(-14.0, 0.5), [4.0, 16.0])  # of the largest curvature: all tried at once
 _TIE = 1e-9  # slacks closer than this part of S move together
 _NUMBERS = 2_000_000  # numbers per batch of starts
 _LEAST_CELLS, _MOST_CELLS = 48, 2048
@@ -110,10 +111,9 @@ def _newton(rows: SpacedRows, best: Attained) -> Attained:
         gradient, hessian = _derivatives(rows, best)
         gradient, hessian = together.T @ gradient, together.T @ hessian @ together
         values, vectors = np.linalg.eigh(hessian)
-        least = 1e-12 * max(float(np.max(np.abs(values))), 1e-300)
-        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), least))
-        shrink = 0.5 ** np.arange(0, 24, 2)[:, None]
-        trial = u + shrink * (together @ step)
+        damping = max(float(np.max(np.abs(values))), 1e-300) * _DAMPING[:, None]
+        step = -((vectors.T @ gradient) / (np.abs(values) + damping)) @ vectors.T
+        trial = u + step @ together.T
         trial = np.maximum.accumulate(np.clip(trial, 0.0, rows.slack), axis=1)
         better = worst_of(rows, trial)
         if not better.sigma < best.sigma * (1 - 1e-12):

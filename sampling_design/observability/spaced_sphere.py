@@ -86,7 +86,7 @@ class _Search:
 
     def __init__(self, rows: SpacedRows, found: Attained, rtol: float) -> None:
         self.rows, self.best, self.rtol = rows, found, rtol
-        self.tables = Tables(rows, found.slacks)
+        self.tables = Tables(rows, found.slacks, rtol / 100)
         self.metric = self.tables.basis.T @ self.tables.basis
         n, k = rows.n, rows.count
         signs = np.array(list(product((-1.0, 1.0), repeat=n - 1))).reshape(2 ** (n - 1), n - 1)
@@ -99,9 +99,8 @@ class _Search:
 
     @property
     def wanted(self) -> float:
-        """Lambda at which a cell may close: (1 - rtol) of the attained sigma, and what rounding takes away."""
-        sigma = self.best.sigma
-        return float(min(sigma * (1 - 0.999 * self.rtol) + self.rows.rounding, sigma * (1 - 0.5 * self.rtol)) ** 2)
+        """Lambda at which a cell may close."""
+        return float((self.best.sigma * (1 - 0.99 * self.rtol)) ** 2)
 
     def run(self, seconds: float, progress: Progress | None) -> Proof:
         """Work on the cells with the lowest bounds until all are closed or the budget is spent."""
@@ -117,7 +116,7 @@ class _Search:
                     status = "budget"
                 results.append(part if status else self._worked(part))
             self.open = joined(results)
-            if status:
+            if status or self.rows.counts_as_zero(self.best.sigma, self.best.slacks):
                 break
             if progress is not None:
                 share = 1 - self.open.volume() - self.stuck.volume()
@@ -126,9 +125,10 @@ class _Search:
 
     @property
     def lower(self) -> float:
-        """Sigma proven so far, rounding taken off."""
-        least = min([self.closed_at, *self.open.bound, *self.stuck.bound])
-        return max(0.0, float(np.sqrt(min(least, self.best.sigma**2))) - self.rows.rounding)
+        """Sigma proven so far."""
+        parts = (self.open.bound, self.stuck.bound)
+        least = min([self.closed_at, *(float(np.min(b, initial=np.inf)) for b in parts)])
+        return float(np.sqrt(min(least * (1 - self.tables.forgiven), self.best.sigma**2)))
 
     def _verdict(self) -> str:
         return "closed" if self.lower >= (1 - self.rtol) * self.best.sigma else "rounding"
@@ -174,7 +174,8 @@ class _Search:
         by_time, by_direction, value, hopeless = work.losses()
         self._improve(cells, value)
         self.stuck = joined([self.stuck, cells.take(hopeless)])
-        return self._cut(cells.take(~hopeless), by_time[~hopeless], by_direction[~hopeless])
+        loss = cells.half * np.sqrt(work.stretch())
+        return self._cut(cells.take(~hopeless), by_time[~hopeless], by_direction[~hopeless], loss[~hopeless])
 
     def _improve(self, cells: Cells, value: Array) -> None:
         """Follow a centre whose best schedule on the grid already beats the attained one."""
@@ -184,9 +185,9 @@ class _Search:
             if found.sigma < self.best.sigma:
                 self.best = found
 
-    def _cut(self, cells: Cells, by_time: Array, by_direction: Array) -> Cells:
-        """Halve the widest side, double the grid, or both, whichever costs most."""
-        row, axis = np.arange(cells.face.size), np.argmax(cells.half, axis=1)
+    def _cut(self, cells: Cells, by_time: Array, by_direction: Array, loss: Array) -> Cells:
+        """Halve the costliest side, double the grid, or both, whichever costs most."""
+        row, axis = np.arange(cells.face.size), np.argmax(loss, axis=1)
         wide = cells.half[row, axis] > _THINNEST
         finer = ~wide | (by_time > _TIME_SHARE * by_direction)
         finer &= 2 * cells.grid <= self.tables.most_cells
@@ -226,11 +227,14 @@ class _Batch:
         forms = self.tables.triangle(z[..., :, None] * (z + 2 * d)[..., None, :])
         forms = (forms + self.tables.triangle((z + 2 * d)[..., :, None] * z[..., None, :])) / 2
         self.value, self.bent = self._costs(forms, nuclear)
-        self.cost = np.where(self.outside, np.inf, self.value - self.bent)
         self.norm = self._squared(self.corner)
+        row = np.arange(self.count)[:, None]
+        blur = self.table.blur[row, point][:, :, None] * self.norm[:, None, :, None]
+        rounded = self.table.rounding[row, point][:, :, None] * nuclear[:, None, :, None]
+        self.firm = self.value - blur - rounded
+        self.cost = np.where(self.outside, np.inf, self.firm - self.bent)
         self.so_far = sums_so_far(self.cost, self.start)
-        self.rounded = self.table.rounding * nuclear
-        self.total = np.min(self.so_far[:, -1], axis=-1) - self.rounded
+        self.total = np.min(self.so_far[:, -1], axis=-1)
         self.ratio = self.total / self.norm
         self.bound = np.maximum(np.min(self.ratio, axis=1), 0.0)
 
@@ -238,7 +242,7 @@ class _Batch:
         """The same for some of the cells."""
         part = object.__new__(_Batch)
         part.__dict__.update(self.__dict__)
-        for name in ["cost", "so_far", "start", "outside", "corner", "norm", "value", "rounded", "total", "ratio"]:
+        for name in ["cost", "so_far", "start", "outside", "corner", "norm", "value", "firm", "total", "ratio"]:
             setattr(part, name, getattr(self, name)[index])
         part.cells = self.cells.take(index)
         return part
@@ -261,7 +265,7 @@ class _Batch:
     def narrowed(self, cells: Cells, wanted: float) -> Cells:
         """Windows without the times through which no schedule comes below `wanted` at any corner."""
         through = self.so_far + sums_to_go(self.cost, self.start) - (wanted * self.norm)[:, None, :, None]
-        alive = np.any(through < self.rounded[:, None, :, None], axis=2)
+        alive = np.any(through < 0.0, axis=2)
         first = np.argmax(alive, axis=-1) + self.start
         last = self.width - 1 - np.argmax(alive[..., ::-1], axis=-1) + self.start
         # a real time next to a point that matters still counts: one cell more on either side
@@ -270,13 +274,21 @@ class _Batch:
     def losses(self) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
         """What time and direction cost at the weakest corner, the centre's value, and where rounding costs more."""
         row, weak = np.arange(self.ratio.shape[0]), np.argmin(self.ratio, axis=1)
-        flat = np.where(self.outside[:, :, 0], np.inf, self.value[row, :, weak])[:, :, None]
-        without = np.min(sums_so_far(flat, self.start)[:, -1, 0], axis=-1)
+        flat = np.stack([self.value[row, :, weak], self.firm[row, :, weak]], axis=2)
+        flat = np.min(sums_so_far(np.where(self.outside, np.inf, flat), self.start)[:, -1], axis=-1)
         z, corner = self.cells.centre, self.corner[row, weak]
         points = np.stack([corner, z], axis=1)
         forms = self.tables.triangle(points[..., :, None] * points[..., None, :])
         exact = np.where(self.outside, np.inf, self._costs(forms, np.zeros(forms.shape[:2]))[0])
         exact = np.min(sums_so_far(exact, self.start)[:, -1], axis=-1)
-        rounded = self.rounded[row, weak]
-        by_time, by_direction = without - self.total[row, weak] - rounded, exact[:, 0] - without
-        return by_time, by_direction, exact[:, 1] / self._squared(z), by_time + by_direction < rounded
+        by_rounding, by_time = flat[:, 0] - flat[:, 1], flat[:, 1] - self.total[row, weak]
+        by_direction = exact[:, 0] - flat[:, 0]
+        return by_time, by_direction, exact[:, 1] / self._squared(z), by_time + by_direction < by_rounding
+
+    def stretch(self) -> Array:
+        """How much a step along each axis costs: the diagonal of G, averaged over the windows, (B, n)."""
+        row, point = np.arange(self.count)[:, None], self.start[:, :, None] + np.arange(self.width) + 1
+        diagonal = self.table.gram[row, point][..., self.tables.upper[0] == self.tables.upper[1]]
+        weight = np.where(self.outside[:, :, 0], 0.0, 1.0)
+        weight /= np.sum(weight, axis=2, keepdims=True)
+        return np.asarray(np.sum(diagonal * weight[..., None], axis=(1, 2)))

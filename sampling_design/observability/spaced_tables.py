@@ -26,21 +26,28 @@ class Table(NamedTuple):
         vec (h^2/8) G''(t), likewise.
     beyond : (k, N + 1) array
         (h^2/8)(h^2/8) times a proven bound on |G''''| within h of each point.
-    rounding : float
-        Of a sum of k products <G, X>, for |X| = 1.
+    blur : (k, N + 1) array
+        What rounding in the exponentials can take from x'Gx, |x| = 1, beyond the part `forgiven` of it.
+    rounding : (k, N + 1) array
+        Of <G, X> and of its place in a sum of k, for |X| = 1.
     """
 
     gram: Array
     bend: Array
     beyond: Array
-    rounding: float
+    blur: Array
+    rounding: Array
 
 
 class Tables:
-    """Tables in the coordinates x = L z, made when asked for and kept."""
+    """Tables in the coordinates x = L z, made when asked for and kept.
 
-    def __init__(self, rows: SpacedRows, worst: Array) -> None:
-        self.rows = rows
+    Rows y + e with |e| <= delta have |y + e|^2 >= (1 - g) |y|^2 - delta^2/g for every g in (0, 1). `forgiven`
+    is g: the caller takes this part off every bound, and delta^2/g stands in the tables as `blur`.
+    """
+
+    def __init__(self, rows: SpacedRows, worst: Array, forgiven: float) -> None:
+        self.rows, self.forgiven = rows, forgiven
         self.basis, inverse = rows.coordinates(worst)
         self.upper = np.triu_indices(rows.n)
         self.weight = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
@@ -82,13 +89,13 @@ class Tables:
         reach = np.exp(self.growth * h)
         a = [np.linalg.norm(d, axis=(1, 2)) * reach for d in derivative]
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
-        largest = float(np.max(np.linalg.norm(gram, axis=(1, 2)), initial=0.0))
-        rounding = 8 * (rows.count + self.weight.size) * _EPS * rows.count * largest
+        rounding = 8 * (rows.count + self.weight.size) * _EPS * np.linalg.norm(gram, axis=(1, 2))
         return Table(
             self._padded(gram, rows.count),
             self._padded(bend, rows.count),
             (fourth * (h * h / 8) ** 2).reshape(rows.count, -1),
-            rounding,
+            (rows.blur(times.ravel()) ** 2 / self.forgiven).reshape(rows.count, -1),
+            rounding.reshape(rows.count, -1),
         )
 
     def _padded(self, matrices: Array, count: int) -> Array:

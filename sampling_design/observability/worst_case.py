@@ -277,7 +277,7 @@ def _proof(
         return Proof(0.0, found, "too few samples", 0), "fewer measurements than states"
     if rows.slack == 0.0:
         found = worst_of(rows, np.zeros((1, rows.count)))
-        lower = max(0.0, found.sigma - rows.rounding)
+        lower = max(0.0, found.sigma - rows.rounding(found.slacks))
         proof = Proof(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
         method = "only one schedule is admissible"
     else:
@@ -303,7 +303,7 @@ def _record(
     scaled: WorstCaseSigma | None,
 ) -> WorstCaseSigma:
     """The public record, its witness evaluated afresh by the room's own sigma."""
-    upper, x = sigma_min(plant, times), proof.attained.direction
+    upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
     s = np.linspace(0.0, family.window, _PICTURE)
     seen, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
     frozen = [_checks.freeze(a) for a in (s, seen, times, at_samples)]

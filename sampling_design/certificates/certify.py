@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,8 +13,9 @@ from sampling_design import __version__, _checks
 from sampling_design.certificates.certificate import RESOLUTION, Certificate, Witness
 from sampling_design.certificates.existence import require_certificate
 from sampling_design.certificates.riccati import Peak, at_peak, located, refine, supremum
-from sampling_design.certificates.window_problem import AnySchedule, WindowProblem, window_problem
-from sampling_design.errors import CertificateError
+from sampling_design.certificates.weights import choose_rate, choose_weights
+from sampling_design.certificates.window_problem import AnySchedule, WindowProblem, noise_input, window_problem
+from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -113,13 +115,96 @@ def certify(
     budget: float = 3.0,
     progress: Progress | None = None,
 ) -> Certificate:
-    schedule = meet(plant, schedule)
+    """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
+
+        lam = sup over real window starts and all later t of lambda_max(P2, Pi(t)),    P1 = (1 - 1e-3) P2/lam
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+        A finite schedule is certified to its last time.
+    eta : float, optional [1/time]
+        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon.
+    P2 : (n, n) array, optional
+        Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
+    Qw : (q, q) array, optional
+        Default diag(1/s_w^2). May be singular only in directions that G does not use.
+    R, Qv : (p, p) arrays, optional
+        Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
+    budget : float
+        C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
+        their scales. Only used where P2 is chosen.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    Certificate
+        Proven: its `verify()` has passed.
+
+    Raises
+    ------
+    ArgumentError
+        If a weight is not symmetric positive definite, eta or the budget is out of range, or plant and schedule do
+        not fit.
+    CertificateError
+        If no certificate exists (details: eigenvalue, partners it is aliased with, period, repair), or the proof
+        does not close.
+    SolverError
+        If the schedule is so near the edge that the information does not settle.
+
+    Notes
+    -----
+    *Assumptions.* Linear plant, unconstrained noise (with convex constraints the certificate still holds).
+    *Claim.* The inequality holds iff the discounted information Pi, started at P2, stays above P1 for every start and
+    all t; for given weights lam is exact to 1e-3. *Method.* Windows side by side find lam; `checker.py` proves it
+    over the continuum of starts and times and over all laps, and whatever window it finds raises lam. Weights are
+    chosen by sequential quadratic programming on the exact lambda: a local optimum. *Numerical aspects.* Y = Pi^-1 is
+    propagated in coordinates where P2 = I, samples in Joseph's form, gaps by doubling.
+
+    References
+    ----------
+    The paper, Assumption 7 and Theorem 9.
+
+    Examples
+    --------
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> certificate = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
+    >>> print(f"{certificate.lam:.3f}, M > {certificate.horizon().minimum:.3f}")
+    5.528, M > 4.277
+    >>> certificate.verify().passed
+    True
+    """
+    schedule = _met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
-    return certify_given(
-        plant,
-        schedule,
-        _checks.definite("P2", P2, plant.n_states),
-        *weights,
-        eta,
-        SolverRecord("given weights", __version__),
-    )
+    noise_input(plant.G, weights[0])
+    prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
+    rate = None if eta is None else _checks.positive("eta", eta)
+    if not _checks.number("budget", budget) > 1:
+        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
+    began = time.perf_counter()
+    how, steps, status = "given weights", 0, "given"
+    if not plant.n_states:
+        prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
+    elif prior is None:
+        if rate is not None:
+            require_certificate(plant, schedule, rate)
+        choice = choose_weights(plant, schedule, weights, rate, budget, progress)
+        prior, rate, steps, status = choice.P2, choice.eta, choice.iterations, choice.status
+        how = f"least horizon under budget {budget:g}"
+    elif rate is None:
+        rate, how = choose_rate(plant, schedule, prior, weights, progress), "least horizon for given P2"
+    assert prior is not None
+    assert rate is not None
+    solver = SolverRecord("sampling_design", __version__, status, steps, time.perf_counter() - began, {"weights": how})
+    return certify_given(plant, schedule, prior, *weights, rate, solver)
+
+
+def _met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    schedule = meet(plant, schedule)
+    if not len(schedule) or schedule.times[-1] == 0:
+        raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
+    return schedule

@@ -22,7 +22,7 @@ CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
 MAX_OPEN = 100_000  # open cells or steps at once
 LAPS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
-INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-6)  # noise added per gap, where the target is I, to find the family B_i
+INFLATION = 1e-2  # noise added per gap, where the target is I, to find the family B_i; then less and less
 
 
 class Refused(Exception):
@@ -258,7 +258,9 @@ class Proof:
         """B_i after each sample, which the recursion maps below itself and which stays below I; None if not found."""
         c, after = self.c, (np.arange(self.c.N) + 1) % self.c.N
         F, W = self.F[after], self.W[after]
-        for inflation in INFLATIONS:
+        worst, inflation = 3.0, 10 * INFLATION
+        while inflation > 1e-12:
+            inflation *= min(0.1, 0.3 / worst)
             Z, Y = np.zeros((c.N, c.n, c.n)), self.Y0
             for _ in range(LAPS if c.periodic else 1):
                 before = Y

@@ -21,6 +21,7 @@ from sampling_design.design.bound import (
     cell_values,
     cells,
     jump_times,
+    peaks,
     piece_edges,
     profile,
     rooted,
@@ -96,15 +97,22 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
     marks = np.concatenate([jump_times(problem, starts), arc.edges])
     edges = piece_edges(P, np.concatenate([marks, P - marks]))
     g = profile(problem, starts, Z, edges)
-    left, right, bend = (np.sum(part, axis=1) for part in (g.left, g.right, g.bend))
+    bend, top = np.sum(g.bend, axis=1), np.sum(peaks(g), axis=1)
     middle = (edges[:-1] + edges[1:]) / 2
     mirrored = np.clip(np.searchsorted(edges, P - middle) - 1, 0, edges.size - 2)
-    at_left, at_right = (left + right[mirrored]) / 2, (right + left[mirrored]) / 2
+    top = (top + top[_nearest(edges, P - edges)]) / 2
     rest = np.diff(edges) ** 2 / 16 * (bend + bend[mirrored])
     layers = []
     for i, (a, b) in enumerate(zone):
         centre = (i + 1) * P / k
-        roof = np.maximum(at_left + tilt[i] * (edges[:-1] - centre), at_right + tilt[i] * (edges[1:] - centre)) + rest
+        tilted = top + tilt[i] * (edges - centre)
+        roof = np.maximum(tilted[:-1], tilted[1:]) + rest
         inside = (edges[1:] >= a) & (edges[:-1] <= b)
         layers.append(cell_values(arc, edges, np.where(inside, roof, -np.inf)))
     return rooted(alone + best_layers(layers, arc, high))
+
+
+def _nearest(edges: Array, wanted: Array) -> npt.NDArray[np.intp]:
+    """Index of the edge nearest to each wanted time."""
+    after = np.clip(np.searchsorted(edges, wanted), 1, edges.size - 1)
+    return np.asarray(np.where(wanted - edges[after - 1] <= edges[after] - wanted, after - 1, after))

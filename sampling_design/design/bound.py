@@ -68,6 +68,17 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     )
 
 
+def peaks(g: Profile) -> Array:
+    """At every edge the larger of g's two one-sided limits, per output: whatever a sample exactly there yields."""
+    return np.maximum(np.vstack([g.right[-1:], g.right]), np.vstack([g.left, g.left[:1]]))
+
+
+def roofs(g: Profile) -> Array:
+    """Upper bounds of g on the closed pieces, per output."""
+    top = peaks(g)
+    return np.asarray(np.maximum(top[:-1], top[1:]) + np.diff(g.edges)[:, None] ** 2 / 8 * g.bend)
+
+
 def jump_times(problem: DesignProblem, starts: Array) -> Array:
     """Where g jumps: window starts and window ends, in [0, period)."""
     return np.unique(np.mod(np.concatenate([starts, starts + problem.window]), problem.period))
@@ -208,8 +219,7 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     arcs = _arcs(problem)
     grid = np.concatenate([a.edges for a in arcs])
     edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
-    g = profile(problem, starts, Z, edges)
-    roof = np.maximum(g.left, g.right) + np.diff(edges)[:, None] ** 2 / 8 * g.bend
+    roof = roofs(profile(problem, starts, Z, edges))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
     values = np.where(mask.any(axis=1), np.sum(roof * mask, axis=1), -np.inf)
     if not problem.fixed.size:

@@ -21,6 +21,7 @@ from sampling_design.design.bound import (
     jump_times,
     piece_edges,
     profile,
+    roofs,
     rooted,
     value_at,
 )
@@ -114,8 +115,7 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, low: float, high
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])
     edges = piece_edges(P, np.concatenate([jump_times(problem, starts), marks]))
-    g = profile(problem, starts, Z, edges)
-    roof = np.sum(np.maximum(g.left, g.right) + np.diff(edges)[:, None] ** 2 / 8 * g.bend, axis=1)
+    roof = np.sum(roofs(profile(problem, starts, Z, edges)), axis=1)
     layers = [cell_values(arc, edges, np.where((edges[1:] >= a) & (edges[:-1] <= b), roof, -np.inf)) for a, b in zone]
     alone = float(value_at(problem, starts, Z, np.zeros(1)).sum())
     return rooted(alone + best_layers(layers, arc, high))

@@ -1,0 +1,66 @@
+"""Slow, plain answers about schedules: sigma by dense scan, the best of all grid schedules, random schedules.
+
+Nothing here imports what it judges: numpy and scipy only.
+"""
+
+from itertools import combinations
+
+import numpy as np
+from scipy.linalg import expm
+
+
+def window_sigma_scan(A, C, times, period, window, places=7, mask=None):
+    """Least sigma_n of C e^{A r} over half-open windows (start, start + T] and [start, start + T), by scan.
+
+    Starts: every event, and `places` places between two events.
+    """
+    A, C, times = (np.asarray(M, dtype=float) for M in (A, C, times))
+    laps = np.arange(-1, int(np.ceil(window / period)) + 2)
+    every = (times[:, None] + period * laps).ravel()
+    which = np.repeat(np.arange(times.size), laps.size)
+    events = np.unique(np.round(np.concatenate([every, every - window]), 12))
+    events = events[(events > -period * 1e-6) & (events < period * (1 + 1e-6))]
+    starts = np.unique(
+        np.concatenate([events, *(events[:-1] + f * np.diff(events) for f in np.linspace(0, 1, places + 2)[1:-1])])
+    )
+    tiny = 1e-9 * period
+    least = np.inf
+    for a in starts:
+        for low, high in ((tiny, window + tiny), (-tiny, window - tiny)):
+            inside = (every - a > low) & (every - a < high)
+            rows = [
+                (C if mask is None else C[mask[j]]) @ expm(A * r)
+                for r, j in zip(every[inside] - a, which[inside], strict=True)
+            ]
+            O = np.vstack(rows) if rows else np.zeros((0, A.shape[0]))
+            values = np.linalg.svd(O, compute_uv=False) if O.size else np.zeros(0)
+            least = min(least, values[A.shape[0] - 1] if values.size >= A.shape[0] else 0.0)
+    return float(least)
+
+
+def is_allowed(times, period, spacing, forbidden=(), fixed=()):
+    """Whether sorted times in [0, period) keep spacing (around the end too), forbidden and fixed times."""
+    gaps = np.diff(np.append(times, times[0] + period))
+    clear = all(not (a <= t < b) for t in times for a, b in forbidden)
+    return bool(gaps.min() >= spacing * (1 - 1e-9) and clear and all(np.any(np.isclose(times, f)) for f in fixed))
+
+
+def best_on_grid(A, C, period, window, spacing, count, points, forbidden=(), fixed=()):
+    """Enumerate all schedules of `count` samples on a grid; return the best sigma and its times."""
+    grid = np.arange(points) * period / points
+    best, where = 0.0, None
+    for chosen in combinations(grid, count):
+        times = np.array(chosen)
+        if is_allowed(times, period, spacing, forbidden, fixed):
+            sigma = window_sigma_scan(A, C, times, period, window, places=0)
+            if sigma > best:
+                best, where = sigma, times
+    return best, where
+
+
+def random_schedule(rng, period, spacing, count):
+    """Uniform on the spacing polytope, turned at random."""
+    slack = period - count * spacing
+    cuts = np.sort(rng.uniform(0, slack, count))
+    times = np.mod(cuts + spacing * np.arange(count) + rng.uniform(0, period), period)
+    return np.sort(times)

@@ -1,0 +1,37 @@
+"""Every source that a docstring cites stands in docs/references.bib, or is a numbered item of the paper."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+BIBLIOGRAPHY = (ROOT / "docs" / "references.bib").read_text()
+PAPER_ITEMS = re.compile(r"(Definition|Assumption|Theorem|Lemma|Remark|equation|Section|Appendix|appendix)")
+
+
+def citations():
+    for path in sorted((ROOT / "sampling_design").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
+                doc = ast.get_docstring(node) or ""
+                if "References\n---" in doc:
+                    body = doc.split("References\n", 1)[1].split("\n", 1)[1]
+                    yield f"{path.stem}.{getattr(node, 'name', '')}", re.split(r"\n\n", body)[0]
+
+
+@pytest.mark.parametrize(("place", "text"), list(citations()), ids=lambda v: v if "\n" not in v and len(v) < 60 else "")
+def test_every_citation_can_be_found(place, text):
+    for part in re.split(r";\s+", " ".join(text.split())):
+        if part.lower().startswith(("the paper", "theorem", "theory", "section")):
+            assert PAPER_ITEMS.search(part) or "theory" in part.lower(), f"{place}: which item of the paper? {part}"
+            continue
+        names = re.findall(r"\b[A-Z][A-Za-z]{3,}\b", part)
+        known = [name for name in names if name.lower() in BIBLIOGRAPHY.lower()]
+        assert known or re.search(r"\d{4}\.\d{5}|RFC \d+", part), f"{place} cites {part!r}, not in references.bib"
+
+
+def test_the_bibliography_has_no_key_twice():
+    keys = re.findall(r"@\w+\{(\w+),", BIBLIOGRAPHY)
+    assert len(keys) == len(set(keys)) > 10

@@ -15,6 +15,8 @@ from sampling_design import _checks
 from sampling_design._linalg import generalised_max
 from sampling_design._record import Record, short
 from sampling_design.certificates import files
+from sampling_design.certificates.constants import ConstantList
+from sampling_design.certificates.export import constants_of
 from sampling_design.certificates.horizon import Horizon, horizon_of, output_information
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
@@ -196,7 +198,8 @@ class Certificate(Record):
         >>> made.verify().passed
         True
         """
-        claimed = generalised_max(np.asarray(P2, dtype=float), _checks.definite("P1", P1, plant.n_states))
+        n = plant.n_states
+        claimed = generalised_max(_checks.definite("P2", P2, n), _checks.definite("P1", P1, n))
         top = max(claimed, 1.0) if lam is None else lam
         return cls(
             plant,
@@ -265,6 +268,19 @@ class Certificate(Record):
     def to_dict(self) -> dict[str, Any]:
         """Plain data as in the file, digest included."""
         return files.certificate_to_dict(self)
+
+    @property
+    def constants(self) -> ConstantList:
+        """Every constant with its formula and source; see `constants_of`."""
+        return constants_of(self)
+
+    def to_markdown(self) -> str:
+        """Return all constants as a markdown table."""
+        return self.constants.to_markdown()
+
+    def to_latex(self) -> str:
+        """Return all constants as a LaTeX `tabular`."""
+        return self.constants.to_latex()
 
     def error_bound(
         self,

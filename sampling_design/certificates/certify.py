@@ -169,6 +169,7 @@ def certify(
 
     Examples
     --------
+    >>> from sampling_design.schedules.schedule import PeriodicSchedule
     >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> certificate = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
     >>> print(f"{certificate.lam:.3f}, M > {certificate.horizon().minimum:.3f}")

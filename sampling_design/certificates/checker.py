@@ -258,7 +258,7 @@ class Proof:
         """B_i after each sample, which the recursion maps below itself and which stays below I; None if not found."""
         c, after = self.c, (np.arange(self.c.N) + 1) % self.c.N
         F, W = self.F[after], self.W[after]
-        worst, inflation = 3.0, 10 * INFLATION
+        worst, inflation = np.float64(3.0), 10 * INFLATION
         while inflation > 1e-12:
             inflation *= min(0.1, 0.3 / worst)
             Z, Y = np.zeros((c.N, c.n, c.n)), self.Y0

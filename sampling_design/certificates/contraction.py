@@ -18,11 +18,11 @@ MOST_LAPS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole laps."""
 
 
-def error_map(certificate: Certificate, start: float, length: float) -> Array:
+def error_map(certificate: Certificate, start: float, length: float, cost: str = "certificate") -> Array:
     """Return the map e(start) -> e(start + length) of the estimator without noise and constraints.
 
-    One window (start, start + length] with prior weight P2: the error is the plant's flow, less what each sample
-    corrects, F (I - K_N C) ... (I - K_1 C).
+    One window with prior weight P2: the error is the plant's flow, less what each sample corrects,
+    F (I - K_N C) ... (I - K_1 C).
 
     Parameters
     ----------
@@ -31,17 +31,28 @@ def error_map(certificate: Certificate, start: float, length: float) -> Array:
     start : float [time]
     length : float [time]
         Window length.
+    cost : "certificate" or "paper"
+        The certificate's cost with the window (start, start + length], or the paper's (15): twice P2, Qw and Qv
+        and the closed window.
 
     Returns
     -------
     (n, n) array
+
+    Raises
+    ------
+    ArgumentError
+        If the cost is unknown.
     """
-    problem = _problem(certificate)
-    seen = certificate.schedule.between(start, start + length, closed="right").times
-    return _along(problem, start, start + length, seen, certificate)
+    if cost not in ("certificate", "paper"):
+        raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
+    problem = _problem(certificate, 2.0 if cost == "paper" else 1.0)
+    ends = "both" if cost == "paper" else "right"
+    seen = certificate.schedule.between(start, start + length, closed=ends).times
+    return _along(problem, start, start + length, seen)
 
 
-def spectral_radius(certificate: Certificate, length: float) -> float:
+def spectral_radius(certificate: Certificate, length: float, cost: str = "certificate") -> float:
     """Return the spectral radius of the error over one window of `length`, the worst start in a lap.
 
     Parameters
@@ -49,6 +60,7 @@ def spectral_radius(certificate: Certificate, length: float) -> float:
     certificate : Certificate
         On a periodic schedule.
     length : float [time]
+    cost : "certificate" or "paper"
 
     Returns
     -------
@@ -75,19 +87,20 @@ def spectral_radius(certificate: Certificate, length: float) -> float:
     for offset in schedule.times - schedule.times[0]:
         product = np.eye(certificate.plant.n_states)
         for k in range(whole):
-            product = error_map(certificate, first + float(offset) + k * length, length) @ product
+            product = error_map(certificate, first + float(offset) + k * length, length, cost) @ product
         radius = np.abs(np.linalg.eigvals(product)).max(initial=0.0) if product.size else 0.0
         worst = max(worst, float(radius ** (1 / whole)))
     return worst
 
 
-def least_contracting(certificate: Certificate) -> float:
+def least_contracting(certificate: Certificate, cost: str = "certificate") -> float:
     """Return the least window, in steps from sample to sample of a lap, from which on the true error map contracts.
 
     Parameters
     ----------
     certificate : Certificate
         On a periodic schedule.
+    cost : "certificate" or "paper"
 
     Returns
     -------
@@ -101,18 +114,18 @@ def least_contracting(certificate: Certificate) -> float:
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:
-        if spectral_radius(certificate, float(length)) >= 1:
+        if spectral_radius(certificate, float(length), cost) >= 1:
             break
         best = float(length)
     return best
 
 
-def _problem(certificate: Certificate) -> WindowProblem:
+def _problem(certificate: Certificate, factor: float) -> WindowProblem:
     c = certificate
-    return window_problem(c.plant, c.schedule, c.P2, c.Qw, c.R, c.Qv, c.eta)
+    return window_problem(c.plant, c.schedule, factor * c.P2, factor * c.Qw, c.R, factor * c.Qv, c.eta)
 
 
-def _along(problem: WindowProblem, start: float, stop: float, seen: Array, certificate: Certificate) -> Array:
+def _along(problem: WindowProblem, start: float, stop: float, seen: Array) -> Array:
     """The error map in the plant's coordinates."""
     n = problem.size
     Y, Phi, now = np.eye(n), np.eye(n), start
@@ -125,7 +138,7 @@ def _along(problem: WindowProblem, start: float, stop: float, seen: Array, certi
         gain = np.linalg.solve(np.eye(len(rows)) + rows @ Y @ rows.T, rows @ Y).T
         Y, Phi, now = update(Y, rows), (np.eye(n) - gain @ rows) @ Phi, tau
     Phi = _flown(problem, Y, Phi, stop - now)[1]
-    return np.linalg.solve(problem.root.T, Phi @ problem.root.T)
+    return np.asarray(np.linalg.solve(problem.root.T, Phi @ problem.root.T), dtype=np.float64)
 
 
 def _flown(problem: WindowProblem, Y: Array, Phi: Array, duration: float) -> tuple[Array, Array]:

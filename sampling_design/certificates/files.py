@@ -150,10 +150,11 @@ def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> C
     plant = plant_from_dict(data["plant"], where)
     empty = np.zeros((0, 0))
     seen = data["witness"]
+    values: dict[str, Any] = {key: data[key] if data[key] else empty for key in _MATRICES}
     return Certificate(
         plant,
         times_from_dict(data["times"]),
-        **{key: data[key] if data[key] else empty for key in _MATRICES},
+        **values,
         **{key: data[key] for key in _NUMBERS},
         witness=None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
         solver=_solver(data["solver"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -96,7 +97,8 @@ class Search:
         state = _State(self, L, eta, bounds)
         start = state.start()
         free = [(None, None)] * (start.size - 1)
-        found = minimize(
+        solve: Any = minimize
+        found = solve(
             state.objective,
             start,
             jac=True,
@@ -254,7 +256,8 @@ def choose_rate(
 ) -> float:
     """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best."""
     report = progress or (lambda fraction, message: None)
-    root = np.linalg.cholesky(P2 * np.outer(plant.states.scales, plant.states.scales))
+    scales = plant.states.scales
+    root = np.asarray(np.linalg.cholesky(P2 * np.outer(scales, scales)), dtype=np.float64)
     search = Search(plant, schedule, weights, np.inf)
 
     def horizon(log_rate: float) -> float:

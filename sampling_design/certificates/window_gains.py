@@ -100,7 +100,7 @@ class WindowSet:
 
     def log_lambda(self, L: Array) -> tuple[Array, Array]:
         """Return ln lambda of each window (and of the steady lap, last) and the gradients in P2, (m,) and (m, n, n)."""
-        half = np.linalg.inv(L)
+        half = np.asarray(np.linalg.inv(L), dtype=np.float64)
         X = half.T @ half
         Y, Phi, valid = self._paths(X)
         if self.steady is not None:

@@ -107,7 +107,7 @@ def noise_input(G: Array, Qw: Array) -> Array:
     return half @ half.T
 
 
-def whitened_rows(C: Array, R: Array, Qv: Array, mask: Array | None, count: int) -> Array:
+def whitened_rows(C: Array, R: Array, Qv: Array, mask: npt.NDArray[np.bool_] | None, count: int) -> Array:
     """Return V_i^{-1/2} C_i per sample, V = R^-1 + Qv^-1 restricted to the measured outputs; zero rows pad."""
     V = symmetrise(np.linalg.inv(R) + np.linalg.inv(Qv))
     if mask is None:
@@ -124,7 +124,7 @@ def window_problem(
     plant: Plant, schedule: AnySchedule, P2: Array, Qw: Array, R: Array, Qv: Array, eta: float
 ) -> WindowProblem:
     """Return the recursion of `plant` on `schedule` (already in the plant's terms) for given weights."""
-    root = np.linalg.cholesky(P2)
+    root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
     drive = root.T @ psd_root(noise_input(plant.G, Qw)) if plant.n_states else np.zeros((0, 0))
     rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
@@ -138,4 +138,4 @@ def window_problem(
     else:
         gaps = np.diff(times, prepend=0.0)
         reach, period = gaps.copy(), None
-    return WindowProblem(A, drive @ drive.T, rows, eta, root, gaps, reach, times, period)
+    return WindowProblem(np.asarray(A, dtype=np.float64), drive @ drive.T, rows, eta, root, gaps, reach, times, period)

@@ -97,7 +97,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
     marks = np.concatenate([jump_times(problem, starts), arc.edges])
     edges = piece_edges(P, np.concatenate([marks, P - marks]))
     g = profile(problem, starts, Z, edges)
-    bend, top = np.sum(g.bend, axis=1), np.sum(peaks(g), axis=1)
+    bend, top = np.sum(g.bend, axis=1), peaks(g)
     middle = (edges[:-1] + edges[1:]) / 2
     mirrored = np.clip(np.searchsorted(edges, P - middle) - 1, 0, edges.size - 2)
     top = (top + top[_nearest(edges, P - edges)]) / 2

@@ -69,14 +69,17 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
 
 
 def peaks(g: Profile) -> Array:
-    """At every edge the larger of g's two one-sided limits, per output: whatever a sample exactly there yields."""
-    return np.maximum(np.vstack([g.right[-1:], g.right]), np.vstack([g.left, g.left[:1]]))
+    """At every edge the larger of the two one-sided limits of g, summed over outputs."""
+    left, right = np.sum(g.left, axis=1), np.sum(g.right, axis=1)
+    return np.maximum(np.append(right[-1], right), np.append(left, left[0]))
 
 
-def roofs(g: Profile) -> Array:
-    """Upper bounds of g on the closed pieces, per output."""
-    top = peaks(g)
-    return np.asarray(np.maximum(top[:-1], top[1:]) + np.diff(g.edges)[:, None] ** 2 / 8 * g.bend)
+def roofs(g: Profile, mask: npt.NDArray[np.bool_]) -> Array:
+    """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end."""
+    total = [np.sum(part * mask, axis=1) for part in (np.roll(g.right, 1, axis=0), g.left, g.right)]
+    after = np.sum(np.roll(g.left, -1, axis=0) * mask, axis=1)
+    ends = np.maximum(np.maximum(total[0], total[1]), np.maximum(total[2], after))
+    return np.asarray(ends + np.diff(g.edges) ** 2 / 8 * np.sum(g.bend * mask, axis=1))
 
 
 def jump_times(problem: DesignProblem, starts: Array) -> Array:
@@ -219,9 +222,8 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     arcs = _arcs(problem)
     grid = np.concatenate([a.edges for a in arcs])
     edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
-    roof = roofs(profile(problem, starts, Z, edges))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
-    values = np.where(mask.any(axis=1), np.sum(roof * mask, axis=1), -np.inf)
+    values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
     if not problem.fixed.size:
         cycle = arcs[0]
         sums = cell_values(cycle, edges, values)

@@ -19,7 +19,7 @@ from sampling_design.design.schedule_design import ScheduleDesign, designed_plan
 from sampling_design.design.search import Found, search
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.evidence import SolverRecord
-from sampling_design.observability.zero_count import zero_count_bound
+from sampling_design.observability.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -119,11 +119,13 @@ def design_schedule(
     if split.retained.n_states == 0:
         return _nothing(plant, split, wanted)
     resolved, used = resolve(split, wanted)
+    count = zero_count_bound(split.retained, float(resolved.window or 0))  # refuses a mode that no output sees
     run = _Run(
         plant,
         split,
         resolved,
         used,
+        count,
         rng or np.random.default_rng(0),
         starts,
         branches,
@@ -186,6 +188,7 @@ class _Run:
     split: ModalSplit
     requirement: Requirement
     used: dict[str, Any]
+    zero_count: ZeroCountBound
     rng: np.random.Generator
     starts: int
     branches: int
@@ -240,7 +243,7 @@ class _Run:
             defaults_used=self.used,
             plant=self.plant,
             split=self.split,
-            zero_count=zero_count_bound(self.split.retained, float(self.requirement.window or 0)),
+            zero_count=self.zero_count,
             window=proof,
             bound=bound,
             history=tuple(asdict(trial) for trial in found.trials),

@@ -115,7 +115,8 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, low: float, high
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])
     edges = piece_edges(P, np.concatenate([jump_times(problem, starts), marks]))
-    roof = np.sum(roofs(profile(problem, starts, Z, edges)), axis=1)
+    every = np.ones((edges.size - 1, problem.plant.n_outputs), dtype=bool)
+    roof = roofs(profile(problem, starts, Z, edges), every)
     layers = [cell_values(arc, edges, np.where((edges[1:] >= a) & (edges[:-1] <= b), roof, -np.inf)) for a, b in zone]
     alone = float(value_at(problem, starts, Z, np.zeros(1)).sum())
     return rooted(alone + best_layers(layers, arc, high))

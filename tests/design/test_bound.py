@@ -1,0 +1,157 @@
+"""Any psd multipliers prove a bound: against plain sums over schedules, aligned with the jumps on purpose."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from sampling_design import Plant
+from sampling_design.design import bound
+from sampling_design.design.averaged import averaged_bound
+from sampling_design.design.bounds import BoundPart, UpperBound
+from sampling_design.design.largest_gap import applies, gap_range, zone_bound, zones
+from sampling_design.design.problem import DesignProblem
+from sampling_design.errors import ArgumentError
+from tests.oracles.design import random_schedule
+
+A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+C = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+
+def problem(window=4.0, period=4.0, spacing=0.3, samples=5, forbidden=(), fixed=(), available=(None, None)):
+    span = np.array(forbidden, dtype=float).reshape(-1, 2)
+    return DesignProblem(Plant(A, C), window, period, spacing, samples, span, np.array(fixed, dtype=float), available)
+
+
+def multipliers(case, rng, count):
+    """Random psd matrices in the scaled basis with sum <Z, S'S> = 1, and starts on tenths of the period."""
+    F = rng.normal(size=(count, 3, 2))
+    Z = F @ np.swapaxes(F, 1, 2)
+    Z /= np.einsum("mij,ij->", Z, case.rows.S.T @ case.rows.S)
+    return np.sort(rng.choice(20, count, replace=False)) * case.period / 20, Z
+
+
+def plain_sum(case, starts, Z, times, origin=0.0):
+    """sum_m <Z_m, W(origin + a_m)> over windows (start, start + T], by definition."""
+    S = np.linalg.inv(case.rows.R)
+    total = 0.0
+    for a, weight in zip(starts, Z, strict=True):
+        for t in times:
+            r = np.mod(t - origin - a, case.period)
+            r = r + case.period if r < 1e-9 else r
+            mask = case.mask(np.array([t]))[0]
+            while r <= case.window + 1e-9:
+                c = C[mask] @ expm(A * r) @ S
+                total += float(np.trace(c @ weight @ c.T))
+                r += case.period
+    return total
+
+
+def schedules(case, rng):
+    """Random ones, an even one, and one on tenths of the period, where windows start and end."""
+    yield from (random_schedule(rng, case.period, case.spacing, case.samples) for _ in range(6))
+    yield np.arange(case.samples) * case.period / case.samples
+    yield np.sort(rng.choice(10, case.samples, replace=False)) * case.period / 10
+
+
+@pytest.mark.parametrize(("window", "period"), [(4.0, 4.0), (4.0, 3.2), (2.5, 4.0), (9.0, 4.0)])
+def test_every_bound_exceeds_the_plain_sum(window, period):
+    rng = np.random.default_rng(5)
+    case = problem(window, period)
+    starts, Z = multipliers(case, rng, 6)
+    tilt = rng.normal(size=4) * 0.01
+    low, high = gap_range(case)
+    placed = bound.placed_bound(case, starts, Z) ** 2
+    averaged = averaged_bound(case, starts, Z, tilt, high) ** 2
+    for times in schedules(case, rng):
+        gaps = np.diff(np.append(times, times[0] + period))
+        turns = [plain_sum(case, starts, Z, times, origin) for origin in times]
+        assert plain_sum(case, starts, Z, times) <= placed * (1 + 1e-8)
+        assert np.mean(turns) <= averaged * (1 + 1e-8)
+        assert np.mean(turns) <= averaged_bound(case, starts, Z, tilt, gaps.max()) ** 2 * (1 + 1e-8)
+        widest = int(np.argmax(gaps))
+        narrow = zone_bound(case, starts, Z, max(low, gaps.max() * 0.99), gaps.max() * 1.01) ** 2
+        assert turns[widest] <= narrow * (1 + 1e-8)
+
+
+def test_bound_with_forbidden_fixed_and_partly_available_times():
+    rng = np.random.default_rng(6)
+    spans = (np.array([[0.0, 2.0]]), np.array([[1.0, 4.0]]))
+    case = problem(samples=4, forbidden=[[1.2, 1.6]], fixed=[0.4, 2.0], available=spans)
+    starts, Z = multipliers(case, rng, 5)
+    limit = bound.placed_bound(case, starts, Z) ** 2
+    tried = 0
+    for _ in range(400):
+        times = np.sort(np.concatenate([[0.4, 2.0], rng.integers(0, 40, 2) / 10]))
+        gaps = np.diff(np.append(times, times[0] + 4.0))
+        if gaps.min() < 0.3 or np.any((times >= 1.2) & (times < 1.6)):
+            continue
+        tried += 1
+        assert plain_sum(case, starts, Z, times) <= limit * (1 + 1e-8)
+    assert tried > 50
+
+
+def test_the_bound_is_attained_by_a_single_sample():
+    case = problem(samples=1)
+    rng = np.random.default_rng(7)
+    starts, Z = multipliers(case, rng, 3)
+    best = max(plain_sum(case, starts, Z, [t]) for t in np.linspace(0, 4.0, 2001)[:-1])
+    limit = bound.placed_bound(case, starts, Z) ** 2
+    assert best <= limit <= best * 1.01
+
+
+def test_best_cycle_is_the_best_by_enumeration():
+    from itertools import combinations
+
+    rng = np.random.default_rng(8)
+    values = rng.normal(size=14)
+    for apart in (0, 1, 3, 4):
+        best = max(sum(values[list(c)]) for c in combinations(range(14), 3) if min(np.diff([*c, c[0] + 14])) >= apart)
+        found = bound.best_cycle(values, apart, 3, 14.0)
+        assert found >= best - 1e-12
+        if apart:
+            assert found == pytest.approx(best)
+
+
+def test_reachable_is_a_sliding_maximum():
+    x = np.random.default_rng(0).normal(size=30)
+    for near, far in ((0, 0), (0, 3), (2, 2), (2, 5), (3, 7), (1, 40)):
+        plain = [max(x[max(0, i - far) : i - near + 1], default=-np.inf) if i >= near else -np.inf for i in range(30)]
+        assert np.array_equal(bound.reachable(x, near, far), plain)
+
+
+def test_zones_hold_every_schedule_with_that_largest_gap():
+    case = problem()
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        times = random_schedule(rng, 4.0, 0.3, 5)
+        gaps = np.diff(np.append(times, times[0] + 4.0))
+        j = int(np.argmax(gaps))
+        later = np.cumsum(np.roll(gaps, -j))[:-1]
+        zone = zones(case, gaps[j], gaps[j])
+        assert np.all(later >= zone[:, 0])
+        assert np.all(later <= zone[:, 1])
+
+
+def test_multipliers_that_prove_nothing_give_an_infinite_bound():
+    case = problem()
+    low, high = gap_range(case)
+    good = BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4))
+    assert np.isfinite(UpperBound(1.0, (good,)).value_for(case))
+    indefinite = BoundPart("averaged", low, high, np.zeros(1), np.diag([1.0, 1.0, -0.5])[None], np.zeros(4))
+    assert UpperBound(1.0, (indefinite,)).value_for(case) == np.inf
+    short = BoundPart("averaged", low, high * 0.9, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4))
+    assert UpperBound(1.0, (short,)).value_for(case) == np.inf  # larger gaps are left uncovered
+    assert not applies(problem(forbidden=[[0.0, 1.0]]))
+    assert good.value_for(problem(forbidden=[[0.0, 1.0]])) == np.inf
+    assert BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None], np.zeros(2)).value_for(case) == np.inf
+
+
+def test_a_bound_survives_its_own_dictionary():
+    low, high = gap_range(problem())
+    part = BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4), 2.0)
+    again = UpperBound.from_dict(UpperBound(2.0, (part,)).to_dict())
+    assert again.value == 2.0
+    assert again.method == "averaged"
+    assert again.value_for(problem()) == UpperBound(2.0, (part,)).value_for(problem())
+    with pytest.raises(ArgumentError, match="a bound's `method` must be placed, averaged or largest gap, got 'guess'"):
+        UpperBound.from_dict({"value": 1.0, "parts": [{**part.to_dict(), "method": "guess"}]})

@@ -1,0 +1,120 @@
+"""Requirements: the record, its file, and what is refused at the door."""
+
+import numpy as np
+import pytest
+
+from sampling_design import OutputAccess, Requirement, read_requirement, write_requirement
+from sampling_design.errors import ArgumentError, FileFormatError
+
+FULL = """
+format = "sampling-design/requirement/1"
+window = 5554.0
+period = 5554.0
+spacing = 60.0
+samples = { exactly = 12 }
+decay_rate = 0.0
+forbidden = [[0.0, 600.0]]
+fixed = [700.0]
+[outputs.range]
+available = [[0.0, 2700.0]]
+cost = 2.5
+"""
+
+
+@pytest.mark.parametrize("ending", ["toml", "json"])
+def test_a_file_comes_back_as_it_was(tmp_path, ending):
+    source = tmp_path / "given.toml"
+    source.write_text(FULL)
+    requirement = read_requirement(source)
+    assert requirement.samples == {"exactly": 12}
+    assert requirement.outputs["range"].cost == 2.5
+    again = read_requirement(write_requirement(requirement, tmp_path / f"again.{ending}"))
+    assert again.to_dict() == requirement.to_dict()
+    assert np.array_equal(again.outputs["range"].available, [[0.0, 2700.0]])
+
+
+def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
+    head = 'format = "sampling-design/requirement/1"\n'
+    for text in (
+        "target_sigma = 0.2\n",
+        "samples = { target_sigma = 0.2 }\n",
+        "target_sigma = 0.2\nsamples.at_most = 9\n",
+    ):
+        path = tmp_path / "r.toml"
+        path.write_text(head + text)
+        assert read_requirement(path).target_sigma == 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("format = 'sampling-design/plant/1'", "`format` must be 'sampling-design/requirement/1'"),
+        (FULL + "windw = 1.0", "unknown key"),
+        (FULL.replace("window", "windw"), "unknown key 'windw' in the requirement. Did you mean 'window'"),
+        (FULL.replace("600.0]]", "600.0"), "is not valid TOML"),
+        (FULL.replace("60.0\n", "-60.0\n"), "`spacing` must be positive"),
+        (FULL.replace("exactly", "exact"), "unknown key 'exact' in `samples`"),
+        (FULL + "avail = []", "unknown key 'avail' in `outputs.range`"),
+        (
+            "format='sampling-design/requirement/1'\ntarget_sigma=1.0\nsamples={target_sigma=2.0}",
+            "is given twice, beside",
+        ),
+    ],
+)
+def test_a_bad_file_is_one_sentence_with_the_file_named(tmp_path, text, words):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(FileFormatError) as caught:
+        read_requirement(path)
+    assert words in str(caught.value)
+    assert "bad.toml" in str(caught.value)
+
+
+def test_another_ending_is_not_written(tmp_path):
+    with pytest.raises(FileFormatError, match=r"a requirement file ends in \.toml or \.json, got '\.txt'"):
+        write_requirement(Requirement(), tmp_path / "r.txt")
+    assert not (tmp_path / "r.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"window": -1.0}, "`window` must be positive"),
+        ({"samples": 2.5}, "`samples` must be a whole number of at least 1"),
+        (
+            {"samples": {"exactly": 3, "at_most": 4}},
+            "`samples` must give either exactly or at_least and at_most, got both",
+        ),
+        ({"samples": {"at_least": 5, "at_most": 4}}, "`samples` asks for at_least 5 and at_most 4"),
+        ({"forbidden": [[2.0, 1.0]]}, "`forbidden` must hold intervals [start, stop) with start < stop"),
+        ({"forbidden": [[-1.0, 1.0]]}, "`forbidden` must not be negative, got -1.0"),
+        ({"forbidden": [[0.0, 9.0]], "period": 4.0}, "`forbidden` must lie within the period 4.0, got 9.0"),
+        ({"fixed": [4.0], "period": 4.0}, "`fixed` must lie in [0, period) = [0, 4.0), got 4.0"),
+        ({"outputs": {"y": 3}}, "`outputs.y` must be a table with available and cost, got 3"),
+        ({"outputs": {"y": {"cost": -1}}}, "`cost` must not be negative"),
+        ({"scaled": 1}, "`scaled` must be true or false, got 1"),
+        ({"time_unit": "fortnight"}, "`time_unit` must be one of"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, words):
+    with pytest.raises(ArgumentError) as caught:
+        Requirement(**arguments)
+    assert words in str(caught.value)
+
+
+def test_overlapping_intervals_are_joined_and_kept_half_open():
+    requirement = Requirement(forbidden=[[2.0, 3.0], [0.0, 1.0], [0.5, 2.0]])
+    assert requirement.forbidden.tolist() == [[0.0, 3.0]]
+
+
+def test_records_speak():
+    requirement = Requirement(
+        window=4.0, samples={"at_most": 5}, forbidden=[[0, 1]], outputs={"y": OutputAccess(cost=2)}
+    )
+    assert "At most 5 samples per period" in requirement.explain()
+    assert "none in [0, 1)" in requirement.explain()
+    assert "always" in OutputAccess().explain()
+    assert "window" in str(requirement)
+    assert requirement.replace(window=5.0).window == 5.0
+    with pytest.raises(ArgumentError, match="unknown key 'windoe' in the requirement"):
+        requirement.replace(windoe=5.0)

@@ -61,7 +61,9 @@ _FRONT_DOOR = {
     "design.requirement_file": ("read_requirement", "write_requirement", "requirement_from_dict"),
     "design.design": ("design_schedule",),
     "design.schedule_design": ("ScheduleDesign",),
-    "design.bounds": ("UpperBound",),
+    "design.bounds": ("UpperBound", "BoundPart"),
+    "design.losses": ("SampleLosses", "sample_losses"),
+    "design.pareto": ("ParetoFront", "ParetoPoint", "pareto"),
 }
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 

@@ -35,10 +35,11 @@ def solve_square_root(window: Window) -> Solution:
         if j + 1 == count:
             break
         flow = window.flows[j]
-        noise = flow.root.T / scale[j + 1]
-        left = np.vstack([root.T @ flow.F.T, noise])
-        right = np.vstack([root.T, np.zeros((noise.shape[0], n))])
-        triangle = _upper(np.hstack([left, right]))
+        width = flow.root.shape[1]
+        stacked = np.zeros((n + max(n, width), 2 * n))
+        stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
+        stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
+        triangle = _upper(stacked)
         gains[j] = _triangular(triangle[:n, :n], triangle[:n, n:]).T
         roots[j] = triangle[n : 2 * n, n:].T
         root, mean = triangle[:n, :n].T, flow.F @ mean + window.defect[j]

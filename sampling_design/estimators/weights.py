@@ -137,8 +137,12 @@ def build_weights(
     Raises
     ------
     ArgumentError
-        If a weight is not positive definite, eta is negative, or the cost is unknown.
+        If a weight is not positive definite, eta is negative, the cost is unknown, or the certificate is another
+        plant's.
     """
+    theirs = getattr(certificate, "plant", None)
+    if theirs is not None and not all(np.array_equal(getattr(theirs, M), getattr(plant, M)) for M in "ACG"):
+        raise ArgumentError("`certificate` belongs to another plant: its A, C or G differ from those of `plant`.")
     if cost not in COSTS:
         raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
     given = {"P2": P2, "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}

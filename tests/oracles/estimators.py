@@ -101,5 +101,5 @@ def fine_grid(A, C, G, P2, Qw, R, Qv, eta, prior, start, times, ys, steps, twice
     cost = cp.sum([item for item in terms if not isinstance(item, tuple)])
     extra = [] if constrain is None else constrain(states, w, vs)
     problem = cp.Problem(cp.Minimize(cost), equal + extra)
-    problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+    problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     return states[-1].value, float(problem.value)

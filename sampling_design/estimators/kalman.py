@@ -1,0 +1,150 @@
+"""The continuous-discrete Kalman filter at irregular times, discounted or not, and its fixed-interval smoother."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._checks import freeze
+from sampling_design._linalg import symmetrise
+from sampling_design.estimators.estimator import Estimate, EstimateRecord, Sample
+from sampling_design.estimators.history import Node, State
+from sampling_design.estimators.open_loop import ROUNDING, OpenLoopEstimator
+from sampling_design.estimators.smoother import smooth
+from sampling_design.estimators.weights import build_weights
+from sampling_design.estimators.window import build_window
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+
+class KalmanFilter(OpenLoopEstimator):
+    """The filter of all samples since the prior, without constraints.
+
+        min  e^{-eta t}|x(0) - prior|^2_P2 + int e^{-eta(t-tau)}|w|^2_Qw + sum e^{-eta(t-tau)}|y - Cx - Du|^2_R~
+
+    With eta = 0, and P2, Qw, R~ the inverses of the prior's covariance, the disturbance's intensity and the noise's
+    covariance, this is the continuous-discrete Kalman filter; with eta > 0 its discounted form, which is what a
+    moving horizon estimator without constraints and with an endless horizon computes.
+
+    Parameters
+    ----------
+    plant : Plant
+    certificate : Certificate, optional
+        Brings P2, Qw, R, Qv and eta.
+    P2, Qw, R, Qv, eta, prior, prior_time, w_bound, v_bound, initial_error, feedthrough
+        As for `MovingHorizonEstimator`.
+    lateness : float
+        How far back a late sample may lie [time]; snapshots are kept that long. Default 0.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong shape or sign.
+
+    Examples
+    --------
+    >>> filter = KalmanFilter(Plant([[0.0]], [[1.0]]), P2=[[1.0]], Qw=[[1e9]], R=[[2.0]], Qv=[[2.0]])
+    >>> [round(float(filter.update(t, [3.0]).x[0]), 6) for t in (1.0, 2.0)]
+    [1.5, 2.0]
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        certificate: Any = None,
+        *,
+        P2: Any = None,
+        Qw: Any = None,
+        R: Any = None,
+        Qv: Any = None,
+        eta: float | None = None,
+        prior: Any = None,
+        prior_time: float = 0.0,
+        w_bound: Any = None,
+        v_bound: Any = None,
+        initial_error: Any = None,
+        feedthrough: str = "right",
+        lateness: float = 0.0,
+    ):
+        weights, _ = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta)
+        self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
+        self._set_up(plant, weights, None, feedthrough)
+        self.memory = self.lateness = _checks.nonnegative("lateness", lateness)
+        self._set_bounds(w_bound, v_bound, initial_error, kept_v=False)
+        self.state = self.initial_state(prior, prior_time)
+
+    def _advance(self, state: State, sample: Sample) -> Node:
+        y, mask, feedthrough = self._measured(state, sample)
+        last, weights = state.last, self.weights
+        (flow,) = self.table.get([sample.t - last.t])
+        drift = self._drift.between(state, last.t, sample.t)
+        x, Y, before = self._flown(last, flow, drift)
+        H = weights.y_root @ (self.plant.C * mask[:, None])
+        innovation = weights.y_root @ ((y - feedthrough) * mask - mask * (self.plant.C @ x))
+        S = H @ Y @ H.T + np.eye(mask.size)
+        gain = np.linalg.solve(S, H @ Y).T
+        rest = np.eye(x.size) - gain @ H
+        Y = freeze(symmetrise(rest @ Y @ rest.T + gain @ gain.T))
+        x = freeze(x + gain @ innovation)
+        cost = float(innovation @ np.linalg.solve(S, innovation))
+        past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
+        terms = before + float(self._sample_energy(mask[None])[0])
+        beta, status, sound = self._judged(terms, cost * (1 - ROUNDING), last.sound)
+        details = {"engine": "filter", "window_start": state.nodes[0].t, "cost": past + cost}
+        estimate = self._estimate(sample.t, x, Y, beta, status, sound=sound, scheduled=False, **details)
+        return Node(sample.t, y, mask, feedthrough, x, Y, beta, flow, drift, False, sound, estimate, sample)
+
+    def smooth(self, record: Any) -> EstimateRecord:
+        """Return the estimates at all samples given all samples (fixed-interval smoother); the filter stays as it is.
+
+        Parameters
+        ----------
+        record : Measurements or iterable of (t, y, u)
+            In order of time, from the filter's prior on.
+
+        Returns
+        -------
+        EstimateRecord
+            `covariance` in units of the last sample (discounted to it), so that the one `radius` of the
+            last sample holds for all: |x(t_j) - x_j|^2 in the inverse covariance is at most the radius.
+        """
+        fresh = copy(self)
+        fresh.memory = np.inf
+        fresh.state = State(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
+        for item in record:
+            fresh.update(*item)
+        nodes = fresh.state.nodes
+        if len(nodes) == 1:
+            return EstimateRecord.collect(self.plant, [])
+        inside = [node for node in nodes[1:] if node.t > nodes[0].t]
+        opening = nodes[1] if nodes[1].t == nodes[0].t else nodes[0]
+        rows = [opening, *inside]
+        first = np.zeros((0, self.plant.n_states))
+        window = build_window(
+            self.weights,
+            np.array([node.t for node in rows]),
+            [node.flow for node in inside if node.flow is not None],
+            np.array([node.drift for node in inside]).reshape(first.shape[0] + len(inside), self.plant.n_states),
+            np.array([nodes[0].x, *(node.x for node in inside)]),
+            *(np.array([getattr(node, key) for node in rows]) for key in ("y", "mask", "feedthrough")),
+        )
+        found = smooth(window)
+        kernel, covariance = found.kernel(), [found.covariance]
+        for G, S in zip(kernel.gains[::-1], kernel.roots[-2::-1], strict=True):
+            covariance.append(symmetrise(G @ covariance[-1] @ G.T + S @ S.T))
+        last, estimates = nodes[-1].estimate, []
+        for node, x, Y in zip(rows, found.nodes, covariance[::-1], strict=True):
+            if node.sample.y is not None:
+                details = {"cost": last.cost, "engine": found.engine, "window_start": nodes[0].t}
+                estimates.append(self._smoothed(node.t, x, Y, last, details))
+        return EstimateRecord.collect(self.plant, estimates)
+
+    def _smoothed(self, t: float, x: Array, Y: Array, last: Estimate, details: dict[str, Any]) -> Estimate:
+        return Estimate(
+            t, freeze(x), freeze(Y), last.radius, last.status, certified=last.certified, note=last.note, **details
+        )

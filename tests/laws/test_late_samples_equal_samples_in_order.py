@@ -1,0 +1,89 @@
+"""Late and out-of-order samples give the estimates of the samples in order, and rewrite nothing that was handed out."""
+
+import numpy as np
+import pytest
+
+from sampling_design import KalmanFilter, Plant
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+
+PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.1], [0.0]])
+
+
+def record(seed, count=24):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.2, 0.9, count))
+    ys = rng.normal(size=(count, 2))
+    ys[rng.random((count, 2)) < 0.3] = np.nan
+    ys[np.isnan(ys).all(axis=1), 0] = 0.5
+    us = rng.normal(size=(count, 1))
+    return [(float(t), y, u if k % 3 == 0 else None) for k, (t, y, u) in enumerate(zip(times, ys, us, strict=True))]
+
+
+def estimators():
+    bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, **bounds)
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, x_set=([-0.5, -0.5], [0.5, 0.5]), **bounds)
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, cost="paper", carried_weight=True)
+    yield lambda: KalmanFilter(PLANT, eta=0.3, lateness=4.0, **bounds)
+
+
+def same(a, b):
+    assert a.t == b.t
+    for left, right in ((a.x, b.x), (a.covariance, b.covariance), (a.radius, b.radius), (a.cost, b.cost)):
+        np.testing.assert_allclose(left, right, rtol=1e-12, atol=1e-12)
+    assert (a.status, a.certified, a.on_schedule) == (b.status, b.certified, b.on_schedule)
+
+
+@pytest.mark.parametrize("make", list(estimators()), ids=["mhe", "constrained", "paper carried", "filter"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_any_order_within_the_window(make, seed):
+    rows = record(seed)
+    straight, shuffled = make(), make()
+    in_order = [straight.update(*row) for row in rows]
+    order = sorted(range(len(rows)), key=lambda k: rows[k][0] + np.random.default_rng(seed + 100 * k).uniform(0, 3.0))
+    assert order != sorted(order)
+    handed_out = []
+    for k in order:
+        estimate = shuffled.update(*rows[k])
+        handed_out.append((estimate, estimate.x.copy(), estimate.radius))
+    same(shuffled.predict(rows[-1][0]), in_order[-1])
+    same(shuffled.predict(rows[-1][0] + 1.0), straight.predict(rows[-1][0] + 1.0))
+    for estimate, x, radius in handed_out:
+        assert np.array_equal(estimate.x, x)
+        assert estimate.radius == radius
+        assert not estimate.x.flags.writeable
+    # past online estimates that are still kept agree too
+    same(shuffled.predict(rows[-4][0]), straight.predict(rows[-4][0]))
+
+
+@pytest.mark.parametrize("make", list(estimators()), ids=["mhe", "constrained", "paper carried", "filter"])
+def test_outputs_of_one_time_may_come_apart_and_an_input_may_come_late(make):
+    rows = record(5)
+    straight, apart = make(), make()
+    for t, y, u in rows:
+        straight.update(t, y, u)
+    for k, (t, y, _) in enumerate(rows):
+        for i in np.flatnonzero(np.isfinite(y))[::-1]:
+            apart.update(t, [y[j] if j == i else np.nan for j in range(2)])
+        if k >= 2 and rows[k - 2][2] is not None:
+            apart.update(rows[k - 2][0], None, rows[k - 2][2])
+    for t, _, u in rows[-2:]:
+        if u is not None:
+            apart.update(t, None, u)
+    same(apart.predict(rows[-1][0]), straight.predict(rows[-1][0]))
+
+
+def test_step_is_pure():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3)
+    rows = record(7)
+    state = mhe.initial_state()
+    states, estimates = [state], []
+    for row in rows:
+        state, estimate = mhe.step(state, row)
+        states.append(state)
+        estimates.append(estimate)
+    for k in (3, 9, 15):
+        again, estimate = mhe.step(states[k], rows[k])
+        same(estimate, estimates[k])
+        assert len(again.nodes) == len(states[k + 1].nodes)
+    assert mhe.state.last.t == 0.0

@@ -1,10 +1,13 @@
 """design_schedule end to end: proven sigma below the bound, constraints kept, defaults told."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library
-from sampling_design.errors import ArgumentError
+from sampling_design import PeriodicSchedule, Plant, Requirement, Signals, UpperBound, design_schedule, library
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 
 
 def oscillator():
@@ -44,3 +47,81 @@ def test_a_plant_or_requirement_of_another_type_is_refused():
         design_schedule("oscillator")
     with pytest.raises(ArgumentError, match=r"`requirement` must be a Requirement, got dict\. Use read_requirement"):
         design_schedule(oscillator(), {"window": 4.0})
+
+
+def test_a_target_is_reached_with_the_fewest_samples():
+    requirement = Requirement(window=2 * np.pi, spacing=0.2, target_sigma=1.3)
+    design = design_schedule(oscillator(), requirement, starts=3)
+    assert len(design.schedule) == 4
+    assert design.sigma >= 1.3
+    assert "4 is the fewest: the bound rules out 1.3 with 3" in design.notes[-1]
+
+
+def test_a_target_out_of_reach_names_what_was_found():
+    requirement = Requirement(window=2 * np.pi, spacing=0.2, target_sigma=5.0, samples={"at_most": 5})
+    with pytest.raises(
+        InfeasibleRequirementError, match="`target_sigma` 5 is not reached with up to 5 samples"
+    ) as caught:
+        design_schedule(oscillator(), requirement, starts=2)
+    assert caught.value.obstacle == "target_sigma"
+
+
+def test_at_most_takes_what_there_is_room_for_and_at_least_the_fewest():
+    base = {"window": 4.0, "spacing": 0.9}
+    assert len(design_schedule(oscillator(), Requirement(samples={"at_most": 9}, **base), starts=1).schedule) == 4
+    assert len(design_schedule(oscillator(), Requirement(samples={"at_least": 3}, **base), starts=1).schedule) == 3
+
+
+def test_scaled_coordinates_are_designed_for_only_when_asked():
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=Signals(("x", "v"), scales=[1.0, 10.0]))
+    base = {"window": 4.0, "spacing": 0.5, "samples": 3}
+    plain = design_schedule(plant, Requirement(**base), starts=3)
+    scaled = design_schedule(plant, Requirement(**base, scaled=True), starts=3)
+    assert (plain.coordinates, scaled.coordinates) == ("physical", "scaled")
+    assert plain.sigma_scaled is not None
+    assert scaled.sigma >= plain.sigma_scaled * (1 - 1e-3)
+    assert "scaled coordinates" in str(scaled)
+    assert scaled.verify()
+
+
+def test_a_budget_that_ran_out_is_told_and_the_proof_still_stands():
+    design = design_schedule(oscillator(), Requirement(window=4.0, spacing=0.5, samples=3), budget=0.0)
+    assert design.status == "budget"
+    assert 0 < design.sigma <= design.upper_bound
+    assert design.verify()
+
+
+def test_progress_rises_to_the_end_and_costs_are_summed():
+    seen = []
+    outputs = {"y1": {"cost": 2.5}}
+    requirement = Requirement(window=4.0, spacing=0.5, samples=3, outputs=outputs)
+    design = design_schedule(oscillator(), requirement, starts=2, progress=lambda f, m: seen.append(f))
+    assert seen == sorted(seen)
+    assert seen[-1] <= 1.0
+    assert design.cost == 7.5
+
+
+def test_a_tampered_design_does_not_verify():
+    design = design_schedule(oscillator(), Requirement(window=4.0, spacing=0.5, samples=3), starts=2)
+    assert design.verify()
+    assert not replace(design, sigma=design.sigma * 1.02).verify()
+    assert not replace(design, upper_bound=design.upper_bound * 0.98).verify()
+    crowded = PeriodicSchedule.from_times([0.0, 0.1, 2.0], 4.0, time_unit="s", output_names=("y1",))
+    assert not replace(design, schedule=crowded).verify()
+
+
+def test_the_dictionary_is_json_and_holds_the_multipliers():
+    design = design_schedule(oscillator(), Requirement(window=4.0, spacing=0.5, samples=3), starts=2)
+    data = json.loads(json.dumps(design.to_dict(), allow_nan=False))
+    bound = UpperBound.from_dict(data["bound"])
+    assert bound.value_for(design.problem) == pytest.approx(design.upper_bound, rel=1e-12)
+    assert data["requirement"]["samples"] == {"exactly": 3}
+    assert data["schedule"]["times"] == design.schedule.times.tolist()
+
+
+def test_a_strongly_unstable_plant_does_not_break_the_solver():
+    plant = Plant([[2.0, 1.0], [0.0, -1.0]], [[1.0, 0.5]])  # e^{AT} about 3000
+    design = design_schedule(plant, Requirement(window=4.0, spacing=0.3, samples=4, decay_rate=3.0), starts=3)
+    assert design.split.retained.n_states == 2
+    assert design.gap < 0.15
+    assert design.verify()

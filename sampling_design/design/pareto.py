@@ -1,0 +1,185 @@
+"""Samples per period against sigma: one design per count, in parallel and resumable."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._record import Record, short
+from sampling_design.design.design import design_schedule
+from sampling_design.design.requirement import Requirement
+from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
+from sampling_design.plants.files import plant_to_dict
+from sampling_design.plants.plant import Plant
+
+Progress = Callable[[float, str], None]
+FORMAT = "sampling-design/pareto/1"
+
+
+@dataclass(frozen=True)
+class ParetoPoint:
+    """One count of samples: proven sigma, the bound that none can beat, and the times; sigma 0 where impossible."""
+
+    samples: int
+    sigma: float
+    upper_bound: float
+    times: tuple[float, ...]
+    obstacle: str = ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParetoFront(Record):
+    """Sigma and its bound over the number of samples per period.
+
+    Attributes
+    ----------
+    points : tuple of ParetoPoint
+        By count.
+    """
+
+    points: tuple[ParetoPoint, ...]
+
+    @property
+    def efficient(self) -> tuple[ParetoPoint, ...]:
+        """The points that no smaller count reaches or exceeds."""
+        kept: list[ParetoPoint] = []
+        for point in self.points:
+            if point.sigma > max((p.sigma for p in kept), default=0.0):
+                kept.append(point)
+        return tuple(kept)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            (f"{p.samples} samples", p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}")
+            for p in self.points
+        ]
+
+    def explain(self) -> str:
+        """Say what more samples buy."""
+        good = self.efficient
+        if not good:
+            return "None of the counts can be met."
+        return (
+            f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
+            f"{short(good[0].sigma)} to {short(good[-1].sigma)}."
+        )
+
+
+def pareto(
+    plant: Plant,
+    requirement: Requirement,
+    counts: Iterable[int],
+    *,
+    workers: Executor | int | str | None = None,
+    resume: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> ParetoFront:
+    """Design a schedule for every count of samples per period.
+
+    Parameters
+    ----------
+    plant : Plant
+    requirement : Requirement
+        Its `samples` and `target_sigma` are replaced by each count.
+    counts : iterable of int
+    workers : Executor, int or str, optional
+        Any `concurrent.futures.Executor`, a number of processes, or the name of a joblib backend.
+        Default: one after the other.
+    resume : path, optional
+        A JSON file that is written after every count; what it holds already is not designed again.
+    progress : callable, optional
+        Called with the fraction done and a message.
+    **options
+        As for `design_schedule` (starts, branches, rtol, budget).
+
+    Returns
+    -------
+    ParetoFront
+
+    Raises
+    ------
+    ArgumentError
+        If there is no count, or `workers` is none of the above.
+    FileFormatError
+        If `resume` belongs to another plant, requirement or option.
+    """
+    wanted = sorted({_checks.whole("counts", c, 1) for c in counts})
+    if not wanted:
+        raise ArgumentError("`counts` must hold at least one number of samples.")
+    key = _key(plant, requirement, options)
+    known = {} if resume is None else _load(resume, key)
+    todo = [c for c in wanted if c not in known]
+    jobs = [(plant, requirement, count, options) for count in todo]
+    for done, point in enumerate(_run(jobs, workers)):
+        known[point.samples] = point
+        if resume is not None:
+            rows = [asdict(known[c]) for c in sorted(known)]
+            write_text(resume, to_json({"format": FORMAT, "key": key, "points": rows}))
+        if progress:
+            progress((done + 1) / len(jobs), f"{point.samples} samples: sigma {point.sigma:.6g}")
+    return ParetoFront(tuple(known[c] for c in wanted))
+
+
+def _point(job: tuple[Plant, Requirement, int, dict[str, Any]]) -> ParetoPoint:
+    """One count; an impossible one is a point that says why."""
+    plant, requirement, count, options = job
+    asked = requirement.replace(samples=count, target_sigma=None)
+    try:
+        design = design_schedule(plant, asked, rng=np.random.default_rng(count), **options)
+    except InfeasibleRequirementError as error:
+        return ParetoPoint(count, 0.0, 0.0, (), str(error))
+    if design.schedule is None:
+        return ParetoPoint(count, 0.0, 0.0, (), "no samples needed")
+    return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()))
+
+
+def _run(jobs: list[Any], workers: Executor | int | str | None) -> Iterator[ParetoPoint]:
+    """Points as they are finished."""
+    if workers is None:
+        yield from map(_point, jobs)
+    elif isinstance(workers, Executor):
+        for future in as_completed([workers.submit(_point, job) for job in jobs]):
+            yield future.result()
+    elif isinstance(workers, (int, str)) and not isinstance(workers, bool):
+        from joblib import Parallel, delayed
+
+        chosen = {"n_jobs": workers} if isinstance(workers, int) else {"n_jobs": -1, "backend": workers}
+        yield from Parallel(return_as="generator_unordered", **chosen)(delayed(_point)(job) for job in jobs)
+    else:
+        raise ArgumentError(
+            "`workers` must be a concurrent.futures.Executor, a number of processes or the name of a joblib backend, "
+            f"got {type(workers).__name__}."
+        )
+
+
+def _key(plant: Plant, requirement: Requirement, options: dict[str, Any]) -> str:
+    """Digest of everything that a point depends on but its count."""
+    asked = requirement.replace(samples=None, target_sigma=None).to_dict()
+    text = json.dumps([plant_to_dict(plant), asked, {k: repr(v) for k, v in sorted(options.items())}], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
+    where = os.fspath(path)
+    if not Path(where).exists():
+        return {}
+    data = from_json(read_text(where), where)
+    if data.get("format") != FORMAT:
+        raise FileFormatError(f"{where}: `format` must be {FORMAT!r}, got {data.get('format')!r}.", where)
+    if data.get("key") != key:
+        raise FileFormatError(
+            f"{where}: belongs to another plant, requirement or option. Name another file to resume from.", where
+        )
+    points = [ParetoPoint(**{**entry, "times": tuple(entry["times"])}) for entry in data["points"]]
+    return {point.samples: point for point in points}

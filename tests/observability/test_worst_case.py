@@ -156,6 +156,17 @@ def test_dip_narrower_than_the_first_grid_is_not_missed(monkeypatch):
     assert proof.attained.sigma == pytest.approx(dip, rel=1e-6)
 
 
+def test_bound_stays_below_the_dip_even_if_no_search_ever_finds_it(monkeypatch):
+    monkeypatch.setattr(Tables, "first_cells", lambda self: 2)
+    plant = Plant([[0.0, 25.0], [-25.0, 0.0]], [[1.0, 0.0], [0.0, 0.02]])
+    rows = SpacedRows(plant, 0.6, 3, 0.15)
+    naive = worst_of(rows, np.array([[0.0, 0.02, 0.03]]))
+    monkeypatch.setattr(spaced_sphere, "search_from", lambda rows, direction, cells: naive)
+    proof = prove_worst(rows, naive, 0.3, 0.5)
+    assert proof.status == "budget"
+    assert proof.lower <= 0.02 * np.sqrt(3)
+
+
 def test_search_that_found_nothing_good_never_raises_the_proven_bound():
     plant, rng = oscillators(1.0, 2.0), np.random.default_rng(3)
     rows = SpacedRows(plant, 4.0, 6, 0.3)

@@ -1,1 +1,5 @@
 """Nonlinear plants and their moving horizon estimation, on CasADi (extra `nonlinear`)."""
+
+from sampling_design.nonlinear import thyroid
+
+__all__ = ["thyroid"]

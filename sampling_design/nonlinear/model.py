@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -130,6 +130,31 @@ class NonlinearPlant(Record):
         """h as a casadi Function of (x, u, v)."""
         return self._functions[1]
 
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return self.sizes["states"]
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return self.sizes["inputs"]
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return self.sizes["outputs"]
+
+    @property
+    def n_disturbances(self) -> int:
+        """Number of disturbances."""
+        return self.sizes["disturbances"]
+
+    @property
+    def n_noises(self) -> int:
+        """Number of noises."""
+        return self.sizes["noises"]
+
     def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None) -> Array:
         """Return x' = f(x, u, w), shape (n,); w defaults to zero."""
         return self._evaluate(self.f_casadi, "disturbances", x, u, w)
@@ -203,6 +228,17 @@ class NonlinearPlant(Record):
                 return z * scale
         raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
 
+    def with_bounds(self, **boxes: Any) -> NonlinearPlant:
+        """Return the same plant with other boxes, for example `with_bounds(states=(0.0, np.inf), noises=None)`.
+
+        Raises
+        ------
+        ArgumentError
+            If a name is none of the five vectors, or a box is empty.
+        """
+        _checks.known_keys("`with_bounds`", boxes, _VECTORS)
+        return replace(self, bounds={**self.bounds, **boxes})
+
     def _rows(self) -> list[tuple[str, str]]:
         groups = [(key, ", ".join(self.signals[key].names) or "-") for key in _VECTORS]
         return [("name", self.name or "-"), *groups, ("time unit", self.time_unit)]
@@ -246,6 +282,33 @@ def from_expressions(
         "noises": v.numel(),
     }
     return NonlinearPlant(lambda *a: dynamics(*a), lambda *a: measurement(*a), sizes, **details)
+
+
+def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
+    """Return a linear plant as a nonlinear one: f = Ax + Bu + Gw, h = Cx + Du + v (no v unless `noises`)."""
+
+    def dynamics(x: Any, u: Any, w: Any) -> Any:
+        return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)
+
+    def measurement(x: Any, u: Any, v: Any) -> Any:
+        return _times(plant.C, x) + _times(plant.D, u) + (v if noises else 0.0)
+
+    sizes = {"states": plant.n_states, "inputs": plant.n_inputs, "disturbances": plant.n_disturbances}
+    sizes |= {"outputs": plant.n_outputs, "noises": plant.n_outputs if noises else 0}
+    signals = {key: getattr(plant, key) for key in ("states", "inputs", "disturbances", "outputs")}
+    if noises:
+        signals["noises"] = Signals(
+            _checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
+        )
+    return NonlinearPlant(
+        dynamics, measurement, sizes, time_unit=plant.time_unit, name=plant.name, source=plant.source, signals=signals
+    )
+
+
+def _times(matrix: Array, symbol: Any) -> Any:
+    """Return a numerical matrix times a casadi column, zeros left out."""
+    ca = casadi()
+    return ca.mtimes(ca.sparsify(ca.DM(matrix)), symbol) if matrix.shape[1] else ca.SX.zeros(matrix.shape[0])
 
 
 def own_box(key: str, box: Any, size: int) -> Box:

@@ -64,38 +64,67 @@ def simulate(
     >>> bool(abs(simulate(decay, [1.0], [0.0, 1.0])[-1, 0] - np.exp(-1)) < 1e-8)
     True
     """
-    ca = casadi()
-    n = plant.sizes["states"]
-    start = _checks.vector("x0", x0, n)
-    lower, upper = plant.bounds["states"]
-    outside = np.flatnonzero((start < lower) | (start > upper))
-    if outside.size:
-        name = plant.signals["states"].names[int(outside[0])]
-        raise ArgumentError(
-            f"`x0` must lie in the plant's box of states, got {name} = {start[outside[0]]:.6g} outside it."
-        )
+    start = _checks.vector("x0", x0, plant.n_states)
+    require_inside(plant, "x0", start)
     grid = _checks.increasing("times", times)
-    controls = _per_time("u", u, grid.size, plant.sizes["inputs"])
-    noise = _per_time("w", w, grid.size, plant.sizes["disturbances"])
-    scale = plant.signals["states"].scales
-    z, uw, h = ca.SX.sym("z", n), ca.SX.sym("uw", controls.shape[1] + noise.shape[1]), ca.SX.sym("h")
-    rate = plant.f_casadi(z * scale, uw[: controls.shape[1]], uw[controls.shape[1] :]) / scale
-    problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
-    options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100000}
-    step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
-    states = np.empty((grid.size, n))
+    controls = _per_time("u", u, grid.size, plant.n_inputs)
+    noise = _per_time("w", w, grid.size, plant.n_disturbances)
+    integrator = Integrator(plant, tolerance)
+    states = np.empty((grid.size, plant.n_states))
     states[:1] = start
     for j in range(grid.size - 1):
-        parameters = np.concatenate([controls[j], noise[j], [grid[j + 1] - grid[j]]])
+        states[j + 1] = integrator.step(states[j], controls[j], noise[j], grid[j], grid[j + 1])
+    return states
+
+
+class Integrator:
+    """Carries a state over a stretch of constant input and disturbance; built once, used for many stretches."""
+
+    def __init__(self, plant: NonlinearPlant, tolerance: float = TOLERANCE) -> None:
+        ca = casadi()
+        m, q = plant.n_inputs, plant.n_disturbances
+        z, uw, h = ca.SX.sym("z", plant.n_states), ca.SX.sym("uw", m + q), ca.SX.sym("h")
+        self.plant, self.scale = plant, plant.signals["states"].scales
+        rate = plant.f_casadi(z * self.scale, uw[:m], uw[m:]) / self.scale
+        problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100000}
+        self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
+
+    def step(self, x: Array, u: Array, w: Array, start: float, stop: float) -> Array:
+        """Return x(stop) from x(start) = x.
+
+        Raises
+        ------
+        SolverError
+            If the integration fails.
+        """
+        parameters = np.concatenate([u, w, [stop - start]])
         try:
-            found = np.array(step(x0=states[j] / scale, p=parameters)["xf"]).ravel()
+            found = np.array(self._step(x0=x / self.scale, p=parameters)["xf"]).ravel()
         except RuntimeError as error:
             raise SolverError(
-                f"the integration fails between t = {grid[j]:.6g} and {grid[j + 1]:.6g} {plant.time_unit} "
+                f"the integration fails between t = {start:.6g} and {stop:.6g} {self.plant.time_unit} "
                 f"({str(error).strip().splitlines()[-1]:.120})", status="integration failed",
             ) from None  # fmt: skip
-        states[j + 1] = found * scale
-    return states
+        return found * self.scale
+
+
+def require_inside(plant: NonlinearPlant, name: str, x: Array) -> None:
+    """Refuse a state outside the plant's box.
+
+    Raises
+    ------
+    ArgumentError
+        If an entry lies outside; the message names it.
+    """
+    lower, upper = plant.bounds["states"]
+    outside = np.flatnonzero((x < lower) | (x > upper))
+    if outside.size:
+        i = int(outside[0])
+        raise ArgumentError(
+            f"`{name}` must lie in the plant's box of states, got {plant.signals['states'].names[i]} = {x[i]:.6g} "
+            f"outside [{lower[i]:.6g}, {upper[i]:.6g}]."
+        )
 
 
 def _per_time(name: str, value: npt.ArrayLike | None, rows: int, columns: int) -> Array:

@@ -1,0 +1,311 @@
+"""The window problem (14)-(15) as one nonlinear program: built once, its interval lengths are parameters.
+
+The window has a fixed number of intervals with w constant on each; those that are not used have length 0, lie at the
+front and carry the state over unchanged. Inside an interval the state is a polynomial that meets the differential
+equation at the Radau points, so that stiff plants cost no small steps. Everything is in scaled coordinates.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.flows import discounted_length
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.weights import NonlinearWeights
+
+Array = npt.NDArray[np.float64]
+
+WARM_PUSH = 1e-9
+"""How far a warm start is moved off its bounds: next to nothing, since it came from the interior."""
+
+WARM_BARRIER = 1e-6
+"""Barrier parameter of a warm start: well below the cost of a sample, well above the tolerance."""
+
+
+class WindowData(NamedTuple):
+    """One window of K intervals in scaled coordinates; row j of nodes lies at `edges[j]`.
+
+    edges (K+1,) absolute times; inputs (K+1, m) physical, from each node on; y (K+1, p) with 0 where `mask` (K+1, p)
+    is 0; prior (n,).
+    """
+
+    edges: Array
+    inputs: Array
+    y: Array
+    mask: Array
+    prior: Array
+
+
+class Point(NamedTuple):
+    """Values of the unknowns, or of their multipliers: z0 (n,), v (K+1, r), w (K, q), z (K, degree, n)."""
+
+    z0: Array
+    v: Array
+    w: Array
+    z: Array
+
+
+class WindowSolution(NamedTuple):
+    """What came out: the unknowns and the multipliers (of bounds, dynamics, outputs), and how."""
+
+    edges: Array
+    point: Point
+    bound_multipliers: Point
+    row_multipliers: Array
+    output_multipliers: Array
+    cost: float
+    status: Literal["ok", "infeasible", "solver failed"]
+    message: str
+    iterations: int
+    seconds: float
+
+    @property
+    def last(self) -> Array:
+        """Scaled state at the window's end."""
+        return self.point.z[-1, -1] if len(self.point.z) else self.point.z0
+
+    @property
+    def nodes(self) -> Array:
+        """Scaled states at the edges, (K+1, n)."""
+        return np.vstack([self.point.z0[None], self.point.z[:, -1]])
+
+
+class WindowProgram:
+    """The nonlinear program for windows of at most `capacity` intervals."""
+
+    def __init__(
+        self,
+        plant: NonlinearPlant,
+        weights: NonlinearWeights,
+        capacity: int,
+        degree: int,
+        tolerance: float,
+        max_iterations: int,
+    ) -> None:
+        ca = casadi()
+        self.plant, self.weights, self.capacity, self.degree = plant, weights, capacity, degree
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.points = np.array(ca.collocation_points(degree, "radau"))
+        self.keeps_v = not (_additive(plant) and _unbounded(plant, "noises") and _unbounded(plant, "outputs"))
+        self.n_noises = plant.n_noises if self.keeps_v else 0
+        self.bounds_y = not _unbounded(plant, "outputs")
+        self._solvers: dict[bool, Any] = {}
+        self._problem = self._assemble()
+        self._boxes = self._bounds()
+
+    def solve(self, data: WindowData, guess: WindowSolution, warm: bool) -> WindowSolution:
+        """Solve one window from `guess` (with its multipliers if `warm`); never raises, the status says how it went."""
+        lower, upper = self._boxes
+        rows = self._row_bounds(data)
+        arguments = {"x0": self._pack(guess.point), "p": self._parameters(data), "lbx": lower, "ubx": upper}
+        arguments |= {"lbg": rows[0], "ubg": rows[1]}
+        if warm:
+            arguments["lam_x0"] = self._pack(guess.bound_multipliers, idle=0.0)
+            arguments["lam_g0"] = self._pack_rows(guess)
+        solver = self._solver(warm)
+        started = time.thread_time()
+        try:
+            found = solver(**arguments)
+            stats = solver.stats()
+        except RuntimeError as error:
+            message = str(error).strip().splitlines()[-1][:120]
+            return guess._replace(status="solver failed", message=message, seconds=time.thread_time() - started)
+        return self._unpack(data.edges, found, stats, time.thread_time() - started)
+
+    def _solver(self, warm: bool) -> Any:
+        """The solver of one kind, built when first asked for."""
+        if warm not in self._solvers:
+            options: dict[str, Any] = {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": self.tolerance,
+                "max_iter": self.max_iterations,
+                "mu_strategy": "adaptive",
+                "honor_original_bounds": "yes",
+            }
+            if warm:
+                push = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+                options |= {f"warm_start_{key}": WARM_PUSH for key in push}
+                options |= {"warm_start_init_point": "yes", "mu_init": WARM_BARRIER}
+            quiet = {"print_time": False, "show_eval_warnings": False, "ipopt": options}
+            self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
+        return self._solvers[warm]
+
+    def _interval(self) -> tuple[Any, Any]:
+        """Return the dynamic rows of one interval, of (z0, Z, w, u, h), and the output at a node, of (z, v, u)."""
+        ca, plant = casadi(), self.plant
+        n, scale = plant.n_states, {key: plant.signals[key].scales for key in plant.sizes}
+        z0, Z = ca.SX.sym("z0", n), ca.SX.sym("Z", n, self.degree)
+        w, u, h = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("h")
+        slopes = ca.collocation_coeff(list(self.points))[0]
+        along = ca.horzcat(z0, Z)
+        rows = []
+        for j in range(self.degree):
+            rate = plant.f_casadi(Z[:, j] * scale["states"], u, w * scale["disturbances"]) / scale["states"]
+            rows.append(ca.mtimes(along, slopes[:, j]) - h * rate)
+        v = ca.SX.sym("v", self.n_noises)
+        physical_v = v * scale["noises"] if self.keeps_v else ca.SX.zeros(plant.n_noises)
+        shown = plant.h_casadi(z0 * scale["states"], u, physical_v) / scale["outputs"]
+        return (
+            ca.Function("rows", [z0, Z, w, u, h], [ca.vertcat(*rows)]),
+            ca.Function("shown", [z0, v, u], [shown]),
+        )
+
+    def _assemble(self) -> dict[str, Any]:
+        ca, plant, N = casadi(), self.plant, self.capacity
+        n, m, q, r, p = plant.n_states, plant.n_inputs, plant.n_disturbances, self.n_noises, plant.n_outputs
+        rows, shown = self._interval()
+        P2, Qw, Qv, fit = self._cost_weights()
+        sizes = {"h": (N, 1), "u": (m, N + 1), "y": (p, N + 1), "mask": (p, N + 1), "prior": (n, 1)}
+        sizes |= {"w": (N, 1), "v": (N + 1, 1), "fit": (N + 1, 1), "P2": (1, 1)}
+        par = {key: ca.SX.sym(key, *shape) for key, shape in sizes.items()}
+        z = ca.SX.sym("z0", n)
+        unknowns, constraints, outputs = [z], [], []
+        cost = par["P2"] * ca.bilin(P2, z - par["prior"], z - par["prior"])
+        for j in range(N + 1):
+            if j:
+                w, Z = ca.SX.sym(f"w{j}", q), ca.SX.sym(f"z{j}", n, self.degree)
+                unknowns += [w, ca.vec(Z)]
+                constraints.append(rows(z, Z, w, par["u"][:, j - 1], par["h"][j - 1]))
+                cost += par["w"][j - 1] * ca.bilin(Qw, w, w)
+                z = Z[:, self.degree - 1]
+            v = ca.SX.sym(f"v{j}", r)
+            unknowns.append(v)
+            output = shown(z, v, par["u"][:, j])
+            miss = par["mask"][:, j] * (output - par["y"][:, j])
+            cost += par["fit"][j] * ca.bilin(fit, miss, miss) + (par["v"][j] * ca.bilin(Qv, v, v) if r else 0)
+            if self.bounds_y:
+                outputs.append(output)
+        parameters = ca.vertcat(*(ca.vec(par[key]) for key in sizes))
+        return {"x": ca.vertcat(*unknowns), "p": parameters, "f": cost, "g": ca.vertcat(*constraints, *outputs)}
+
+    def _cost_weights(self) -> tuple[Array, Array, Array, Array]:
+        """Return the weights with the paper's factors 2; the fit with v eliminated where v has no box."""
+        own = self.weights
+        fit = own.R
+        if not self.keeps_v and self.plant.n_noises:
+            # min over v of 2|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (2 Qv)^-1)^-1
+            fit = own.R @ np.linalg.solve(own.R + 2 * own.Qv, 2 * own.Qv)
+        return 2 * own.P2, 2 * own.Qw, 2 * own.Qv, (fit + fit.T) / 2
+
+    def _parameters(self, data: WindowData) -> Array:
+        """Return the parameter vector, in the order of `_assemble`."""
+        N, K = self.capacity, data.edges.size - 1
+        idle = N - K
+        lengths = np.diff(data.edges)
+        discount = np.exp(-self.weights.eta * (data.edges[-1] - data.edges))
+        weight_w = np.ones(N)  # an idle w does nothing and is held at 0
+        weight_w[idle:] = discount[1:] * discounted_length(self.weights.eta, lengths)
+        sampled = data.mask.any(axis=1)
+        zero = np.zeros(self.plant.n_outputs)
+        columns = {
+            "h": np.concatenate([np.zeros(idle), lengths]),
+            "u": _behind(idle, data.inputs[0], data.inputs).ravel(),
+            "y": _behind(idle, zero, data.y).ravel(),
+            "mask": _behind(idle, zero, data.mask).ravel(),
+            "prior": data.prior,
+            "w": weight_w,
+            "v": np.concatenate([np.ones(idle), np.where(sampled, discount, 1.0)]),
+            "fit": np.concatenate([np.zeros(idle), np.where(sampled, discount, 0.0)]),
+            "P2": discount[:1],
+        }
+        return np.concatenate(list(columns.values()))
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Return the boxes of X, W and V on all unknowns."""
+        N, plant = self.capacity, self.plant
+        sides = []
+        for k in (0, 1):
+            x, w, v = (plant.bounds[key][k] / plant.signals[key].scales for key in ("states", "disturbances", "noises"))
+            v = v if self.keeps_v else v[:0]
+            z = np.broadcast_to(x, (N, self.degree, x.size))
+            sides.append(self._pack(Point(x, np.tile(v, (N + 1, 1)), np.tile(w, (N, 1)), z)))
+        return sides[0], sides[1]
+
+    def _row_bounds(self, data: WindowData) -> tuple[Array, Array]:
+        """Return the bounds of the rows: dynamics 0, outputs in Y where they were measured."""
+        dynamics = np.zeros(self.capacity * self.degree * self.plant.n_states)
+        if not self.bounds_y:
+            return dynamics, dynamics
+        rows = np.zeros((self.capacity + 1, self.plant.n_outputs), dtype=bool)
+        rows[self.capacity + 1 - len(data.mask) :] = data.mask > 0
+        scale = self.plant.signals["outputs"].scales
+        lower, upper = (side / scale for side in self.plant.bounds["outputs"])
+        return (
+            np.concatenate([dynamics, np.where(rows, lower, -np.inf).ravel()]),
+            np.concatenate([dynamics, np.where(rows, upper, np.inf).ravel()]),
+        )
+
+    def _pack(self, point: Point, idle: float | None = None) -> Array:
+        """Return a point as one vector; idle intervals repeat the first state (or hold the value `idle`)."""
+        K, N = len(point.w), self.capacity
+        still = np.broadcast_to(point.z0, (N - K, self.degree, point.z0.size))
+        z = np.concatenate([still if idle is None else np.full(still.shape, idle), point.z])
+        w = np.concatenate([np.zeros((N - K, point.w.shape[1])), point.w])
+        v = np.concatenate([np.zeros((N - K, point.v.shape[1])), point.v])
+        body = np.hstack([w, z.reshape(N, self.degree * point.z0.size), v[1:]])
+        return np.concatenate([point.z0, v[0], body.ravel()])
+
+    def _pack_rows(self, guess: WindowSolution) -> Array:
+        rows = np.zeros((self.capacity, self.degree * self.plant.n_states))
+        rows[self.capacity - len(guess.row_multipliers) :] = guess.row_multipliers
+        if not self.bounds_y:
+            return rows.ravel()
+        outputs = np.zeros((self.capacity + 1, self.plant.n_outputs))
+        outputs[self.capacity + 1 - len(guess.output_multipliers) :] = guess.output_multipliers
+        return np.concatenate([rows.ravel(), outputs.ravel()])
+
+    def _split(self, vector: Any, used: int) -> Point:
+        """Return the used part of a vector of unknowns."""
+        n, q, r, N = self.plant.n_states, self.plant.n_disturbances, self.n_noises, self.capacity
+        flat = np.array(vector).ravel()
+        body = flat[n + r :].reshape(N, q + n * self.degree + r)
+        states = body[:, q : q + n * self.degree].reshape(N, self.degree, n)
+        v = np.vstack([flat[None, n : n + r], body[:, q + n * self.degree :]])
+        first = states[N - used - 1, -1] if used < N else flat[:n]
+        return Point(first, v[N - used :], body[N - used :, :q], states[N - used :])
+
+    def _unpack(self, edges: Array, found: Any, stats: Any, seconds: float) -> WindowSolution:
+        K, N = edges.size - 1, self.capacity
+        word = str(stats["return_status"])
+        status: Literal["ok", "infeasible", "solver failed"] = "solver failed"
+        if word in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            status = "ok"
+        elif word == "Infeasible_Problem_Detected":
+            status = "infeasible"
+        lam = np.array(found["lam_g"]).ravel()
+        dynamic = N * self.degree * self.plant.n_states
+        rows = lam[:dynamic].reshape(N, -1)[N - K :]
+        outputs = np.zeros((K + 1, self.plant.n_outputs))
+        if self.bounds_y:
+            outputs = lam[dynamic:].reshape(N + 1, -1)[N - K :]
+        return WindowSolution(
+            edges, self._split(found["x"], K), self._split(found["lam_x"], K), rows, outputs,
+            float(found["f"]), status, word.replace("_", " ").lower(), int(stats["iter_count"]), seconds,
+        )  # fmt: skip
+
+
+def _behind(idle: int, fill: Array, rows: Array) -> Array:
+    """Return `rows` behind `idle` rows of `fill`."""
+    return np.vstack([np.broadcast_to(fill, (idle, fill.size)), rows])
+
+
+def _additive(plant: NonlinearPlant) -> bool:
+    """Whether v is added to y, one noise to each output."""
+    ca = casadi()
+    if plant.n_noises == 0:
+        return True
+    x, u, v = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("v", plant.n_noises)
+    slope = ca.jacobian(plant.h_casadi(x, u, v), v)
+    square = slope.shape[0] == slope.shape[1]
+    return square and slope.is_constant() and bool(np.array_equal(np.array(ca.DM(slope)), np.eye(plant.n_noises)))
+
+
+def _unbounded(plant: NonlinearPlant, key: str) -> bool:
+    lower, upper = plant.bounds[key]
+    return bool(np.all(np.isinf(lower)) and np.all(np.isinf(upper)))

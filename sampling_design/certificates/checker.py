@@ -74,7 +74,7 @@ def numbers(data: dict[str, Any]) -> SimpleNamespace:
     """The numbers of a certificate, each checked for what it must be."""
     m, times = data["plant"]["matrices"], data["times"]
     c = SimpleNamespace(n=len(m["A"]), periodic=times["kind"] == "periodic")
-    c.A, c.C = np.array(m["A"], float).reshape(c.n, c.n), np.array(m["C"], float).reshape(-1, c.n)
+    c.A, c.C = np.array(m["A"], float).reshape(c.n, c.n), np.array(m["C"], float).reshape(len(m["C"]), c.n)
     c.G = np.array(m.get("G", np.eye(c.n)), float).reshape(c.n, len(data["Qw"]))
     sizes = {"P1": c.n, "P2": c.n, "R": len(m["C"]), "Qv": len(m["C"]), "Qw": len(data["Qw"])}
     for name, size in sizes.items():
@@ -141,9 +141,9 @@ class Proof:
 
     def flow(self, durations: Any) -> tuple[Any, Any]:
         """F and W, Y -> F Y F' + W: (8, 8) Pade of Van Loan's block on a short step, then doubling."""
-        h, n, norm = np.atleast_1d(np.asarray(durations, float)), self.c.n, max(np.linalg.norm(self.A, 1), 1e-300)
+        h, n, norm = np.atleast_1d(np.asarray(durations, float)), self.c.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
         doublings = np.maximum(0, np.ceil(np.log2(np.maximum(2 * h * norm, 1e-300)))).astype(int)
-        size = max(np.linalg.norm(self.S, 1), 1e-300) / norm
+        size = np.fmax(np.linalg.norm(self.S, 1), 1e-300) / norm
         X = np.block([[-self.A, self.S / size], [0 * self.A, self.A.T]]) * np.ldexp(h, -doublings)[:, None, None]
         term = top = bottom = np.broadcast_to(np.eye(2 * n), X.shape)
         for k in range(1, 9):

@@ -79,12 +79,16 @@ def steady_lap(problem: WindowProblem) -> Array:
         lap = _then(lap, (np.eye(n), np.zeros((n, n)), C.T @ C))
     Y = _apply(lap, np.eye(n))
     for _ in range(MAX_DOUBLINGS):
-        if not all(np.all(np.isfinite(part)) for part in lap):
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # an unseen mode grows beyond all bounds, which ends the loop
+            following, longer = _apply(lap, Y), _then(lap, lap)
+            change, size = np.linalg.norm(following - Y), np.linalg.norm(Y)
+        if not np.isfinite(change) or not all(np.all(np.isfinite(part)) for part in longer):
             break
-        following = _apply(lap, Y)
-        if np.linalg.norm(following - Y) <= STEADY_RTOL * np.linalg.norm(Y):
+        if change <= STEADY_RTOL * size:
             return _around(problem, flows, following)
-        Y, lap = following, _then(lap, lap)
+        Y, lap = following, longer
     raise SolverError(
         "the information did not settle over 2^40 laps: this schedule is on the edge of what can be certified.",
         status="unsettled",

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 MERGED = 1e-3
 """A window this near the steady lap, relative to it or to P2^-1, is followed no further."""
 MOST_WINDOWS = 48
-MOST_STEPS = 400
+MOST_STEPS = 150
 ACTIVE = 0.05
 """Times of a window whose ln lambda lies within this of its largest enter the smooth maximum."""
 SHARPNESS = 100.0

@@ -1,0 +1,308 @@
+"""The record, its file, the choice of weights, existence and repair."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    Certificate,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    Signals,
+    certificate_exists,
+    certify,
+    load_certificate,
+    smallest_repair,
+    tradeoff_curve,
+)
+from sampling_design.certificates import files
+from sampling_design.certificates.certify import weights_of
+from sampling_design.certificates.window_gains import WindowSet
+from sampling_design.certificates.window_problem import window_problem
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from tests.oracles import riccati as oracle
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
+DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+FOUR = Plant(
+    [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, 0.0]], [[1.0, 1.0, 1.0, 0.0]]
+)
+EVERY = PeriodicSchedule([1.0])
+
+
+def given(plant=OSCILLATOR, schedule=EVERY, **changes):
+    return certify(plant, schedule, **{"eta": 0.4, "P2": np.eye(plant.n_states), **changes})
+
+
+def test_best_p1_is_p2_over_lambda_less_the_resolution():
+    made = given()
+    assert np.allclose(made.P1, (1 - 1e-3) * made.P2 / made.lam, rtol=1e-15)
+    assert made.verify().passed
+    assert made.lam_proven == pytest.approx(made.lam / (1 - 1e-3))
+    assert made.Rtilde == pytest.approx(np.eye(1))
+
+
+@pytest.mark.parametrize(
+    ("plant", "sharp", "paper"), [(DOUBLE, 1.4, 6.2), (OSCILLATOR, 1.5, 6.5), (FOUR, 2.1, 7.7)], ids=["2", "o", "4"]
+)
+def test_horizons_in_the_noise_free_limit(plant, sharp, paper):
+    """Reference values of the exact certificate at eta = .4 and period 1, best shape, P2 -> 0."""
+    made = certify(plant, EVERY, eta=0.4, budget=1e5)
+    assert made.horizon("sharp").minimum <= sharp
+    assert made.horizon("paper").minimum <= paper
+    assert made.lam < given(plant, P2=1e-8 * np.eye(plant.n_states)).lam
+
+
+def test_lambda_of_a_unit_prior():
+    """The four-state reference plant with P2 = I and R = Qv = 1 at eta = .4."""
+    assert given(FOUR, R=np.eye(1)).lam == pytest.approx(20.9, abs=0.05)
+
+
+@pytest.mark.parametrize(("plant", "limit"), [(DOUBLE, 3.91), (OSCILLATOR, 2.23), (FOUR, 4.32)], ids=["2", "o", "4"])
+def test_round_prior_tends_to_the_reference_limit(plant, limit):
+    assert given(plant, P2=1e-9 * np.eye(plant.n_states)).lam == pytest.approx(limit, abs=0.01)
+
+
+def test_chosen_weights_keep_the_noise_budget():
+    for plant in (DOUBLE, FOUR):
+        made = certify(plant, EVERY, eta=0.4, budget=3.0)
+        problem = window_problem(plant, EVERY, np.eye(plant.n_states), *weights_of(plant, None, None, None), 0.4)
+        least = WindowSet.of(problem).least_floor()
+        assert made.horizon().C_w <= 3.0 * least * 1.01
+        assert made.verify().passed
+        round_prior = given(plant, P2=1.0 / least * np.eye(plant.n_states))
+        assert made.horizon().minimum < round_prior.horizon().minimum
+
+
+def test_chosen_rate_is_no_worse_than_rates_around_it():
+    made = certify(DOUBLE, EVERY, budget=3.0)
+    assert 0.05 <= made.eta <= 3.0
+    for eta in (0.2, 0.6, 1.5):
+        assert made.horizon().minimum <= certify(DOUBLE, EVERY, eta=eta, budget=3.0).horizon().minimum * 1.001
+
+
+def test_rate_alone_is_chosen_for_a_given_prior():
+    made = certify(DOUBLE, EVERY, P2=0.01 * np.eye(2))
+    for eta in (0.5 * made.eta, min(2 * made.eta, 3.0)):
+        assert made.horizon().minimum <= given(DOUBLE, P2=0.01 * np.eye(2), eta=eta).horizon().minimum * 1.01
+
+
+def test_scales_of_the_states_leave_the_horizon_alone():
+    s = np.array([1e3, 1e-2])
+    scaled = Plant(OSCILLATOR.A * s[:, None] / s, OSCILLATOR.C / s, G=np.diag(s), states=Signals(("a", "b"), scales=s))
+    one, other = (certify(plant, EVERY, eta=0.4) for plant in (OSCILLATOR, scaled))
+    assert other.lam == pytest.approx(one.lam, rel=1e-3)
+    assert np.allclose(other.P2 * np.outer(s, s), one.P2, rtol=1e-2)
+
+
+def test_gradients_are_those_of_differences():
+    windows = WindowSet.of(
+        window_problem(DOUBLE, PeriodicSchedule([0.7, 1.1]), np.eye(2), np.eye(2), [[2.0]], [[2.0]], 0.4)
+    )
+    L, step = np.array([[0.8, 0.0], [0.3, 0.5]]), np.array([[0.3, 0.0], [-0.2, 0.4]])
+    _, slopes = windows.log_lambda(L)
+    h = 1e-6
+    numerical = (windows.log_lambda(L + h * step)[0] - windows.log_lambda(L - h * step)[0]) / (2 * h)
+    assert np.allclose(np.einsum("kij,ij->k", slopes, step @ L.T + L @ step.T), numerical, rtol=1e-5)
+
+
+def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():
+    curve = tradeoff_curve(DOUBLE, EVERY, 0.4, [1.5, 3.0, 30.0])
+    assert np.all(np.diff(curve.horizons) < 0)
+    assert np.all(np.diff(curve.C_w) > 0)
+    assert all(made.verify() for made in curve.certificates)
+    assert "noise gain rises" in curve.explain()
+    with pytest.raises(ArgumentError, match="`budgets` must increase strictly"):
+        tradeoff_curve(DOUBLE, EVERY, 0.4, [3.0, 2.0])
+
+
+def test_file_round_trip_is_exact(tmp_path):
+    made = given(schedule=PeriodicSchedule([0.7, 1.1], 0.2, [[1], [1]]))
+    path = made.save(tmp_path / "c.json")
+    again = load_certificate(path, plant=OSCILLATOR)
+    assert again.to_dict() == made.to_dict()
+    assert again.save(tmp_path / "d.json").read_text() == path.read_text()
+    assert again.verify().passed
+    with pytest.raises(CertificateError, match="certifies another plant"):
+        load_certificate(path, plant=DOUBLE)
+
+
+def test_altered_and_truncated_files_are_refused(tmp_path):
+    path = given().save(tmp_path / "c.json")
+    text = path.read_text()
+    path.write_text(text.replace('"eta": 0.4', '"eta": 0.3'))
+    with pytest.raises(CertificateError, match="the digest does not fit the content"):
+        load_certificate(path)
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(FileFormatError, match="Was the file cut off"):
+        load_certificate(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.update(format="x"), "Is this a certificate file"),
+        (lambda d: d.update(claim="detectability"), "`claim` must be 'assumption-7' here"),
+        (lambda d: d.update(extra=1), "unknown key 'extra' in the certificate"),
+        (lambda d: d.pop("P1"), "`P1` is missing in the certificate"),
+        (lambda d: d["times"].update(kind="gap-range"), "`times` must be of kind"),
+        (lambda d: d.update(P1=[[1.0, 0.0], [0.0, -1.0]]), "`P1` must be positive definite"),
+        (lambda d: d.update(solver=3), "`solver` must be a table"),
+    ],
+)
+def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
+    data = json.loads(json.dumps(given().to_dict()))
+    change(data)
+    data["digest"] = files.digest(data)
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=words):
+        load_certificate(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"P2": [[1.0, 2.0], [2.0, 1.0]]}, "`P2` must be positive definite"),
+        ({"P2": [[1.0, 0.5], [0.0, 1.0]]}, "`P2` must be symmetric"),
+        ({"eta": 0.0}, "`eta` must be positive"),
+        ({"R": [[-1.0]]}, "`R` must be positive definite"),
+        ({"Qv": [[0.0]]}, "`Qv` must be positive definite"),
+        ({"Qw": np.diag([1.0, 0.0])}, "its null direction is a free disturbance"),
+        ({"budget": 1.0}, "`budget` must be above 1"),
+    ],
+)
+def test_bad_weights_are_refused(changes, words):
+    with pytest.raises(ArgumentError, match=words):
+        given(**changes)
+
+
+def test_bad_plants_and_schedules_are_refused():
+    with pytest.raises(ArgumentError, match="`times` must increase strictly"):
+        given(schedule=Schedule([1.0, 1.0]))
+    with pytest.raises(ArgumentError, match="`schedule` must hold a sample later than time 0"):
+        given(schedule=Schedule([0.0]))
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant, got int"):
+        certify(3, EVERY)
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
+        Certificate("x", EVERY, [[1]], [[1]], [[1]], [[1]], [[1]], 1.0, 1.0, 1.0)
+    with pytest.raises(ArgumentError, match="`schedule` must hold at least one sample"):
+        Certificate(Plant([[0.0]], [[1.0]]), Schedule([]), [[1]], [[1]], [[1]], [[1]], [[1]], 1.0, 1.0, 1.0)
+
+
+def test_aliased_schedule_is_refused_with_reason_and_a_repair_that_works():
+    with pytest.raises(CertificateError, match=r"0\+1i is aliased with 0-1i: 1 turn") as caught:
+        given(schedule=PeriodicSchedule([np.pi]))
+    details = caught.value.details
+    assert details["eigenvalue"] == pytest.approx(1j)
+    assert details["partners"] == pytest.approx((-1j,))
+    assert details["period"] == pytest.approx(np.pi)
+    repaired = given(schedule=PeriodicSchedule([details["repair"]["to"]]))
+    assert repaired.verify().passed
+
+
+def test_integer_gaps_alias_omega_pi_whatever_the_schedule():
+    plant = Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
+    with pytest.raises(CertificateError, match="whole turns into every gap") as caught:
+        given(plant, PeriodicSchedule([1.0, 2.0, 1.0]))
+    repair = caught.value.details["repair"]
+    gaps = np.array([1.0, 2.0, 1.0])
+    gaps[repair["gap"]] = repair["to"]
+    assert certificate_exists(plant, PeriodicSchedule(gaps), 0.4).exists
+    assert given(plant, PeriodicSchedule([0.5])).verify().passed
+
+
+def test_unseen_modes_are_refused_and_limit_eta():
+    growing = Plant([[0.1, 0.0], [0.0, 0.0]], [[0.0, 1.0]])
+    with pytest.raises(CertificateError, match=r"0\.1 is seen by no sample of the lap.* No change of a single gap"):
+        given(growing)
+    with pytest.raises(CertificateError, match="no certificate with rate"):
+        certify(growing, EVERY)
+    slow = Plant([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -0.3]], [[1.0, 0.0, 0.0]])
+    with pytest.raises(CertificateError, match=r"decays at 0\.6 only, so eta must stay below"):
+        given(slow, eta=0.61)
+    assert given(slow, eta=0.59).verify().passed
+    chosen = certify(slow, EVERY)
+    assert chosen.eta < 0.6
+
+
+@pytest.mark.parametrize("schedule", [EVERY, PeriodicSchedule([0.4, 1.3]), Schedule([1.0, 2.0, 3.0])])
+def test_existence_agrees_with_growth_of_the_recursion(schedule):
+    assert certificate_exists(OSCILLATOR, schedule, 0.4).exists
+    assert smallest_repair(OSCILLATOR, PeriodicSchedule([np.pi]), 0.4)["margin"] >= 1e-2
+    bad = Plant(np.diag([0.2, 0.2]), [[1.0, 1.0]])
+    found = certificate_exists(bad, PeriodicSchedule([0.4, 1.3]), 0.4)
+    assert not found.exists
+    assert "No certificate exists" in found.explain()
+
+
+def test_near_the_alias_just_feasible_and_just_infeasible():
+    lam = [given(schedule=PeriodicSchedule([np.pi - d])).lam for d in (0.3, 0.1, 0.03)]
+    assert np.all(np.diff(lam) > 0)
+    assert lam[2] > 50 * lam[0]
+    assert not certificate_exists(OSCILLATOR, PeriodicSchedule([np.pi]), 0.4).exists
+
+
+def test_finite_schedule_certifies_to_its_last_time_and_says_so():
+    made = given(schedule=Schedule([0.5, 1.5, 2.0]))
+    assert made.verify().passed
+    assert "up to time 2" in made.claim.statement
+    assert "up to time 2" in made.explain()
+    assert made.witness.t <= 2.0
+    aliased = given(schedule=Schedule(np.pi * np.arange(1, 4)))
+    assert aliased.verify().passed
+
+
+def test_nothing_to_observe_is_certified_at_once():
+    made = certify(Plant(np.zeros((0, 0)), np.zeros((1, 0))), EVERY)
+    assert made.lam == 1.0
+    assert made.verify().passed
+    stable = certify(Plant([[-5.0]], [[1.0]]), EVERY, eta=0.5, P2=[[1.0]])
+    assert stable.lam == pytest.approx(1.0)
+    assert stable.verify().passed
+    noiseless = certify(Plant([[0.2]], [[1.0]], G=np.zeros((1, 0))), EVERY, eta=0.5, P2=[[1.0]])
+    assert noiseless.verify().passed
+
+
+def test_hand_made_certificate_claims_what_its_matrices_say():
+    made = given()
+    by_hand = Certificate.from_matrices(
+        OSCILLATOR, EVERY, P1=made.P1, P2=made.P2, Qw=made.Qw, R=made.R, Qv=made.Qv, eta=made.eta
+    )
+    assert by_hand.lam == pytest.approx(made.lam / (1 - 1e-3))
+    assert by_hand.verify().passed
+    too_much = Certificate.from_matrices(
+        OSCILLATOR, EVERY, P1=1.01 * made.P1, P2=made.P2, Qw=made.Qw, R=made.R, Qv=made.Qv, eta=made.eta
+    )
+    verdict = too_much.verify()
+    assert not verdict.passed
+    assert verdict.amount < 0
+    assert verdict.time is not None
+    assert "Refused" in verdict.explain()
+    assert "window from" in str(verdict)
+
+
+def test_record_tells_its_numbers():
+    made = given()
+    assert "lambda" in str(made)
+    assert "past fades at rate 0.4" in made.explain()
+    assert made.constants.named("lam").value == made.lam
+    for name in ("eta", "sharp_C_w", "paper_C_v"):
+        assert name in made.to_markdown()
+    assert made.to_latex().startswith(r"\begin{tabular}")
+    assert json.loads(json.dumps(made.to_dict()))["claim"] == "assumption-7"
+
+
+def test_noise_free_error_stays_below_the_bound():
+    made = given(DOUBLE)
+    bound = made.error_bound([0.0, 3.0, 30.0], [1.0, -1.0])
+    assert bound.shape == (3,)
+    assert bound[2] < bound[1] < bound[0]
+    noisy = made.error_bound(30.0, [1.0, -1.0], w_bound=0.1, v_bound=0.2)
+    rate, h = made.horizon().eta_tilde, made.horizon()
+    hits = np.sum(np.exp(-rate * (30.0 - np.arange(1, 31))))
+    expected = h.C_x * 2 * np.exp(-30 * rate) + h.C_w * 0.01 * (1 - np.exp(-30 * rate)) / rate + h.C_v * 0.04 * hits
+    assert noisy == pytest.approx(np.sqrt(expected))
+    assert oracle.witness_ratio(made.to_dict()) == pytest.approx(made.lam)

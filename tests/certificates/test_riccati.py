@@ -1,0 +1,134 @@
+"""The information recursion against least squares, its supremum against a dense scan."""
+
+import numpy as np
+import pytest
+
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.certificates.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
+from sampling_design.certificates.window_problem import noise_input, window_problem
+from sampling_design.errors import ArgumentError, SolverError
+from tests.oracles import riccati as oracle
+
+
+def random_case(seed, n=3, p=2, q=2):
+    rng = np.random.default_rng(seed)
+    plant = Plant(rng.normal(size=(n, n)) / 2, rng.normal(size=(p, n)), G=rng.normal(size=(n, q)))
+    square = [rng.normal(size=(k, k)) for k in (n, q, p, p)]
+    P2, Qw, R, Qv = (M @ M.T + np.eye(len(M)) for M in square)
+    return plant, P2, Qw, R, Qv, rng
+
+
+def information(problem, times, t):
+    """Pi(t) of the window from 0, in the plant's coordinates."""
+    Y, now = np.eye(problem.size), 0.0
+    for k, tau in enumerate(times):
+        F, W = problem.flow([tau - now])
+        Y, now = update(push(Y, F[0], W[0]), problem.rows[k]), tau
+    F, W = problem.flow([t - now])
+    return problem.root @ np.linalg.inv(push(Y, F[0], W[0])) @ problem.root.T
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("ends_with_sample", [False, True])
+def test_information_is_the_least_squares_value(seed, ends_with_sample):
+    plant, P2, Qw, R, Qv, rng = random_case(seed)
+    times = np.sort(rng.uniform(0.2, 1.5, 3))
+    t = times[-1] if ends_with_sample else 1.8
+    eta = 0.4
+    found = information(window_problem(plant, Schedule(times), P2, Qw, R, Qv, eta), times, t)
+    args = (plant.A, [plant.C] * 3, times, plant.G, P2, Qw, R, Qv, eta, t)
+    one, two = (oracle.brute_force_information(*args, steps) for steps in (24, 48))
+    richardson = (4 * two - one) / 3
+    assert np.linalg.norm(two - found) < 0.3 * np.linalg.norm(one - found)  # order two
+    assert np.linalg.norm(richardson - found) < 1e-6 * np.linalg.norm(found)
+    assert np.linalg.eigvalsh(two - found)[0] > -1e-9  # piecewise-constant noise can only cost more
+
+
+def test_partial_outputs_use_the_measured_block_of_the_covariance():
+    plant, P2, Qw, R, Qv, _ = random_case(7)
+    mask = [[1, 0], [0, 1], [1, 1]]
+    times = np.array([0.3, 0.9, 1.4])
+    problem = window_problem(plant, Schedule(times, mask), P2, Qw, R, Qv, 0.3)
+    V = np.linalg.inv(R) + np.linalg.inv(Qv)
+    for row, seen in zip(problem.rows, mask, strict=True):
+        k = np.flatnonzero(seen)
+        J = plant.C[k].T @ np.linalg.solve(V[np.ix_(k, k)], plant.C[k])
+        physical = problem.root @ row.T @ row @ problem.root.T
+        assert np.allclose(physical, J, atol=1e-12)
+
+
+@pytest.mark.parametrize("first", [None, 0.0, 2.3])
+def test_supremum_is_that_of_a_dense_scan(first):
+    A = np.array([[-0.5, -1.1], [1.5, 0.6]])
+    plant, schedule = Plant(A, [[0.5, -0.4]]), PeriodicSchedule([1.2, 0.7, 0.6], first)
+    made = certify(plant, schedule, eta=0.3, P2=[[0.3, -0.3], [-0.3, 2.1]])
+    data = made.to_dict()
+    dense, _, _ = oracle.worst_ratio(data, made.P2, fine=32)
+    assert dense <= made.lam * (1 + 1e-3)
+    assert made.lam == pytest.approx(dense, rel=2e-3)
+    assert oracle.worst_ratio(data, made.P2, samples=True, fine=64)[0] == pytest.approx(made.lam_samples, rel=1e-3)
+    assert oracle.witness_ratio(data) == pytest.approx(made.witness.ratio, rel=1e-9)
+
+
+def test_worst_start_may_lie_inside_a_gap():
+    plant = Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4]])
+    made = certify(plant, PeriodicSchedule([1.2]), eta=0.3, P2=[[0.3, -0.3], [-0.3, 2.1]])
+    assert made.lam_samples == pytest.approx(34.28, abs=0.01)
+    assert made.lam > 39.18
+    faster = Plant([[0.0, 3.0], [-3.0, 0.0]], [[1.0, 0.0]])
+    other = certify(faster, PeriodicSchedule([1.0]), eta=0.5, P2=np.diag([0.1, 1.0]), Qw=100 * np.eye(2))
+    assert other.lam_samples == pytest.approx(13.1, abs=0.05)
+    assert other.lam > 29.9
+
+
+def test_steady_lap_is_a_fixed_point_and_windows_tend_to_it():
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    problem = window_problem(
+        plant, PeriodicSchedule([0.8, 1.1]), np.eye(2), np.eye(2), 2 * np.eye(1), 2 * np.eye(1), 0.4
+    )
+    lap = steady_lap(problem)
+    F, W = problem.flow(problem.gaps)
+    assert np.allclose(update(push(lap[0], F[1], W[1]), problem.rows[1]), lap[1], rtol=1e-8)
+    assert np.allclose(update(push(lap[1], F[0], W[0]), problem.rows[0]), lap[0], rtol=1e-8)
+
+
+def test_a_large_prior_is_bound_by_the_steady_lap():
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    made = certify(plant, PeriodicSchedule([1.0]), eta=0.4, P2=1e4 * np.eye(2))
+    dense, _, _ = oracle.worst_ratio(made.to_dict(), made.P2, fine=16, laps=40)
+    assert made.lam == pytest.approx(dense, rel=1e-3)
+    assert made.witness.ratio == pytest.approx(made.lam, rel=1e-3)
+
+
+def test_an_unseen_growing_mode_never_settles():
+    plant = Plant([[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]])
+    problem = window_problem(plant, PeriodicSchedule([1.0]), np.eye(2), np.eye(2), np.eye(1), np.eye(1), 0.4)
+    with pytest.raises(SolverError, match="the information did not settle over 2"):
+        steady_lap(problem)
+
+
+def test_located_finds_the_window_again():
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    problem = window_problem(plant, PeriodicSchedule([0.5, 1.0, 0.7]), np.eye(2), np.eye(2), np.eye(1), np.eye(1), 0.4)
+    peak, _ = supremum(problem)
+    _, t, start = at_peak(problem, peak)
+    again = located(problem, start, t)
+    assert (again.index, again.step) == (peak.index, peak.step)
+    assert again.remaining == pytest.approx(peak.remaining)
+    assert again.fraction == pytest.approx(peak.fraction)
+
+
+def test_a_finite_schedule_ends_its_windows():
+    plant = Plant([[0.3]], [[1.0]])
+    problem = window_problem(plant, Schedule([1.0, 2.0]), np.eye(1), np.eye(1), np.eye(1), np.eye(1), 0.4)
+    found = sweep(problem, np.array([0, 1]), np.array([1.0, 1.0]))
+    assert [peak.step <= 0 for peak in found] == [True, True]
+
+
+def test_singular_weights_are_accepted_only_where_nothing_drives():
+    G = np.array([[1.0], [0.0]])
+    assert np.allclose(noise_input(np.hstack([G, 0 * G]), np.diag([4.0, 0.0])), np.diag([0.25, 0.0]))
+    with pytest.raises(ArgumentError, match="its null direction is a free disturbance"):
+        noise_input(np.eye(2), np.diag([1.0, 0.0]))
+    with pytest.raises(ArgumentError, match="`Qw` must be positive definite, got least eigenvalue -1"):
+        noise_input(np.eye(2), np.diag([1.0, -1.0]))

@@ -93,7 +93,7 @@ class KalmanFilter(OpenLoopEstimator):
         x = freeze(x + gain @ innovation)
         cost = float(innovation @ np.linalg.solve(S, innovation))
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
-        terms = before + float(self._sample_energy(mask[None])[0])
+        terms = before + float(self._sample_energy(mask[None])[0]) + self._rounded(y, x)
         beta, status, sound = self._judged(terms, cost * (1 - ROUNDING), last.sound)
         details = {"engine": "filter", "window_start": state.nodes[0].t, "cost": past + cost}
         estimate = self._estimate(sample.t, x, Y, beta, status, sound=sound, scheduled=False, **details)

@@ -193,6 +193,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             sound = last.sound and solution.status != "infeasible"
         else:
             terms = float(window.discount[0]) * start.energy + self._lost(length) + self._heard(window)
+            terms += self._rounded(window.y, window.reference)
             beta, status, sound = self._judged(terms, solution.dual, last.sound)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             details["cost"] = solution.cost

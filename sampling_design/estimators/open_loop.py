@@ -26,6 +26,9 @@ CONTRADICTION = 1e-9
 ROUNDING = 1e-12
 """Share of its terms that is added to every bound, so that rounding cannot break it."""
 
+EXACT_DATA = 1e-13
+"""Relative error with which even exact data and states are held; its square, in the weights, joins every bound."""
+
 
 class OpenLoopEstimator(OnlineEstimator):
     """Adds to `OnlineEstimator` the open loop with its ellipsoid: x flows with F, Pi^-1 to e^{eta h} F Pi^-1 F' + W_h,
@@ -125,6 +128,11 @@ class OpenLoopEstimator(OnlineEstimator):
         y = sample.y if seen.all() else np.where(seen, sample.y, 0.0)
         u = state.input_at(sample.t, before=self.feedthrough == "left")
         return y, mask, self.plant.D @ u if u is not None else np.zeros(mask.size)
+
+    def _rounded(self, y: Array, x: Array) -> float:
+        """What the rounding of (N, p) measurements and of a state may cost."""
+        size = np.linalg.norm(self.weights.y_root) * np.linalg.norm(y)
+        return float((EXACT_DATA * (size + np.linalg.norm(self.weights.prior_factor) * np.linalg.norm(x))) ** 2)
 
     def _judged(self, terms: float, dual: float, sound: bool) -> tuple[float, Status, bool]:
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""

@@ -1,0 +1,66 @@
+"""Convex sets: membership, bounding boxes, intersections, and refusal of empty ones."""
+
+import numpy as np
+import pytest
+
+from sampling_design import ConvexSet
+from sampling_design.errors import ArgumentError
+
+TRIANGLE = ConvexSet.halfspaces([[-1.0, 0.0], [0.0, -1.0], [1.0, 2.0]], [0.0, 0.0, 2.0])
+
+
+def test_membership_and_excess():
+    both = TRIANGLE & ConvexSet.box([-np.inf, 0.5], [np.inf, np.inf]) & ConvexSet.ball(1.0, dimension=2)
+    assert both.contains([0.5, 0.6])
+    assert both.excess([0.5, 0.2]) == pytest.approx(0.3)
+    assert both.excess([[0.5, 0.6], [2.0, 0.6]]) == pytest.approx(max(1.2, np.hypot(2.0, 0.6) - 1))
+    assert both.excess(np.zeros((0, 2))) == -np.inf
+    assert not both.is_box
+    assert ConvexSet.box([0.0], [1.0]).is_box
+
+
+def test_bounding_boxes_hold_the_set_and_touch_it():
+    low, high = TRIANGLE.bounding_box()
+    assert np.allclose([low, high], [[0, 0], [2, 1]], atol=1e-6)
+    assert np.all(low <= 0)
+    assert np.all(high >= [2, 1])
+    shape = np.array([[1.0, 0.5], [0.0, 2.0]])
+    ball = ConvexSet.ball(1.5, centre=[1.0, -1.0], shape=shape)
+    angles = np.linspace(0, 2 * np.pi, 4001)
+    edge = np.array([1.0, -1.0]) + 1.5 * np.linalg.solve(shape, [np.cos(angles), np.sin(angles)]).T
+    low, high = ball.bounding_box()
+    assert np.allclose([low, high], [edge.min(axis=0), edge.max(axis=0)], atol=1e-5)
+
+
+def test_magnitudes():
+    assert ConvexSet.ball(0.5, dimension=3).magnitude() == 0.5
+    assert ConvexSet.box([-2.0, 0.0], [1.0, 3.0]).magnitude().tolist() == [2.0, 3.0]
+    assert ConvexSet.box([-2.0, -np.inf], [1.0, 3.0]).magnitude() is None
+    assert np.allclose(ConvexSet.ball(0.5, centre=[1.0, 0.0]).magnitude(), [1.5, 0.5])
+
+
+def test_words():
+    assert "3 half-spaces" in TRIANGLE.explain()
+    assert "half-spaces=3" in repr(TRIANGLE)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ConvexSet.box([1.0], [0.0]), "the set is empty, got 1.0 > 0.0 at 0"),
+        (lambda: ConvexSet.box([0.0], [1.0, 2.0]), "`upper` must have 1 entries as `lower` has, got 2"),
+        (lambda: ConvexSet.box([np.nan], [1.0]), "`lower` must be a vector without NaN"),
+        (
+            lambda: ConvexSet.halfspaces([[1.0], [-1.0]], [0.0, -1.0]),
+            "the set is empty: every point violates it by 0.5",
+        ),
+        (lambda: ConvexSet.ball(1.0, dimension=1) & ConvexSet.box([2.0], [3.0]), "the set is empty"),
+        (lambda: ConvexSet.ball(1.0, dimension=1) & TRIANGLE, "sets must have one dimension, got 1 and 2"),
+        (lambda: ConvexSet.ball(-1.0, dimension=1), "`radius` must not be negative"),
+        (lambda: ConvexSet.ball(1.0), "`dimension` must be given for a ball"),
+        (lambda: ConvexSet.halfspaces([[1.0, 0.0]], [0.0, 1.0]), "`offsets` must have 1 entry"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ArgumentError, match=message):
+        make()

@@ -1,0 +1,131 @@
+"""Measurement and estimate files: exact round trip, and one sentence for each kind of mistake."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    Measurements,
+    MovingHorizonEstimator,
+    Plant,
+    read_measurements,
+    write_estimates,
+    write_measurements,
+)
+from sampling_design.errors import ArgumentError, FileFormatError
+
+PLANT = Plant(
+    [[0.0, 1.0], [-1.0, 0.0]],
+    [[1.0, 0.0], [0.0, 1.0]],
+    [[0.0], [1.0]],
+    time_unit="h",
+    states=["level", "rate"],
+    outputs=["gauge", "flow"],
+    inputs=["pump"],
+)
+BLIND = Plant([[0.0]], [[1.0]], outputs=["gauge"])
+
+
+def written(tmp_path, text):
+    path = tmp_path / "measurements.csv"
+    path.write_text(text)
+    return path
+
+
+def test_times_outputs_inputs_blanks_and_comments(tmp_path):
+    text = "# a comment\npump,time,flow,gauge\n1.5,0.5,,0.25\n,1.0,-2e-3,\n# another\n\n0,2.5,0.1,0.2\n"
+    found = read_measurements(written(tmp_path, text), PLANT)
+    assert found.times.tolist() == [0.5, 1.0, 2.5]
+    assert np.array_equal(found.y, [[0.25, np.nan], [np.nan, -2e-3], [0.2, 0.1]], equal_nan=True)
+    assert found.u.tolist() == [[1.5], [1.5], [0.0]]
+    assert "3 rows" in found.explain()
+    assert "gauge: 2" in str(found)
+
+
+def test_dates_are_turned_into_the_plants_unit_and_offsets_are_honoured(tmp_path):
+    text = "date,gauge,flow,pump\n2026-01-05T00:30,1,,0\n2026-01-05T03:00+01:00,,2,0\n"
+    found = read_measurements(written(tmp_path, text), PLANT)
+    assert found.times.tolist() == [0.0, 1.5]
+    assert found.origin == "2026-01-05T00:30:00+00:00"
+    from_midnight = read_measurements(written(tmp_path, text), PLANT, origin="2026-01-05")
+    assert from_midnight.times.tolist() == [0.5, 2.0]
+
+
+def test_rows_of_inputs_only_and_agreeing_repetitions(tmp_path):
+    text = "time,gauge,flow,pump\n0,,,1\n1,0.5,,1\n1,0.5,,1\n"
+    found = read_measurements(written(tmp_path, text), PLANT)
+    assert len(found) == 2
+    rows = list(found)
+    assert rows[0][1] is None
+    assert rows[0][2].tolist() == [1.0]
+    record = MovingHorizonEstimator(PLANT, horizon=4.0).run(found)
+    assert len(record) == 2
+    assert record.status == ("predicted", "ok") or record.status == ("prior", "ok")
+
+
+def test_round_trip_is_exact(tmp_path):
+    rng = np.random.default_rng(0)
+    times, y, u = np.cumsum(rng.random(7)), rng.normal(size=(7, 2)), rng.normal(size=(7, 1))
+    y[2, 1] = y[5, 0] = np.nan
+    path = write_measurements(Measurements(PLANT, times, y, u), tmp_path / "again.csv")
+    found = read_measurements(path, PLANT)
+    assert np.array_equal(found.times, times)
+    assert np.array_equal(found.y, y, equal_nan=True)
+    assert np.array_equal(found.u, u)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty, expected a header"),
+        ("gauge,flow,pump\n", "the header must hold `time` or `date`"),
+        ("time,date,gauge,flow,pump\n", "the header must hold `time` or `date`"),
+        ("time,gauge,pump\n", "column 'flow' is missing; the plant names gauge, flow, pump"),
+        ("time,gauge,gauge,flow,pump\n", "column 'gauge' occurs twice"),
+        ("time,gauge,flow,pump,gague\n", "unknown key 'gague' in the header. Did you mean 'gauge'"),
+        ("time,gauge,flow,pump\n0,1,2\n", "line 2 has 3 cells, expected 4"),
+        (
+            "#\n" * 15 + "time,gauge,flow,pump\n0,1,high,0\n",
+            "flow in line 17 is not a number: 'high'. Leave the cell empty",
+        ),
+        ("time,gauge,flow,pump\n0,nan,2,0\n", "gauge in line 2 is not a number: 'nan'"),
+        ("time,gauge,flow,pump\n0,1,2,nan\n", "pump in line 2 is not a number"),
+        ("time,gauge,flow,pump\nnoon,1,2,0\n", "time in line 2 is not a number: 'noon'"),
+        ("date,gauge,flow,pump\nnoon,1,2,0\n", "the date in line 2 is not ISO 8601: 'noon'"),
+        ("time,gauge,flow,pump\n0,1,2,\n", "input pump has no value in line 2, the first row"),
+        ("time,gauge,flow,pump\n0,1,2,0\n0,1,3,0\n", "line 3 repeats the time of line 2 with other values"),
+    ],
+)
+def test_mistakes_are_named(tmp_path, text, message):
+    with pytest.raises(FileFormatError, match=message.replace("(", r"\(")):
+        read_measurements(written(tmp_path, text), PLANT)
+
+
+def test_more_mistakes(tmp_path):
+    with pytest.raises(FileFormatError, match=r"line 2 measures nothing\. Leave a lost sample out"):
+        read_measurements(written(tmp_path, "time,gauge\n0,\n"), BLIND)
+    with pytest.raises(FileFormatError, match="the date given as origin is not ISO 8601"):
+        read_measurements(written(tmp_path, "date,gauge\n2026-01-01,1\n"), BLIND, origin="yesterday")
+    with pytest.raises(FileFormatError, match="no such file"):
+        read_measurements(tmp_path / "none.csv", BLIND)
+    with pytest.raises(ArgumentError, match=r"`y` must be finite or NaN of shape \(2, 1\)"):
+        Measurements(BLIND, [0.0, 1.0], [[1.0]])
+    with pytest.raises(ArgumentError, match=r"`y` must be finite or NaN"):
+        Measurements(BLIND, [0.0], [[np.inf]])
+
+
+def test_estimates_file(tmp_path):
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    record = mhe.run([(1.0, [0.1, 0.2], [0.0]), (2.0, [0.1, np.nan], [0.0])])
+    with open(write_estimates(record, tmp_path / "estimates.csv"), newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[0] == ["time", "status", "certified", "cost", "level", "level_radius", "rate", "rate_radius"]
+    assert rows[1][:3] == ["1.0", "ok", "1"]
+    assert float(rows[2][4]) == record.x[1, 0]
+    assert float(rows[2][5]) == record.radii[1, 0]
+    bare = MovingHorizonEstimator(PLANT, horizon=4.0).run([(1.0, [0.1, 0.2], None)])
+    with open(write_estimates(bare, tmp_path / "bare.csv"), newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[1][2] == "0"
+    assert rows[1][5] == rows[1][7] == ""

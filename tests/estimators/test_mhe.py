@@ -1,0 +1,367 @@
+"""The moving horizon estimator: defaults, flags, statuses, refusals; after each refusal nothing has changed."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sampling_design import GuaranteeWarning, Plant, certify
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.convex_set import ConvexSet
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+DRIVEN = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.5], [0.0]])
+BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+
+
+def stand_in(**changes):
+    """A certificate's fields, for a plant and a schedule of period 1."""
+    fields = {
+        "plant": PLANT,
+        "schedule": PeriodicSchedule([1.0]),
+        "P1": 0.2 * np.eye(2),
+        "P2": np.eye(2),
+        "Qw": np.eye(2),
+        "R": [[2.0]],
+        "Qv": [[2.0]],
+        "eta": 0.4,
+        "lam": 5.0,
+        "lam_samples": 4.0,
+    }
+    return SimpleNamespace(**{**fields, **changes})
+
+
+def test_a_certificate_brings_weights_horizon_and_claim():
+    certificate = certify(PLANT, PeriodicSchedule([1.0]))
+    mhe = MovingHorizonEstimator(PLANT, certificate, **BOUNDS)
+    expected = max(1.0, math.log(4 * certificate.lam) / certificate.eta)
+    assert mhe.horizon == pytest.approx(expected, rel=1e-12)
+    assert np.array_equal(mhe.weights.prior, certificate.P2)
+    x = np.array([0.5, -0.5])
+    for t in range(1, 20):
+        estimate = mhe.update(float(t), PLANT.C @ PLANT.transition(float(t)) @ x)
+        assert estimate.certified
+        assert estimate.on_schedule
+        assert estimate.note == ""
+        assert estimate.holds(PLANT.transition(float(t)) @ x)
+
+
+def test_online_radius_contracts_to_its_limit_and_obeys_the_window_recursion():
+    certificate = certify(PLANT, PeriodicSchedule([1.0]))
+    mhe = MovingHorizonEstimator(PLANT, certificate, **BOUNDS)
+    for t in range(1, 80):
+        estimate = mhe.update(float(t), [0.0])
+    eta, M = certificate.eta, mhe.horizon
+    w = np.linalg.eigvalsh(certificate.Qw)[-1] * 0.1**2 / eta
+    R = certificate.R @ certificate.Qv / (certificate.R + certificate.Qv)
+    v = float(R[0, 0]) * 0.1**2 / (1 - math.exp(-eta))
+    assert 0 < estimate.radius <= (w + v) / (1 - certificate.lam * math.exp(-eta * M)) * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("cost", "expected"), [("certificate", math.log(20.0) / 0.4), ("paper", 2 * math.log(16.0) / 0.4)]
+)
+def test_default_horizon(cost, expected):
+    assert MovingHorizonEstimator(PLANT, stand_in(), cost=cost).horizon == pytest.approx(expected)
+    far = stand_in(schedule=PeriodicSchedule([50.0]))
+    assert MovingHorizonEstimator(PLANT, far, cost=cost).horizon == 50.0
+    late = stand_in(schedule=Schedule([40.0, 41.0]))
+    assert MovingHorizonEstimator(PLANT, late, cost=cost).horizon == 40.0
+
+
+def test_a_horizon_that_is_too_short_warns_and_marks():
+    with pytest.warns(GuaranteeWarning, match="must exceed 4.02359"):
+        mhe = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, **BOUNDS)
+    estimate = mhe.update(1.0, [0.1])
+    assert not estimate.on_schedule
+    assert "horizon 3" in estimate.note
+    assert estimate.certified
+    with pytest.warns(GuaranteeWarning, match="must exceed 5.75646"):
+        MovingHorizonEstimator(PLANT, stand_in(), horizon=5.7, cost="paper")
+    carried = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, carried_weight=True)
+    assert carried.update(1.0, [0.1]).on_schedule
+
+
+def test_overridden_weights_and_weights_by_hand_say_that_there_is_no_claim():
+    mhe = MovingHorizonEstimator(PLANT, stand_in(), P2=3 * np.eye(2), **BOUNDS)
+    assert "P2 differ" in mhe.update(1.0, [0.1]).note
+    byhand = MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS).update(1.0, [0.1])
+    assert "by hand" in byhand.note
+    assert (byhand.on_schedule, byhand.certified) == (False, True)
+
+
+def test_default_weights_are_built_from_the_scales():
+    plant = Plant(PLANT.A, PLANT.C, states=PLANT.scaled().states, time_unit="h")
+    scaled = Plant(
+        plant.A,
+        plant.C,
+        states=type(plant.states)(("a", "b"), scales=[2.0, 4.0]),
+        outputs=type(plant.states)(("y",), scales=[5.0]),
+    )
+    weights = MovingHorizonEstimator(scaled, horizon=1.0).weights
+    assert np.allclose(np.diag(weights.prior), [1 / 4, 1 / 16])
+    assert weights.y[0, 0] == pytest.approx(1 / 25)
+
+
+def test_samples_off_the_schedule_drop_the_claim_and_keep_the_ellipsoid():
+    mhe = MovingHorizonEstimator(PLANT, stand_in(), **BOUNDS)
+    assert mhe.update(1.0, [0.0]).on_schedule
+    assert mhe.predict(1.9).on_schedule
+    assert not mhe.predict(2.1).on_schedule
+    late = mhe.update(2.2, [0.0])
+    assert (late.on_schedule, late.certified) == (False, True)
+    assert "off the certificate's schedule" in late.note
+    assert not mhe.update(3.0, [0.0]).on_schedule
+    missed = MovingHorizonEstimator(PLANT, stand_in())
+    missed.update(1.0, [0.0])
+    assert not missed.update(3.0, [0.0]).on_schedule
+    missed.update(2.0, [0.0])
+    assert missed.predict(3.0).on_schedule
+
+
+def test_partial_outputs_must_cover_what_was_planned():
+    planned = PeriodicSchedule([1.0, 1.0], outputs=[[1, 0], [1, 1]])
+    certificate = stand_in(plant=DRIVEN, schedule=planned, R=2 * np.eye(2), Qv=2 * np.eye(2))
+    mhe = MovingHorizonEstimator(DRIVEN, certificate)
+    assert mhe.update(1.0, [0.1, np.nan]).on_schedule
+    assert mhe.update(2.0, [0.1, 0.2]).on_schedule
+    assert mhe.update(3.0, [0.1, 0.2]).on_schedule
+    assert not mhe.update(4.0, [0.1, np.nan]).on_schedule
+
+
+def test_a_family_and_a_finite_schedule_are_watched_too():
+    family = MovingHorizonEstimator(PLANT, stand_in(schedule=GapRange(0.8, 1.5)))
+    assert [family.update(t, [0.0]).on_schedule for t in (1.0, 2.4, 3.2, 4.8, 5.8)] == [True, True, True, False, False]
+    close = MovingHorizonEstimator(PLANT, stand_in(schedule=GapRange(0.8, 1.5)))
+    assert [close.update(t, [0.0]).on_schedule for t in (0.1, 0.9, 1.5)] == [True, True, False]
+    finite = MovingHorizonEstimator(PLANT, stand_in(schedule=Schedule([1.0, 2.0])))
+    assert [finite.update(t, [0.0]).on_schedule for t in (1.0, 2.0, 3.0)] == [True, True, False]
+    assert not finite.predict(2.5).on_schedule
+    minutes = PeriodicSchedule([1.0 / 60], time_unit="min")
+    assert MovingHorizonEstimator(PLANT, stand_in(schedule=minutes)).update(1.0, [0.0]).on_schedule
+
+
+def test_bounds_that_are_missing_mean_no_radius():
+    estimate = MovingHorizonEstimator(PLANT, horizon=4.0, w_bound=0.1).update(1.0, [0.1])
+    assert not estimate.certified
+    assert np.all(np.isinf(estimate.radii))
+    assert "v_bound, initial_error not given" in estimate.note
+
+
+def test_data_that_contradict_the_bounds_are_called_so():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, w_bound=1e-3, v_bound=1e-3, initial_error=1e-3)
+    estimate = mhe.update(1.0, [5.0])
+    assert estimate.status == "bounds disproved"
+    assert estimate.failed
+    assert not estimate.certified
+    after = mhe.update(2.0, [0.0])
+    assert not after.certified
+    assert "contradict" in after.note
+
+
+def test_exact_data_without_noise_do_not_disprove_zero_bounds():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, prior=[1.0, 0.0], w_bound=0.0, v_bound=0.0, initial_error=0.0)
+    for t in np.arange(0.7, 20.0, 0.7):
+        estimate = mhe.update(t, [math.cos(t)])
+        assert estimate.status == "ok"
+        assert estimate.certified
+        assert np.max(np.abs(estimate.x - [math.cos(t), -math.sin(t)])) < 1e-12
+
+
+def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
+    wide = {"v_bound": 100.0, "initial_error": 100.0}
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=2.0, x_set=(-1.0, 1.0), w_set=(-0.1, 0.1), **wide)
+    fine = mhe.update(1.0, [0.0, 0.0], [20.0])
+    estimate = mhe.update(1.5, [0.0, 0.0], [0.0])
+    assert estimate.status == "infeasible"
+    assert "No trajectory meets" in estimate.note
+    assert "x_set" in estimate.note or "w_set" in estimate.note
+    assert "more)" in estimate.note
+    assert not estimate.certified
+    kick = mhe._drift.between(mhe.state, 1.0, 1.5)
+    assert np.allclose(estimate.x, DRIVEN.transition(0.5) @ fine.x + kick)
+    assert mhe.update(2.5, [0.0, 0.0]).status == "infeasible"
+    after = mhe.update(4.5, [0.1, 0.1])
+    assert after.status == "ok"
+    assert "contradict" in after.note
+    assert not after.certified
+
+
+def test_a_sample_at_the_priors_time_is_used_once():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, P2=np.eye(2), R=[[2.0]], Qv=[[2.0]], prior=[1.0, 0.0], **BOUNDS)
+    first = mhe.update(0.0, [2.0])
+    assert first.x[0] == pytest.approx(1.5)
+    assert first.covariance[0, 0] == pytest.approx(0.5)
+    again = mhe.update(0.0, [2.0])
+    assert again.x[0] == pytest.approx(1.5)
+    assert mhe.update(1.0, [0.0]).window_start == 0.0
+    assert mhe.state.nodes[0].x[0] == 1.0
+
+
+def test_inputs_hold_and_the_feedthrough_convention_is_stated():
+    right = MovingHorizonEstimator(DRIVEN, horizon=4.0)
+    left = MovingHorizonEstimator(DRIVEN, horizon=4.0, feedthrough="left")
+    for mhe in (right, left):
+        mhe.update(0.0, None, [1.0])
+        mhe.update(1.0, [0.3, 0.1], [-1.0])
+    assert right.state.last.feedthrough.tolist() == [-0.5, 0.0]
+    assert left.state.last.feedthrough.tolist() == [0.5, 0.0]
+    steady = right.predict(1.0 + 2 * math.pi)
+    drift = right._drift.between(right.state, 1.0, 1.0 + 2 * math.pi)
+    assert np.max(np.abs(drift)) < 1e-12
+    assert steady.status == "predicted"
+
+
+def test_streaming_keeps_no_more_than_two_windows():
+    mhe = MovingHorizonEstimator(PLANT, horizon=3.0)
+    rng = np.random.default_rng(0)
+    sizes, tables, t = set(), [], 0.0
+
+    def samples():
+        nonlocal t
+        for _ in range(1500):
+            t += rng.uniform(0.5, 1.0)
+            yield t, [0.0]
+
+    for k, _ in enumerate(mhe.stream(samples())):
+        sizes.add(len(mhe.state.nodes))
+        tables.append(len(mhe.table))
+        assert k < 1500
+    assert max(sizes) <= 2 * 3.0 / 0.5 + 3
+    assert max(tables) <= 4096 + 3
+    assert len(mhe.state.inputs) == 0
+
+
+def test_inputs_that_are_older_than_the_snapshots_are_dropped():
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=2.0)
+    for k in range(60):
+        mhe.update(0.5 * (k + 1), [0.0, 0.0], [float(k)])
+    assert len(mhe.state.inputs) <= 12
+
+
+def test_run_reports_progress_and_collects():
+    seen = []
+    record = MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS).run(
+        [(float(t), [0.1]) for t in range(1, 6)], progress=lambda f, m: seen.append((f, m))
+    )
+    assert len(record) == 5
+    assert seen[-1] == (1.0, "5 of 5 samples")
+    assert record.radii.shape == (5, 2)
+    assert record.status == ("ok",) * 5
+    assert "5 estimates" in record.explain()
+    assert "certified" in str(record)
+    assert "ok: 5" in repr(record)
+
+
+def test_an_estimate_says_what_it_promises():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS)
+    estimate = mhe.update(1.0, [0.1])
+    assert "within" in estimate.explain()
+    assert estimate.to_dict()["certified"] is True
+    assert MovingHorizonEstimator(PLANT, horizon=4.0).update(1.0, [0.1]).to_dict()["radius"] is None
+    assert "No radius" in MovingHorizonEstimator(PLANT, horizon=4.0).predict(1.0).explain()
+    exact = MovingHorizonEstimator(PLANT, horizon=4.0, w_bound=0.0, v_bound=0.0, initial_error=0.0).predict(0.0)
+    assert exact.ratio([0.0, 0.0]) == 0.0
+    assert not exact.holds([1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "`horizon` must be given where there is no certificate"),
+        ({"horizon": 0.0}, "`horizon` must be positive"),
+        ({"horizon": 1.0, "P2": np.zeros((2, 2))}, "`P2` must be positive definite"),
+        ({"horizon": 1.0, "eta": -1.0}, "`eta` must not be negative"),
+        ({"horizon": 1.0, "cost": "mine"}, '`cost` must be "certificate" or "paper"'),
+        ({"horizon": 1.0, "feedthrough": "both"}, '`feedthrough` must be "right" or "left"'),
+        ({"horizon": 1.0, "w_model": "zoh"}, "`w_model` must be one of 'outer', 'constant'"),
+        ({"horizon": 1.0, "engine": "fast"}, "`engine` must be one of"),
+        ({"horizon": 1.0, "w_bound": -1.0}, "`w_bound` must not be negative"),
+        ({"horizon": 1.0, "initial_error": [1.0, -1.0]}, "`initial_error` must not be negative"),
+        ({"horizon": 1.0, "v_bound": [1.0, 1.0]}, "`v_bound` must have 1 entry"),
+        ({"horizon": 1.0, "prior": [1.0]}, "`prior` must have 2 entries"),
+        (
+            {"horizon": 1.0, "prior": [3.0, 0.0], "x_set": (-1.0, 1.0)},
+            "`prior` must lie in `x_set`, got one outside by 2",
+        ),
+        ({"horizon": 1.0, "x_set": (1.0, -1.0)}, "the set is empty"),
+        ({"horizon": 1.0, "x_set": "positive"}, "`x_set` must be a ConvexSet or a pair"),
+        ({"horizon": 1.0, "x_set": ConvexSet.ball(1.0, dimension=3)}, "`x_set` must have dimension 2, got 3"),
+        ({"horizon": 1.0, "w_set": ([0.0, -np.inf], [1.0, 1.0])}, "`w_set` is unbounded"),
+        ({"horizon": 1.0, "check_spacing": 0.0}, "`check_spacing` must be positive"),
+        ({"certificate": stand_in(plant=DRIVEN)}, "`certificate` belongs to another plant"),
+    ],
+)
+def test_refusals_at_the_door(arguments, message):
+    with pytest.raises(ArgumentError, match=message.replace("(", r"\(")):
+        MovingHorizonEstimator(PLANT, **arguments)
+
+
+def test_more_refusals_at_the_door():
+    with pytest.raises(ArgumentError, match="at least one state"):
+        MovingHorizonEstimator(Plant(np.zeros((0, 0)), np.zeros((1, 0))), horizon=1.0)
+    wide = Plant([[0.0]], [[1.0]], G=[[1.0, 1.0]])
+    with pytest.raises(ArgumentError, match="full column rank"):
+        MovingHorizonEstimator(wide, horizon=1.0, w_set=(-1.0, 1.0), w_model="constant")
+
+
+@pytest.mark.parametrize(
+    ("sample", "message"),
+    [
+        ((10.0, [0.1], None), "`y` must have 2 entries, got shape"),
+        ((10.0, [[0.1, 0.2]], None), "`y` must have 2 entries"),
+        ((10.0, [np.nan, np.nan], None), "`y` must measure at least one output"),
+        ((10.0, [np.inf, 0.0], None), "`y` must be finite or NaN"),
+        ((10.0, "low", None), "`y` must hold numbers"),
+        ((10.0, None, None), "`y` and `u` are both missing"),
+        ((10.0, [0.1, 0.1], [np.nan]), "`u` must not hold NaN"),
+        ((10.0, [0.1, 0.1], [1.0, 2.0]), "`u` must have 1 entry"),
+        ((np.nan, [0.1, 0.1], None), "`t` must be finite"),
+        ((3.0, [0.1, 0.1], None), "goes back beyond the window"),
+        ((9.0, [0.1, 0.7], None), "was already given as .* duplicates must agree"),
+        ((9.0, None, [7.0]), "`u` at t = 9.0 was already given"),
+    ],
+)
+def test_refused_samples_change_nothing(sample, message):
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0)
+    for t in range(1, 10):
+        mhe.update(float(t), [0.1, 0.2], [1.0])
+    before = mhe.state
+    with pytest.raises(ArgumentError, match=message):
+        mhe.update(*sample)
+    assert mhe.state is before
+
+
+def test_repeated_samples_that_agree_are_taken_once():
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0)
+    first = mhe.update(1.0, [0.1, 0.2])
+    assert mhe.update(1.0, [0.1, 0.2]) is first
+    assert mhe.update(1.0, [0.1, np.nan]) is first
+
+
+def test_nothing_is_kept_from_before_the_oldest_snapshot():
+    mhe = MovingHorizonEstimator(PLANT, horizon=2.0)
+    for t in range(1, 12):
+        mhe.update(float(t), [0.0])
+    with pytest.raises(ArgumentError, match=r"`t` must be at least 7\.0, the oldest time kept"):
+        mhe.predict(3.0)
+    with pytest.raises(ArgumentError, match=r"`t` must be at least 0.0"):
+        MovingHorizonEstimator(PLANT, horizon=2.0).update(-1.0, [0.0])
+
+
+def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch):
+    from sampling_design.estimators import qp
+
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, x_set=(-0.2, 0.2), **BOUNDS)
+    first = mhe.update(1.0, [0.1])
+    monkeypatch.setattr(qp, "active_set", lambda problem: None)
+    monkeypatch.setattr(qp, "conic", lambda problem: None)
+    estimate = mhe.update(1.5, [3.0])
+    assert estimate.status == "solver failed"
+    assert estimate.certified
+    assert np.allclose(estimate.x, PLANT.transition(0.5) @ first.x)
+    assert estimate.radius > first.radius

@@ -1,0 +1,82 @@
+"""An estimator that carries Pi(t - M) as the prior's weight is, without constraints, the filter of all samples."""
+
+import numpy as np
+import pytest
+
+from sampling_design import KalmanFilter, Plant
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from tests.oracles.estimators import discounted_kalman
+
+A, C, G = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.0], [1.0]])
+PLANT = Plant(A, C, [[1.0], [0.0]], [[0.0], [0.3]], G)
+BOUNDS = {"w_bound": 0.5, "v_bound": [0.3, 0.4], "initial_error": [1.0, 2.0]}
+
+
+def record(seed):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.2, 1.3, 16))
+    ys, us = rng.normal(size=(16, 2)), rng.normal(size=(17, 1))
+    ys[rng.random((16, 2)) < 0.3] = np.nan
+    ys[np.isnan(ys).all(axis=1), 1] = 0.2
+    return times, ys, us
+
+
+@pytest.mark.parametrize("horizon", [0.9, 2.0, 5.0])
+@pytest.mark.parametrize("eta", [0.0, 0.4])
+def test_state_covariance_and_radius_agree(horizon, eta):
+    times, ys, us = record(0)
+    wide = {"w_bound": 2.0, "v_bound": [4.0, 5.0], "initial_error": [3.0, 4.0]}
+    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, eta=eta, carried_weight=True, **wide)
+    kalman = KalmanFilter(PLANT, eta=eta, **wide)
+    weights = kalman.weights
+    for estimator in (mhe, kalman):
+        estimator.update(0.0, None, us[0])
+    for k, (t, y) in enumerate(zip(times, ys, strict=True)):
+        a, b = mhe.update(t, y, us[k + 1]), kalman.update(t, y, us[k + 1])
+        inputs = (PLANT.B, PLANT.D, us)
+        arguments = (weights.prior, weights.w, weights.y, eta, [0.0, 0.0], 0.0, times[: k + 1], ys[: k + 1])
+        x, Y, cost = discounted_kalman(A, C, G, *arguments, inputs=inputs)
+        for estimate in (a, b):
+            assert np.max(np.abs(estimate.x - x)) < 1e-10
+            assert np.max(np.abs(estimate.covariance - Y)) < 1e-10 * np.max(Y)
+        assert b.cost == pytest.approx(cost, rel=1e-10, abs=1e-12)
+        assert a.radius == pytest.approx(b.radius, rel=1e-8)
+
+
+def test_smoother_is_the_endless_window_and_its_last_estimate_the_filters():
+    times, ys, us = record(1)
+    rows = [(0.0, None, us[0]), *zip(times, ys, us[1:], strict=True)]
+    kalman = KalmanFilter(PLANT, eta=0.2, **BOUNDS)
+    smoothed = kalman.smooth(rows)
+    assert kalman.state.last.t == 0.0
+    filtered = kalman.run(rows)
+    assert np.max(np.abs(smoothed.x[-1] - filtered.x[-1])) < 1e-10
+    mhe = MovingHorizonEstimator(PLANT, horizon=1e3, eta=0.2, **BOUNDS)
+    kept, solve = [], mhe._solve
+    mhe._solve = lambda window: kept.append(solve(window)) or kept[-1]
+    mhe.run(rows)
+    assert np.max(np.abs(smoothed.x - kept[-1].nodes[1:])) < 1e-9
+
+
+@pytest.mark.parametrize("eta", [0.0, 0.3])
+def test_smoothed_ellipsoids_hold_the_whole_past(eta):
+    rng = np.random.default_rng(3)
+    plant = Plant(A, C, G=G)
+    x, t, rows, truth = np.array([0.8, -1.5]), 0.0, [], []
+    for _ in range(15):
+        h = rng.uniform(0.2, 1.0)
+        w = 0.5 * rng.choice([-1.0, 1.0], 1)
+        x = plant.transition(h) @ x + np.linalg.solve(A, (plant.transition(h) - np.eye(2)) @ G @ w)
+        t += h
+        truth.append(x)
+        rows.append((t, C @ x + [0.3, -0.4] * rng.choice([-1.0, 1.0], 2), None))
+    found = KalmanFilter(plant, eta=eta, **BOUNDS).smooth(rows)
+    assert found.certified.all()
+    for k, state in enumerate(truth):
+        error = state - found.x[k]
+        assert error @ np.linalg.solve(found.covariance[k], error) <= found.radius[k]
+        assert np.all(np.abs(error) <= found.radii[k])
+    variances = np.trace(found.covariance, axis1=1, axis2=2)
+    filtered = KalmanFilter(plant, eta=eta, **BOUNDS).run(rows)
+    own = np.exp(eta * (t - found.times)) * np.trace(filtered.covariance, axis1=1, axis2=2)
+    assert np.all(variances <= own * (1 + 1e-9))

@@ -105,12 +105,7 @@ def design_schedule(
     >>> design.sigma <= 1.0539 <= design.upper_bound
     True
     """
-    if not isinstance(plant, Plant):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    if requirement is not None and not isinstance(requirement, Requirement):
-        raise ArgumentError(
-            f"`requirement` must be a Requirement, got {type(requirement).__name__}. Use read_requirement for a file."
-        )
+    _check_arguments(plant, requirement)
     wanted = Requirement() if requirement is None else requirement
     _checks.whole("starts", starts, 1)
     _checks.whole("branches", branches)
@@ -135,6 +130,16 @@ def design_schedule(
         time.perf_counter(),
     )
     return run.fewest() if resolved.target_sigma is not None else run.one(run.count())
+
+
+def _check_arguments(plant: object, requirement: object) -> None:
+    """Refuse what is no plant or no requirement."""
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    if requirement is not None and not isinstance(requirement, Requirement):
+        raise ArgumentError(
+            f"`requirement` must be a Requirement, got {type(requirement).__name__}. Use read_requirement for a file."
+        )
 
 
 def _rate(requirement: Requirement, plant: Plant) -> float:

@@ -13,6 +13,8 @@ from sampling_design.design.relaxation import Relaxation
 
 Array = npt.NDArray[np.floating[Any]]
 
+_LEADS = 6  # turns of a lap that repair tries
+
 MARGIN = 1e-9
 """Relative: spacings are kept this much wider than asked, so that rounding cannot break them."""
 
@@ -41,13 +43,14 @@ def even(problem: DesignProblem, offset: float) -> Array | None:
 def repaired(problem: DesignProblem, times: Array) -> Array | None:
     """Admissible times near `times` (fixed ones stay): pushed apart in order; None where that does not fit.
 
-    From every sample in turn as the first of the lap, later samples move right just enough; the turn that
-    moves them least wins.
+    From a sample after one of the widest gaps as the first of the lap, later samples move right just enough;
+    the turn that moves them least wins.
     """
     period, gap = problem.period, problem.spacing * (1 + MARGIN)
     t = np.sort(np.mod(times, period))
     best: tuple[float, Array] | None = None
-    for lead in range(t.size):
+    widest = np.argsort(-np.diff(np.append(t[-1] - period, t)), kind="stable")
+    for lead in widest[:_LEADS]:
         turn = np.concatenate([t[lead:], t[:lead] + period])
         pushed = _pushed(problem, turn, gap)
         if pushed is not None and (best is None or np.abs(pushed - turn).sum() < best[0]):
@@ -95,11 +98,11 @@ def next_open(problem: DesignProblem, t: float) -> float:
 
 
 def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
-    """Up to `count` admissible times for one more sample beside `others`, the ends of the free stretches included."""
+    """Admissible times for one more sample: a grid of `count`, and the ends of free stretches where these are few."""
     period, gap = problem.period, problem.spacing * (1 + MARGIN)
     grid = np.arange(count) * (period / count)
-    ends = np.concatenate([others - gap, others + gap, problem.intervals[:, 0]])
-    wished = np.unique(np.mod(np.concatenate([grid, ends]), period))
+    near = np.concatenate([others - gap, others + gap]) if others.size <= count // 2 else np.zeros(0)
+    wished = np.unique(np.mod(np.concatenate([grid, near, problem.intervals[:, 0]]), period))
     wished = wished[problem.mask(wished).any(axis=-1)]
     if not others.size:
         return wished

@@ -93,7 +93,7 @@ def search(
 
 def _places(problem: DesignProblem) -> int:
     """Places that exchange tries for one sample: fewer where one look costs more."""
-    return int(np.clip(6000 // problem.samples**1.5, 24, 96))
+    return int(np.clip(5e6 / problem.samples**3, 4, 96))
 
 
 def _starts(problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator) -> list[tuple[str, Array]]:

@@ -7,7 +7,7 @@ from sampling_design import Plant, Requirement, design_schedule, library
 from tests.oracles.design import window_sigma_scan
 
 
-def agrees(design, A, C):
+def assert_agrees(design, A, C):
     requirement = design.requirement
     mask = design.schedule.outputs
     scan = window_sigma_scan(A, C, design.schedule.times, requirement.period, requirement.window, 5, mask)
@@ -22,13 +22,13 @@ def test_pair_of_oscillators(period):
     A[0, 1], A[1, 0], A[2, 3], A[3, 2] = 1.0, -1.0, 2.0, -2.0
     C = np.array([[1.0, 0.0, 1.0, 0.0]])
     requirement = Requirement(window=4.0, period=period, spacing=0.3, samples=6)
-    agrees(design_schedule(Plant(A, C), requirement, starts=3, branches=1), A, C)
+    assert_agrees(design_schedule(Plant(A, C), requirement, starts=3, branches=1), A, C)
 
 
 def test_satellite():
     plant = library.satellite()
     requirement = Requirement(window=5554.0, spacing=60.0, samples=6)
-    agrees(design_schedule(plant, requirement, starts=2, branches=0), plant.A, plant.C)
+    assert_agrees(design_schedule(plant, requirement, starts=2, branches=0), plant.A, plant.C)
 
 
 def test_outputs_that_are_available_at_different_times():
@@ -40,4 +40,4 @@ def test_outputs_that_are_available_at_different_times():
     times = design.schedule.times
     assert np.array_equal(mask[:, 0], times < 2.0)
     assert np.array_equal(mask[:, 1], times >= 1.0)
-    agrees(design, A, np.eye(2))
+    assert_agrees(design, A, np.eye(2))

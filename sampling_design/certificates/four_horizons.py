@@ -74,18 +74,20 @@ class FourHorizons(Record):
         known = [f"{row.name}: {short(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
         return "The window must exceed, by " + "; ".join(known) + "."
 
+    def cells(self) -> list[list[str]]:
+        """The table's rows as text: name, source, M >, C_x, C_w, C_v."""
+        return [[row.name, row.source, *_cells(row)] for row in self.rows]
+
     def to_markdown(self) -> str:
         """Return the table as markdown."""
         lines = ["| horizon | source | M > | C_x | C_w | C_v |", "|---|---|---|---|---|---|"]
-        for row in self.rows:
-            cells = [row.name, row.source, *_cells(row)]
-            lines.append("| " + " | ".join(cells) + " |")
+        lines += ["| " + " | ".join(cells) + " |" for cells in self.cells()]
         return "\n".join(lines) + "\n"
 
     def to_latex(self) -> str:
         """Return the table as a LaTeX `tabular`."""
         lines = [r"\begin{tabular}{llrrrr}", r"  horizon & source & $M >$ & $C_x$ & $C_w$ & $C_v$ \\ \hline"]
-        lines += ["  " + " & ".join([row.name, row.source, *_cells(row)]) + r" \\" for row in self.rows]
+        lines += ["  " + " & ".join(cells) + r" \\" for cells in self.cells()]
         return "\n".join([*lines, r"\end{tabular}"]) + "\n"
 
 

@@ -52,6 +52,12 @@ class SampleLosses(Record):
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, one entry per sample."""
+        columns = zip(self.times.tolist(), self.lower.tolist(), self.upper.tolist(), strict=True)
+        rows = [{"time": t, "lower": low, "upper": up} for t, low, up in columns]
+        return {"sigma": self.sigma, "every_lap": self.every_lap, "without": rows}
+
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("lost", "in every lap" if self.every_lap else "once"), ("sigma with all", short(self.sigma))]
         return rows + [(f"without t = {short(t)}", short(v)) for t, v in zip(self.times, self.lower, strict=True)]

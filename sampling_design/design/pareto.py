@@ -58,6 +58,10 @@ class ParetoFront(Record):
                 kept.append(point)
         return tuple(kept)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, one entry per count."""
+        return {"points": [asdict(point) for point in self.points]}
+
     def _rows(self) -> list[tuple[str, str]]:
         return [
             (f"{p.samples} samples", p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}")

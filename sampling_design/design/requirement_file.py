@@ -77,7 +77,7 @@ def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> R
             tree["target_sigma"] = samples["target_sigma"]
         return Requirement(**tree)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 
 
 def write_requirement(requirement: Requirement, path: str | os.PathLike[str]) -> Path:

@@ -1,11 +1,13 @@
 """Defaults, allowed times, and impossible requirements: what is in the way, and what would work."""
 
+import re
+
 import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, split_modes
 from sampling_design.design.problem import pose, resolve
-from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 BASE = {"window": 4.0, "spacing": 0.5, "samples": 3}
@@ -53,10 +55,9 @@ def test_times_are_converted_to_the_unit_of_the_plant():
     ],
 )
 def test_an_impossible_requirement_names_the_obstacle_and_the_nearest_that_works(changes, obstacle, words):
-    with pytest.raises(InfeasibleRequirementError) as caught:
+    with pytest.raises(InfeasibleRequirementError, match=re.escape(words)) as caught:
         design_schedule(OSCILLATOR, Requirement(**{**BASE, **changes}))
     error = caught.value
-    assert words in str(error)
     assert error.obstacle == obstacle
     assert error.exit_code == 1
     assert error.nearest
@@ -99,3 +100,11 @@ def test_an_unseen_mode_is_refused_by_name():
     plant = Plant(np.diag([0.1, 0.2]), [[1.0, 0.0]])
     with pytest.raises(NotObservableError, match=r"0\.2"):
         design_schedule(plant, Requirement(window=4.0, spacing=0.5, samples=3))
+
+
+def test_a_search_without_a_start_says_so(monkeypatch):
+    monkeypatch.setattr("sampling_design.design.search.repaired", lambda problem, times: None)
+    monkeypatch.setattr("sampling_design.design.exchange.repaired", lambda problem, times: None)
+    with pytest.raises(SolverError, match="No admissible start was found for 3 samples") as caught:
+        design_schedule(OSCILLATOR, Requirement(**BASE))
+    assert caught.value.status == "no start"

@@ -1,5 +1,7 @@
 """Requirements: the record, its file, and what is refused at the door."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -49,7 +51,7 @@ def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
     ("text", "words"),
     [
         ("format = 'sampling-design/plant/1'", "`format` must be 'sampling-design/requirement/1'"),
-        (FULL + "windw = 1.0", "unknown key"),
+        (FULL.replace("60.0\n", "0.0\n"), "bad.toml: cannot be used: `spacing` must be positive"),
         (FULL.replace("window", "windw"), "unknown key 'windw' in the requirement. Did you mean 'window'"),
         (FULL.replace("600.0]]", "600.0"), "is not valid TOML"),
         (FULL.replace("60.0\n", "-60.0\n"), "`spacing` must be positive"),
@@ -64,14 +66,13 @@ def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
 def test_a_bad_file_is_one_sentence_with_the_file_named(tmp_path, text, words):
     path = tmp_path / "bad.toml"
     path.write_text(text)
-    with pytest.raises(FileFormatError) as caught:
+    with pytest.raises(FileFormatError, match=re.escape(words)) as caught:
         read_requirement(path)
-    assert words in str(caught.value)
     assert "bad.toml" in str(caught.value)
 
 
 def test_another_ending_is_not_written(tmp_path):
-    with pytest.raises(FileFormatError, match=r"a requirement file ends in \.toml or \.json, got '\.txt'"):
+    with pytest.raises(FileFormatError, match="a requirement file ends in"):
         write_requirement(Requirement(), tmp_path / "r.txt")
     assert not (tmp_path / "r.txt").exists()
 
@@ -97,9 +98,8 @@ def test_another_ending_is_not_written(tmp_path):
     ],
 )
 def test_bad_arguments_are_named(arguments, words):
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match=re.escape(words)):
         Requirement(**arguments)
-    assert words in str(caught.value)
 
 
 def test_overlapping_intervals_are_joined_and_kept_half_open():

@@ -16,6 +16,12 @@ _PICTURES = {
     "PeriodicSchedule": ("schedules", "draw_schedule"),
     "WindowSigma": ("windows", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
+    "WorstCaseSigma": ("explorations", "draw_worst_case"),
+    "ParetoFront": ("explorations", "draw_pareto"),
+    "SampleLosses": ("explorations", "draw_losses"),
+    "Certificate": ("certificates", "draw_certificate"),
+    "InformationCurve": ("certificates", "draw_information"),
+    "FourHorizons": ("certificates", "draw_four_horizons"),
 }
 
 

@@ -45,6 +45,40 @@ def test_a_design_has_two_rows_and_its_bounds(tmp_path):
         assert path.read_bytes().startswith(magic)
 
 
+def test_a_certificate_is_drawn_above_its_promise():
+    certificate = sd.certify(OSCILLATOR, SCHEDULE)
+    ax = certificate.plot()
+    assert ax.get_yscale() == "log"
+    assert ax.lines[0].get_ydata().min() >= 1.0
+    assert "touches" not in ax.get_ylabel()
+
+
+def test_four_horizons_are_bars_with_their_lengths():
+    horizons = sd.four_horizons(OSCILLATOR, SCHEDULE)
+    top, bottom = plotting.draw(horizons)
+    drawn = [bar.get_width() for bar in top.patches]
+    assert drawn == pytest.approx([row.minimum for row in horizons.rows])
+    assert [t.get_text() for t in top.get_yticklabels()] == [row.name for row in horizons.rows]
+    assert bottom.has_data()
+
+
+def test_a_worst_case_shows_the_worst_times():
+    result = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
+    ax = result.plot()
+    assert [s[0][0] for s in ax.collections[0].get_segments()] == pytest.approx(result.witness)
+
+
+def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
+    requirement = sd.Requirement(window=4.0)
+    front = sd.pareto(OSCILLATOR, requirement, [2, 3])
+    ax = front.plot()
+    assert list(ax.lines[1].get_ydata()) == [p.sigma for p in front.points]
+    losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3)))
+    assert len(losses.plot().collections[0].get_segments()) == 3
+    with pytest.raises(ArgumentError, match="`record` has no point to draw"):
+        sd.pareto(OSCILLATOR, sd.Requirement(window=4.0, spacing=3.0), [5]).plot()
+
+
 def test_pictures_are_drawn_on_given_axes():
     from matplotlib.figure import Figure
 

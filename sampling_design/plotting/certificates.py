@@ -1,0 +1,61 @@
+"""What a certificate proves: four horizons side by side, and the information that a window keeps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sampling_design._record import short
+from sampling_design.certificates.certificate import Certificate
+from sampling_design.certificates.four_horizons import FourHorizons
+from sampling_design.certificates.information import InformationCurve, information_curve
+from sampling_design.plotting import style
+
+_COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)
+
+
+def draw_certificate(certificate: Certificate, ax: Any = None) -> Any:
+    """Draw the information along the certificate's worst window, relative to P1."""
+    return draw_information(information_curve(certificate), ax)
+
+
+def draw_information(curve: InformationCurve, ax: Any = None) -> Any:
+    """Draw lambda_min(Pi(t), P1) along a window; the certificate promises that it never falls below one."""
+    ax = style.new_axes(ax)
+    ax.semilogy(curve.t, curve.least, color=style.MEASURED, linewidth=1.3)
+    ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="promised for every window and time")
+    at = int(np.argmin(curve.least))
+    label = f"least: {short(curve.least[at], 5)} at {short(curve.t[at], 5)}"
+    ax.plot([curve.t[at]], [curve.least[at]], "o", color=style.ATTAINED, markerfacecolor="none", label=label)
+    low, high = 0.9, 1.3 * float(curve.least.max())
+    ax.set_ylim(low, high)
+    ax.vlines(curve.samples, low, low * (high / low) ** 0.04, color=style.TRUTH, linewidth=0.8)
+    ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
+    ax.set_ylabel("least information relative to P1")
+    ax.legend(loc="upper right", fontsize="small", frameon=False)
+    return ax
+
+
+def draw_four_horizons(horizons: FourHorizons, ax: Any = None) -> Any:
+    """Draw the four horizons as bars on a log axis; below them, in a figure of its own, the information curve."""
+    if ax is not None:
+        return _bars(horizons, ax)
+    if not horizons.certificate.plant.n_states:
+        return _bars(horizons, style.new_axes())
+    _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.3))
+    return [_bars(horizons, top), draw_certificate(horizons.certificate, bottom)]
+
+
+def _bars(horizons: FourHorizons, ax: Any) -> Any:
+    known = [(row, colour) for row, colour in zip(horizons.rows, _COLOURS, strict=True) if row.minimum is not None]
+    rows, colours = zip(*known, strict=True)
+    lengths = [max(row.minimum, 1e-12) for row in rows]
+    bars = ax.barh(range(len(rows)), lengths, color=colours, height=0.6)
+    ax.bar_label(bars, [short(row.minimum, 4) for row in rows], padding=4, fontsize="small")
+    ax.set_yticks(range(len(rows)), [row.name for row in rows])
+    ax.invert_yaxis()
+    ax.set_xscale("log")
+    ax.set_xlim(0.5 * min(lengths), 3.0 * max(lengths))
+    ax.set_xlabel(style.time_label(horizons.certificate.plant.time_unit, "horizon M must exceed"))
+    return ax

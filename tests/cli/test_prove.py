@@ -1,0 +1,72 @@
+"""certify and verify: a certificate is written, checked, and refused once it is touched."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sampling_design import PeriodicSchedule, write_schedule
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
+
+
+@pytest.fixture
+def certified(shell, tmp_path):
+    write_schedule(PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s"), tmp_path / "schedule.csv")
+    return shell("certify", OSCILLATOR, tmp_path / "schedule.csv", "-o", tmp_path), tmp_path
+
+
+def test_certify_prints_four_horizons_and_writes_everything(certified):
+    result, folder = certified
+    assert result.code == 0
+    for word in ("paper chain", "exact, sharp", "true contraction", "C_w"):
+        assert word in result.out
+    assert {"certificate.json", "horizons.png", "constants.md", "constants.tex"} <= {p.name for p in folder.iterdir()}
+    assert "| exact, sharp |" in (folder / "constants.md").read_text()
+
+
+def test_verify_accepts_the_file_and_its_plant(certified, shell):
+    _, folder = certified
+    result = shell("verify", folder / "certificate.json", "--plant", OSCILLATOR)
+    assert result.code == 0
+    assert "Proven" in result.out
+    data = json.loads(shell("verify", folder / "certificate.json", "--json", "-o", folder).out)
+    assert data["passed"] is True
+    assert json.loads((folder / "verdict.json").read_text()) == data
+
+
+def test_verify_refuses_another_plant(certified, shell):
+    _, folder = certified
+    result = shell("verify", folder / "certificate.json", "--plant", EXAMPLES / "plants" / "double_integrator.toml")
+    assert result.code != 0
+    assert "another plant" in result.err
+
+
+def test_verify_refuses_a_touched_file(certified, shell):
+    _, folder = certified
+    text = (folder / "certificate.json").read_text()
+    (folder / "touched.json").write_text(text.replace('"eta": ', '"eta": 1', 1))
+    result = shell("verify", folder / "touched.json")
+    assert result.code in (1, 2)
+    assert "Traceback" not in result.err
+    assert result.err.startswith("sampling-design: ")
+
+
+def test_a_false_certificate_is_a_no(certified, shell):
+    from sampling_design.certificates.files import digest
+
+    _, folder = certified
+    data = json.loads((folder / "certificate.json").read_text())
+    data["P1"] = [[2 * v for v in row] for row in data["P1"]]
+    data["digest"] = digest(data)
+    (folder / "false.json").write_text(json.dumps(data))
+    result = shell("verify", folder / "false.json")
+    assert result.code == 1
+
+
+def test_a_blind_schedule_has_no_certificate(shell, tmp_path):
+    write_schedule(PeriodicSchedule([3.141592653589793], time_unit="s"), tmp_path / "blind.csv")
+    result = shell("certify", OSCILLATOR, tmp_path / "blind.csv")
+    assert result.code == 1
+    assert "Traceback" not in result.err

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError
 from sampling_design.estimators.convex_set import ConvexSet, convex_set
-from sampling_design.estimators.disturbance import support_box
-from sampling_design.estimators.flows import Flow, FlowTable, discounted_length
+from sampling_design.estimators.disturbance import DisturbanceReach
+from sampling_design.estimators.flows import FlowTable
 from sampling_design.estimators.solution import Kernel
 from sampling_design.estimators.window import Window
 
@@ -19,24 +18,6 @@ Array = npt.NDArray[np.float64]
 
 SATISFIED = 1e-10
 """Excess, relative to the size of the values, up to which the unconstrained minimiser counts as feasible."""
-
-
-@dataclass
-class LeastDistance:
-    """min |z|^2 subject to lower <= A z <= upper and |M_i z + c_i| <= r_i: what the constraints leave to do.
-
-    Rows have unit norm: bounds count in posterior standard deviations. `labels` say what each row or cone means,
-    `scales` turn its slack back into the signal's unit.
-    """
-
-    T: Array
-    A: Array
-    lower: Array
-    upper: Array
-    cones: list[tuple[Array, Array, float]]
-    labels: list[tuple[str, str]]
-    scales: Array
-    cone_labels: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +33,39 @@ class _Piece:
     seen: Array | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class LeastDistance:
+    """min |z|^2 subject to lower <= A z <= upper and |M_i z + c_i| <= r_i: what the constraints leave to do.
+
+    Rows have unit norm: bounds count in posterior standard deviations; `scales` turn slack back into the signal's
+    unit. `owners` (per block of rows) and `cone_owners` remember which signal each row or cone belongs to.
+    """
+
+    T: Array
+    A: Array
+    lower: Array
+    upper: Array
+    cones: list[tuple[Array, Array, float]]
+    scales: Array
+    owners: list[tuple[_Piece, npt.NDArray[np.intp]]]
+    cone_owners: list[_Piece]
+
+    def row_label(self, index: int, below: bool) -> str:
+        """Say in words what row `index` asks, of its lower bound where `below`."""
+        sizes = np.cumsum([entries.size for _, entries in self.owners])
+        block = int(np.searchsorted(sizes, index, side="right"))
+        piece, entries = self.owners[block]
+        entry, k = int(entries[index - sizes[block]]), piece.base.size
+        if entry >= k:
+            return f"half-space {entry - k + 1} of {piece.name} at t = {piece.time:.6g}"
+        bound = f">= {piece.set.lower[entry]:.6g}" if below else f"<= {piece.set.upper[entry]:.6g}"
+        return f"{piece.entries[entry]} {bound} at t = {piece.time:.6g} ({piece.name})"
+
+    def cone_label(self, index: int) -> str:
+        """Say in words what cone `index` asks."""
+        return f"a ball of {self.cone_owners[index].name} at t = {self.cone_owners[index].time:.6g}"
+
+
 class Constraints:
     """The sets of one estimator, and how a window feels them."""
 
@@ -64,92 +78,29 @@ class Constraints:
         self.w = convex_set("w_set", w, plant.n_disturbances)
         self.keeps_v = self.v is not None or self.y is not None
         self._omega_names = tuple(f"omega{i + 1}" for i in range(plant.n_states))
-        self._reach: dict[float, ConvexSet] = {}
         weights = self.weights
         self._gain = np.linalg.solve(weights.R + weights.v, weights.R)
         self._v_root = np.linalg.solve(np.linalg.cholesky(weights.R + weights.v), np.eye(plant.n_outputs)).T
-        if self.w is not None:
-            self._check_w()
-
-    def _check_w(self) -> None:
-        assert self.w is not None
-        if self.table.constant_w:
-            if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
-                raise ArgumentError(
-                    '`w_model` = "constant" needs a G of full column rank: w must follow from its effect.'
-                )
-        elif not (self._w_radius() < np.inf or self._box_bounded()):
-            raise ArgumentError(
-                "`w_set` is unbounded, so that an outer bound on what w can do says nothing. "
-                'Bound every entry of w, or use w_model="constant" (not certified).'
-            )
+        self.reach = None if self.w is None else DisturbanceReach(table, self.w)
 
     @property
     def active(self) -> bool:
         """Whether there is any constraint."""
         return any(s is not None for s in (self.x, self.y, self.v, self.w))
 
-    def _w_radius(self) -> float:
-        """Least bound on |w|_Qw that a single ball gives."""
-        assert self.w is not None
-        half, best = np.linalg.cholesky(self.weights.w).T, np.inf
-        for ball in self.w.balls:
-            if np.linalg.matrix_rank(ball.shape) == self.w.dimension:
-                gain = float(np.linalg.norm(half @ np.linalg.pinv(ball.shape), 2))
-                best = min(best, float(np.linalg.norm(half @ ball.centre)) + ball.radius * gain)
-        return best
-
-    def _box_bounded(self) -> bool:
-        assert self.w is not None
-        return all(bool(np.isfinite(side).all()) for side in self.w.bounding_box())
-
-    def omega_set(self, flow: Flow) -> ConvexSet:
-        """Return the set that provably holds omega over this gap (for a constant w: the exact one)."""
-        assert self.w is not None
-        if flow.gap not in self._reach:
-            if len(self._reach) > 4096:
-                self._reach.clear()
-            self._reach[flow.gap] = self._make_omega_set(flow)
-        return self._reach[flow.gap]
-
-    def _make_omega_set(self, flow: Flow) -> ConvexSet:
-        assert self.w is not None
-        length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
-        width = flow.root.shape[1]
-        if self.table.constant_w:
-            half = np.linalg.solve(np.linalg.cholesky(self.weights.w), np.eye(width)).T / length  # w = half omega
-            whole = np.full(width, np.inf)
-            w = self.w
-            bounded = [
-                (sign * half[i], sign * side[i])
-                for sign, side in ((1, w.upper), (-1, w.lower))
-                for i in range(width)
-                if np.isfinite(side[i])
-            ]
-            rows = np.vstack([w.rows @ half, *(row for row, _ in bounded)])
-            offsets = np.concatenate([w.offsets, [b for _, b in bounded]])
-            found = ConvexSet(-whole, whole, rows, offsets)
-            for ball in w.balls:
-                centre = np.linalg.solve(half, ball.centre)
-                found = found & ConvexSet.ball(ball.radius, centre=centre, shape=ball.shape @ half)
-            return found
-        found = ConvexSet.box(np.full(width, -np.inf), np.full(width, np.inf))
-        if self._w_radius() < np.inf:
-            found = found & ConvexSet.ball(self._w_radius() * length, dimension=width)
-        else:
-            integral = self.table.integrals(self.plant.G, [flow.gap])[0]
-            found = found & ConvexSet.box(*support_box(self.plant, flow, integral, *self.w.bounding_box()))
-        return found
-
     def noise(self, window: Window, nodes: Array) -> Array:
         """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
         return ((window.y - window.feedthrough - nodes @ self.plant.C.T) * window.masks) @ self._gain.T
 
-    def omegas(self, window: Window, nodes: Array) -> list[Array]:
-        """Return the least omega of every gap for given states."""
+    def omegas(self, window: Window, nodes: Array) -> Array:
+        """Return the least omega of every gap for given states, (N, width)."""
         deviation = nodes - window.reference
         moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect
-        return [flow.whiten @ d for flow, d in zip(window.flows, moved, strict=True)]
+        return np.asarray(np.matmul(self._whitened(window), moved[:, :, None])[:, :, 0])
+
+    def _whitened(self, window: Window) -> Array:
+        width = window.flows[0].root.shape[1] if window.flows else 0
+        return np.array([flow.whiten for flow in window.flows]).reshape(-1, width, self.plant.n_states)
 
     def satisfied(self, window: Window, nodes: Array) -> bool:
         """Whether the trajectory `nodes`, with its best v and w, meets every constraint."""
@@ -165,11 +116,16 @@ class Constraints:
                     _seen_excess(chosen, values[j], window.masks[j]) > size for j in window.samples
                 ):
                     return False
-        if self.w is not None:
-            for flow, omega in zip(window.flows, self.omegas(window, nodes), strict=True):
-                if self.omega_set(flow).excess(omega) > SATISFIED * max(1.0, float(np.abs(omega).max())):
-                    return False
-        return True
+        return self.reach is None or self._w_satisfied(self.reach, window, nodes)
+
+    def _w_satisfied(self, reach: DisturbanceReach, window: Window, nodes: Array) -> bool:
+        sets, omegas = [reach.over(flow) for flow in window.flows], self.omegas(window, nodes)
+        tolerance = SATISFIED * max(1.0, float(np.max(np.abs(omegas), initial=0.0)))
+        if all(chosen.is_box for chosen in sets):
+            lower = np.array([chosen.lower for chosen in sets]).reshape(omegas.shape)
+            upper = np.array([chosen.upper for chosen in sets]).reshape(omegas.shape)
+            return bool(np.all(omegas >= lower - tolerance) and np.all(omegas <= upper + tolerance))
+        return all(chosen.contains(omega, tolerance) for chosen, omega in zip(sets, omegas, strict=True))
 
     def least_distance(self, window: Window, nodes: Array, kernel: Kernel) -> LeastDistance:
         """Return the problem that is left when `nodes` minimises without the constraints."""
@@ -195,11 +151,12 @@ class Constraints:
             pieces += [_Piece("x_set", t, plant.states.names, nodes[j], T[j], self.x) for j, t in enumerate(times)]
         if self.keeps_v:
             pieces += self._v_pieces(window, nodes, T)
-        if self.w is not None:
-            for j, (flow, omega) in enumerate(zip(window.flows, self.omegas(window, nodes), strict=True)):
-                moved = flow.whiten @ (T[j + 1] - flow.F @ T[j])
+        if self.reach is not None:
+            omegas = self.omegas(window, nodes)
+            moved = np.matmul(self._whitened(window), T[1:] - np.matmul(window.F, T[:-1]))
+            for j, flow in enumerate(window.flows):
                 names = self._omega_names if flow.root.shape[1] == plant.n_states else plant.disturbances.names
-                pieces.append(_Piece("w_set", times[j + 1], names, omega, moved, self.omega_set(flow)))
+                pieces.append(_Piece("w_set", times[j + 1], names, omegas[j], moved[j], self.reach.over(flow)))
         return pieces
 
     def _v_pieces(self, window: Window, nodes: Array, T: Array) -> list[_Piece]:
@@ -227,29 +184,26 @@ def _seen_excess(chosen: ConvexSet, value: Array, mask: Array) -> float:
 
 
 def _assemble(T: Array, pieces: list[_Piece]) -> LeastDistance:
-    rows, lower, upper, labels, cones, cone_labels = [], [], [], [], [], []
+    rows, lower, upper, owners, cones = [np.zeros((0, T.shape[2]))], [np.zeros(0)], [np.zeros(0)], [], []
     for piece in pieces:
         chosen = piece.set
-        seen = np.ones(piece.base.size, bool) if piece.seen is None else piece.seen > 0
-        for i in map(int, np.flatnonzero(seen & (np.isfinite(chosen.lower) | np.isfinite(chosen.upper)))):
-            rows.append(piece.map[i])
-            lower.append(chosen.lower[i] - piece.base[i])
-            upper.append(chosen.upper[i] - piece.base[i])
-            at = f"{piece.entries[i]} {{}} at t = {piece.time:.6g} ({piece.name})"
-            labels.append((at.format(f">= {chosen.lower[i]:.6g}"), at.format(f"<= {chosen.upper[i]:.6g}")))
-        if not seen.all():
-            continue
-        for i in range(chosen.rows.shape[0]):
-            rows.append(chosen.rows[i] @ piece.map)
-            lower.append(-np.inf)
-            upper.append(chosen.offsets[i] - chosen.rows[i] @ piece.base)
-            labels.append(("", f"half-space {i + 1} of {piece.name} at t = {piece.time:.6g}"))
-        for i, ball in enumerate(chosen.balls):
-            cones.append((ball.shape @ piece.map, ball.shape @ (piece.base - ball.centre), ball.radius))
-            cone_labels.append(f"ball {i + 1} of {piece.name} at t = {piece.time:.6g}")
-    A = np.array(rows).reshape(-1, T.shape[2])
-    scales = np.linalg.norm(A, axis=1)
+        bounded = chosen.bounded if piece.seen is None else chosen.bounded[piece.seen[chosen.bounded] > 0]
+        whole = piece.seen is None or bool(np.all(piece.seen > 0))
+        rows.append(piece.map[bounded])
+        lower.append((chosen.lower - piece.base)[bounded])
+        upper.append((chosen.upper - piece.base)[bounded])
+        owners.append((piece, bounded))
+        if whole and chosen.rows.shape[0]:
+            rows.append(chosen.rows @ piece.map)
+            lower.append(np.full(chosen.rows.shape[0], -np.inf))
+            upper.append(chosen.offsets - chosen.rows @ piece.base)
+            owners.append((piece, piece.base.size + np.arange(chosen.rows.shape[0])))
+        if whole:
+            for ball in chosen.balls:
+                cones.append((piece, ball))
+    A = np.concatenate(rows)
+    scales = np.sqrt(np.einsum("ij,ij->i", A, A))
     unit = np.where(scales > 0, scales, 1.0)
-    return LeastDistance(
-        T, A / unit[:, None], np.array(lower) / unit, np.array(upper) / unit, cones, labels, unit, cone_labels
-    )
+    mapped = [(ball.shape @ piece.map, ball.shape @ (piece.base - ball.centre), ball.radius) for piece, ball in cones]
+    lower_bounds, upper_bounds = np.concatenate(lower) / unit, np.concatenate(upper) / unit
+    return LeastDistance(T, A / unit[:, None], lower_bounds, upper_bounds, mapped, unit, owners, [p for p, _ in cones])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,15 @@ class ConvexSet(Record):
         whole = np.full(k, np.inf)
         return cls(-whole, whole, None, None, (Ball(size, middle, E),))  # type: ignore[arg-type]
 
+    @classmethod
+    def known(cls, lower: Array, upper: Array, rows: Array, offsets: Array, balls: tuple[Ball, ...] = ()) -> ConvexSet:
+        """Return the set of these parts, known to be in order and not empty: nothing is checked."""
+        found = object.__new__(cls)
+        parts = {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets, "balls": balls}
+        for key, value in parts.items():
+            object.__setattr__(found, key, value)
+        return found
+
     def __and__(self, other: ConvexSet) -> ConvexSet:
         if other.dimension != self.dimension:
             raise ArgumentError(f"sets must have one dimension, got {self.dimension} and {other.dimension}.")
@@ -130,6 +140,11 @@ class ConvexSet(Record):
     def is_box(self) -> bool:
         """Whether there are bounds on single entries only."""
         return not self.balls and self.rows.shape[0] == 0
+
+    @cached_property
+    def bounded(self) -> npt.NDArray[np.intp]:
+        """Indices of the entries that have a bound of their own."""
+        return np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
 
     @property
     def _is_ball(self) -> bool:

@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
-from sampling_design.estimators.flows import Flow
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.convex_set import Ball, ConvexSet
+from sampling_design.estimators.flows import CACHE_SIZE, Flow, FlowTable, discounted_length
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -23,10 +25,75 @@ CELL_RANGE = (16, 2048)
 """Least and largest number of cells per gap."""
 
 
-def support_box(plant: Plant, flow: Flow, integral: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`.
+class DisturbanceReach:
+    """The set of omega over each gap, for a set of w; remembered by gap length.
 
-    `integral` is int_0^h e^{As} G ds.
+    Raises
+    ------
+    ArgumentError
+        If the set is unbounded, or w is to be constant and does not follow from its effect.
+    """
+
+    def __init__(self, table: FlowTable, w: ConvexSet):
+        self.table, self.w = table, w
+        self.plant, self.weights = table.weights.plant, table.weights
+        self._sets: dict[float, ConvexSet] = {}
+        self._radius, self._box = self._ball_radius(), w.bounding_box()
+        bounded = all(bool(np.isfinite(side).all()) for side in self._box)
+        if table.constant_w:
+            if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
+                raise ArgumentError('`w_model` = "constant" needs a G of full column rank, so that w follows from d.')
+        elif not bounded:
+            raise ArgumentError(
+                "`w_set` is unbounded, so that an outer bound on what w can do says nothing. "
+                'Bound every entry of w, or use w_model="constant" (not certified).'
+            )
+
+    def over(self, flow: Flow) -> ConvexSet:
+        """Return the set that provably holds omega over this gap (for a constant w: the exact one)."""
+        if flow.gap not in self._sets:
+            if len(self._sets) >= CACHE_SIZE:
+                self._sets.clear()
+            self._sets[flow.gap] = self._exact(flow) if self.table.constant_w else self._outer(flow)
+        return self._sets[flow.gap]
+
+    def _ball_radius(self) -> float:
+        """Least bound on |w|_Qw that a single ball gives."""
+        half, best = np.linalg.cholesky(self.weights.w).T, np.inf
+        for ball in self.w.balls:
+            if np.linalg.matrix_rank(ball.shape) == self.w.dimension:
+                gain = float(np.linalg.norm(half @ np.linalg.pinv(ball.shape), 2))
+                best = min(best, float(np.linalg.norm(half @ ball.centre)) + ball.radius * gain)
+        return best
+
+    def _outer(self, flow: Flow) -> ConvexSet:
+        width = flow.root.shape[1]
+        pure_ball = self.w.rows.shape[0] == 0 and self.w.bounded.size == 0
+        box = None if pure_ball else ConvexSet.box(*support_box(self.plant, flow, *self._box))
+        if not np.isfinite(self._radius):
+            assert box is not None
+            return box
+        length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
+        ball = ConvexSet.ball(self._radius * length, dimension=width)
+        if box is None:
+            return ball
+        return ConvexSet.known(box.lower, box.upper, box.rows, box.offsets, ball.balls)
+
+    def _exact(self, flow: Flow) -> ConvexSet:
+        """The set of w itself, in the coordinates w = half omega."""
+        w, width = self.w, flow.root.shape[1]
+        length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
+        half = np.linalg.solve(np.linalg.cholesky(self.weights.w), np.eye(width)).T / length
+        low, high = np.flatnonzero(np.isfinite(w.lower)), np.flatnonzero(np.isfinite(w.upper))
+        rows = np.vstack([w.rows @ half, half[high], -half[low]])
+        offsets = np.concatenate([w.offsets, w.upper[high], -w.lower[low]])
+        whole = np.full(width, np.inf)
+        balls = tuple(Ball(b.radius, np.asarray(np.linalg.solve(half, b.centre)), b.shape @ half) for b in w.balls)
+        return ConvexSet.known(-whole, whole, rows, offsets, balls)
+
+
+def support_box(plant: Plant, flow: Flow, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`.
 
     Notes
     -----
@@ -38,12 +105,32 @@ def support_box(plant: Plant, flow: Flow, integral: Array, lower: Array, upper: 
     size = float(np.linalg.norm(plant.A, 2))
     count = int(np.clip(np.ceil(size * flow.gap / CELL), *CELL_RANGE))
     d = flow.gap / count
-    moved = expm_batch(plant.A, (np.arange(count) + 0.5) * d) @ plant.G
+    moved = _middles(plant, d, count)
     phi = np.abs(flow.whiten @ moved)
     slope = np.abs(flow.whiten @ plant.A @ moved)
     bend = np.linalg.norm(flow.whiten @ plant.A @ plant.A, axis=1) * np.exp(size * d / 2)
     second = bend[None, :, None] * np.linalg.norm(moved, axis=1)[:, None, :]
     turning = phi < slope * d / 2 + second * d * d / 8
     area = np.sum(d * phi + d**3 / 24 * second + np.where(turning, d * d / 4 * slope, 0.0), axis=0)
-    centre, reach = flow.whiten @ integral @ middle, area @ half
+    centre, reach = _steady(plant, flow, middle), area @ half
     return centre - reach, centre + reach
+
+
+def _middles(plant: Plant, d: float, count: int) -> Array:
+    """e^{A (k + 1/2) d} G for k < count, (count, n, q), by doubling."""
+    half, power = expm_batch(plant.A, [d / 2, d])
+    moved = (half @ plant.G)[None]
+    while moved.shape[0] < count:
+        moved = np.concatenate([moved, power @ moved])
+        power = power @ power
+    return moved[:count]
+
+
+def _steady(plant: Plant, flow: Flow, w: Array) -> Array:
+    """L^+ int_0^h e^{As} G w ds for a constant w, exactly."""
+    n = plant.n_states
+    if not w.any():
+        return np.zeros(flow.whiten.shape[0])
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n] = plant.A, plant.G @ w
+    return np.asarray(flow.whiten @ expm_batch(block, [flow.gap])[0, :n, n])

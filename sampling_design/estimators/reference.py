@@ -37,8 +37,8 @@ def solve_reference(window: Window, constraints: Constraints, free: Solution) ->
         drift = window.defect[j] + window.reference[j + 1] - flow.F @ window.reference[j]
         parts.append(x[j + 1] == flow.F @ x[j] + drift + flow.root @ omega[j])
         terms.append(cp.sum_squares(root[j + 1] * omega[j]))
-        if constraints.w is not None:
-            parts += _inside(cp, omega[j], constraints.omega_set(flow))
+        if constraints.reach is not None:
+            parts += _inside(cp, omega[j], constraints.reach.over(flow))
     if constraints.x is not None:
         parts += [part for node in x for part in _inside(cp, node, constraints.x)]
     fit, own = np.linalg.cholesky(weights.R).T, np.linalg.cholesky(weights.v).T
@@ -97,6 +97,6 @@ def find_obstacle(problem: LeastDistance) -> str:
     if total <= NEEDED:
         return ""
     if not is_row:
-        return f"{problem.cone_labels[index]} (needs {amount:.3g} more)"
+        return f"{problem.cone_label(index)} (needs {amount:.3g} more)"
     below = problem.A[index] @ z.value < problem.lower[index]
-    return f"{problem.labels[index][0 if below else 1]} (needs {amount:.3g} more)"
+    return f"{problem.row_label(index, bool(below))} (needs {amount:.3g} more)"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.estimators.constraints import Constraints
 from sampling_design.estimators.convex_set import ConvexSet
+from sampling_design.estimators.disturbance import DisturbanceReach
 from sampling_design.estimators.flows import FlowTable
 from sampling_design.estimators.weights import build_weights
 from tests.oracles.estimators import input_integral, transition
@@ -54,8 +54,8 @@ def test_box_and_ball(name, eta, h):
         length = np.linalg.norm(push, axis=1, keepdims=True)
         return 0.7 * push / np.where(length > 0, length, 1.0)
 
-    box = Constraints(table, None, None, None, (low, high)).omega_set(flow)
-    ball = Constraints(table, None, None, None, ConvexSet.ball(0.7, dimension=q)).omega_set(flow)
+    box = DisturbanceReach(table, ConvexSet.box(low, high)).over(flow)
+    ball = DisturbanceReach(table, ConvexSet.ball(0.7, dimension=q)).over(flow)
     reach = 0.0
     for d in displacements(A, G, h, eta, in_box, rng, 60):
         omega = flow.whiten @ d
@@ -81,8 +81,21 @@ def test_half_spaces_bound_through_their_bounding_box():
     triangle = ConvexSet.halfspaces([[-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]], [0.0, 0.0, 1.0])
     table = FlowTable(weights)
     (flow,) = table.get([1.0])
-    found = Constraints(table, None, None, None, triangle).omega_set(flow)
-    square = Constraints(table, None, None, None, ([0.0, 0.0], [1.0, 1.0])).omega_set(flow)
+    found = DisturbanceReach(table, triangle).over(flow)
+    square = DisturbanceReach(table, ConvexSet.box([0.0, 0.0], [1.0, 1.0])).over(flow)
     assert np.allclose(found.lower, square.lower, atol=1e-5)
     assert np.allclose(found.upper, square.upper, atol=1e-5)
     assert np.all(found.upper >= square.upper - 1e-12)
+
+
+def test_a_ball_within_a_box_uses_both():
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    table = FlowTable(build_weights(plant)[0])
+    (flow,) = table.get([1.0])
+    both = DisturbanceReach(table, ConvexSet.ball(1.0, dimension=2) & ConvexSet.box([-0.2, -3.0], [0.2, 3.0])).over(
+        flow
+    )
+    box = DisturbanceReach(table, ConvexSet.box([-0.2, -1.0], [0.2, 1.0])).over(flow)
+    ball = DisturbanceReach(table, ConvexSet.ball(1.0, dimension=2)).over(flow)
+    assert np.allclose([both.lower, both.upper], [box.lower, box.upper])
+    assert both.balls[0].radius == ball.balls[0].radius

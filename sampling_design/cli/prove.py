@@ -43,7 +43,8 @@ def certify(
         settings.wrote(save_picture(horizons, folder / "horizons.png"))
         settings.wrote(write_text(folder / "constants.md", certificate.to_markdown() + "\n" + horizons.to_markdown()))
         settings.wrote(write_text(folder / "constants.tex", certificate.to_latex() + "\n" + horizons.to_latex()))
-    settings.show(certificate.to_dict(), record_table(certificate), _horizons(horizons), certificate.explain())
+    notes = [f"{row.name}: {row.note}" for row in horizons.rows if row.note]
+    settings.show(certificate.to_dict(), record_table(certificate), _horizons(horizons), *notes, certificate.explain())
 
 
 def _horizons(horizons: Any) -> Any:

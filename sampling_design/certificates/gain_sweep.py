@@ -94,5 +94,7 @@ class _Search:
         if self.variant == "paper":
             return float(np.log(8 * values[-1] / values[0]) + (2 * self.size + eta) * self.t_star)
         L = np.linalg.cholesky(P)
-        swing = np.linalg.norm(L.T @ self.flows @ np.linalg.inv(L.T), 2, axis=(1, 2)) ** 2
+        # L' Phi L^-T, the inverse as a solve from the right
+        inside = np.swapaxes(np.linalg.solve(L, np.swapaxes(L.T @ self.flows, 1, 2)), 1, 2)
+        swing = np.linalg.norm(inside, 2, axis=(1, 2)) ** 2
         return float(np.log(2) + np.max(eta * self.times + np.log(swing)))

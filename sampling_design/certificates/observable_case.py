@@ -101,8 +101,8 @@ def paper_chain(detectability: DetectabilityCertificate, samples: Hypotheses) ->
     lipschitz = float(np.linalg.norm(plant.A, 2))
     top = float(np.linalg.eigvalsh(detectability.P)[-1])
     size_G = float(np.linalg.norm(plant.G, 2)) if plant.n_disturbances else 0.0
-    growth = _factor("e^{(2 Lf + eta) t*}", (2 * lipschitz + eta) * t_star)
-    overlap = _factor("2 e^{3 eta t*}", 3 * eta * t_star) * 2
+    growth = within_range("e^{(2 Lf + eta) t*}", (2 * lipschitz + eta) * t_star)
+    overlap = within_range("2 e^{3 eta t*}", 3 * eta * t_star) * 2
     c_2 = detectability.c_y
     alpha_w = 4 * T**2 * c_2 * (mu_bar * kappa + 1) ** 2 * k_w**2
     alpha_y = 4 * T * c_2 * mu_bar**2 * kappa
@@ -153,7 +153,7 @@ def tightened_chain(detectability: DetectabilityCertificate, samples: Hypotheses
     shifted = plant.A + eta / 2 * np.eye(plant.n_states)
     swing = largest_flow(L.T, shifted, _inverse(L.T), t_star).upper ** 2
     push = largest_flow(L.T, shifted, plant.G, t_star).upper ** 2
-    _factor("e^{eta T}", eta * T)
+    within_range("e^{eta T}", eta * T)
     f = float(np.expm1(eta * T)) / eta
     alpha_w = 2 * T * c_2 * (mu_bar * np.sqrt(kappa) + 1) ** 2 * k_w**2 * f
     R0 = 2 * c_2 * mu_bar**2 * f * SAFE
@@ -198,7 +198,7 @@ def _detectability(found: DetectabilityCertificate) -> tuple[Constant, ...]:
     return (*kept, Constant("c_2", found.c_y, r"c_2=c_y", "Theorem 10, used in (28)", "c_2"))
 
 
-def _factor(name: str, exponent: float) -> float:
+def within_range(name: str, exponent: float) -> float:
     """e^exponent, refused where it leaves the range of floating point."""
     if exponent > np.log(LARGEST):
         raise CertificateError(

@@ -16,7 +16,7 @@ from sampling_design.certificates.constants import Constant, ConstantList
 from sampling_design.certificates.detectability import detectability_from_proof
 from sampling_design.certificates.dissipation import DetectabilityCertificate
 from sampling_design.certificates.gain_sweep import best_gain
-from sampling_design.certificates.observable_case import Chain, Hypotheses, paper_chain, tightened_chain
+from sampling_design.certificates.observable_case import Chain, Hypotheses, paper_chain, tightened_chain, within_range
 from sampling_design.certificates.sampling_hypotheses import measure_hypotheses
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
@@ -281,6 +281,8 @@ def _detectability(
         return given
     if gain is not None or Q is not None:
         return detectability_from_proof(retained, gain, Q)
+    if variant == "paper":  # no gain can help where this factor alone leaves floating point: no search then
+        within_range("e^{2 Lf t*}", 2 * float(np.linalg.norm(retained.A, 2)) * samples.t_star)
     return best_gain(retained, samples.t_star, variant, cap)
 
 

@@ -25,6 +25,8 @@ Progress = Callable[[float, str], None]
 
 STATED_MARGIN = 1e-4
 """Margin that a certificate states, Pi >= (1 + this) P1; what is left of the 1e-3 is for the proof."""
+FINEST = 16
+"""How much finer the last look for a missed peak is than the first."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
 
@@ -61,23 +63,34 @@ def certify_given(
     if not plant.n_states:
         return Certificate(plant, schedule, P2, P2, Qw, R, Qv, eta, 1.0, 1.0, 0.0, None, solver)
     problem = window_problem(plant, schedule, P2, Qw, R, Qv, eta)
+    finer = 1
     anywhere, at_samples = supremum(problem)
     for _ in range(ATTEMPTS):
         made = _made(plant, schedule, problem, (P2, Qw, R, Qv), (anywhere, at_samples), solver)
         verdict = made.verify()
         if verdict.passed:
             return made
-        if verdict.time is None or verdict.start is None:
-            break
+        if verdict.time is None or verdict.start is None:  # undecided: the grids missed a peak by a hair
+            if finer == FINEST:
+                break
+            finer *= 4
+            others = supremum(problem, finer)
+            anywhere, at_samples = (max(pair, key=_value) for pair in zip((anywhere, at_samples), others, strict=True))
+            anywhere = max(anywhere, at_samples, key=_value)
+            continue
         missed = located(problem, verdict.start, verdict.time)
         if "samples" in verdict.inequality:
-            at_samples = max(refine(problem, missed, 0.0), at_samples, key=lambda peak: peak.value)
+            at_samples = max(refine(problem, missed, 0.0), at_samples, key=_value)
         else:
             missed = refine(problem, missed, problem.reach[missed.index] / 16)
-        anywhere = max(anywhere, missed, at_samples, key=lambda peak: peak.value)
+        anywhere = max(anywhere, missed, at_samples, key=_value)
     raise CertificateError(
         f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
     )
+
+
+def _value(peak: Peak) -> float:
+    return peak.value
 
 
 def _made(

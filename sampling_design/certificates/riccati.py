@@ -5,7 +5,7 @@ Windows run side by side in one batch: each step is one sample update and one ga
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +22,15 @@ MERGED_RTOL = 1e-5
 """A window below (1 + this) times the steady lap brings nothing new: lambda is then the steady one within 1e-5."""
 MAX_DOUBLINGS = 40
 MAX_STEPS = 100_000
+LONGEST_REFINED = 200
+"""Peaks after more samples than this lie on the steady lap, where a finer look changes nothing."""
+ATTAINED_RTOL = 2e-4
+"""How near to the steady lap a window is followed; the certificate leaves 1e-3."""
 LONGEST_RUN = 20_000
 """Samples along which a window is followed towards the steady lap."""
-START_CELLS = 3
+START_CELLS = 5
 MIN_STARTS = 16
-"""Inner starts: at least two per gap and at least this many per lap."""
+"""Inner starts: START_CELLS - 1 per gap, and at least about this many per lap."""
 TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 REFINEMENTS = 4
 
@@ -136,11 +140,15 @@ def sweep(
     """
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size
-    distinct, where = np.unique(problem.gaps, return_inverse=True)
+    ahead = np.arange(problem.count) if last_step + 1 >= problem.count else np.arange(1, last_step + 2) + index.min()
+    needed = ahead % problem.count if index.min() == index.max() else np.arange(problem.count)
+    where = np.zeros(problem.count, dtype=np.intp)
+    distinct, where[needed] = np.unique(problem.gaps[needed], return_inverse=True)
     F, W = (a.reshape(distinct.size, m, *a.shape[1:]) for a in problem.flow(np.outer(distinct, part).ravel()))
     head_F, head_W = problem.flow(np.outer(remaining, part).ravel())
     head = push(np.eye(problem.size), head_F, head_W).reshape(remaining.size, m, problem.size, problem.size)
-    best = [Peak(0.0, int(i), float(r), -1, 0.0) for i, r in zip(index, remaining, strict=True)]
+    best = np.zeros((3, index.size))  # value, step and fraction of each window's peak
+    best[1] = -1
     alive = np.arange(index.size)
     _note(best, alive, head, part, -1)
     Y, at = head[:, -1], index.copy()
@@ -150,11 +158,14 @@ def sweep(
         Y, alive = Y[going], alive[going]
         at = (at[going] + 1) % problem.count
         if not alive.size:
-            return best
+            break
         inside = push(Y[:, None], F[where[at]], W[where[at]])
         _note(best, alive, inside, part, step)
         Y = inside[:, -1]
-    return best
+    return [
+        Peak(float(value), int(i), float(r), int(step), float(fraction))
+        for i, r, (value, step, fraction) in zip(index, remaining, best.T, strict=True)
+    ]
 
 
 def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> npt.NDArray[np.bool_]:
@@ -167,40 +178,42 @@ def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) ->
     return np.asarray(np.linalg.eigvalsh(slack)[:, 0] < 0)
 
 
-def _note(best: list[Peak], alive: Index, Y: Array, part: Array, step: int) -> None:
+def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
     """Raise the peaks where a new value is larger; a cheap bound on the eigenvalue spares most of them."""
     n = Y.shape[-1]
-    known = np.array([best[k].value for k in alive])
     mean = np.trace(Y, axis1=-2, axis2=-1) / n
     spread = np.maximum(np.einsum("...ij,...ij->...", Y, Y) / n - mean**2, 0.0)
-    hopeful = np.argwhere(mean + np.sqrt((n - 1) * spread) > known[:, None])
-    if not hopeful.size:
+    values = mean + np.sqrt((n - 1) * spread)
+    hopeful = values > best[0, alive][:, None]
+    if not hopeful.any():
         return
-    values = np.linalg.eigvalsh(Y[hopeful[:, 0], hopeful[:, 1]])[:, -1]
-    for (row, column), value in zip(hopeful, values, strict=True):
-        k = alive[row]
-        if value > best[k].value:
-            best[k] = replace(best[k], value=float(value), step=step, fraction=float(part[column]))
+    values[~hopeful] = 0.0
+    values[hopeful] = np.linalg.eigvalsh(Y[hopeful])[:, -1]
+    column = np.argmax(values, axis=1)
+    value = values[np.arange(alive.size), column]
+    higher = value > best[0, alive]
+    best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
 
 
-def supremum(problem: WindowProblem) -> tuple[Peak, Peak]:
+def supremum(problem: WindowProblem, finer: int = 1) -> tuple[Peak, Peak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
-    for the checker to prove, which names a window where something was missed.
+    for the checker to prove, which names a window where something was missed. `finer` multiplies both grids.
     """
     index, remaining = problem.sample_starts()
     steady = None if problem.period is None else steady_lap(problem)
-    inner = np.arange(1, max(START_CELLS, -(-MIN_STARTS // problem.count)))
+    inner = np.arange(1, finer * max(START_CELLS, -(-MIN_STARTS // problem.count)))
+    parts = np.arange(1, 4 * finer + 1) / (4 * finer)
     more = np.repeat(np.arange(problem.count), inner.size)
     starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
-    found = sweep(problem, np.append(index, more), np.append(remaining, starts), steady=steady)
+    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady)
     own, others = found[: index.size], found[index.size :]
     if steady is not None:
         own.append(long_run(problem, steady, max(own, key=_value)))
-    at_sample = refine(problem, max(own, key=_value), 0.0)
+    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size)
     anywhere = max([*others, at_sample], key=_value)
-    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1))
+    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size)
     return max(anywhere, at_sample, key=_value), at_sample
 
 
@@ -219,7 +232,7 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
     index, remaining = problem.sample_starts()
     laps = 1
     found = best
-    while found.value < (1 - MERGED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
+    while found.value < (1 - ATTAINED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
         laps *= 4
         found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count)[0]
     return max(found, best, key=_value)
@@ -227,7 +240,7 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
 
 def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25) -> Peak:
     """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
-    for _ in range(REFINEMENTS):
+    for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):
         lowest = max(peak.remaining - width, 0.0)
         highest = min(peak.remaining + width, float(problem.reach[peak.index]))
         starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
@@ -258,10 +271,11 @@ def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:
     before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
     F, W = problem.flow([before])
     Y, elapsed, at = push(np.eye(problem.size), F[0], W[0]), before, peak.index
+    lap_F, lap_W = problem.flow(problem.gaps)
     for step in range(peak.step + 1):
         Y = update(Y, problem.rows[at])
         at = (at + 1) % problem.count
         duration = problem.gaps[at] * (peak.fraction if step == peak.step else 1.0)
-        F, W = problem.flow([duration])
-        Y, elapsed = push(Y, F[0], W[0]), elapsed + duration
+        last = problem.flow([duration]) if step == peak.step else (lap_F[at : at + 1], lap_W[at : at + 1])
+        Y, elapsed = push(Y, last[0][0], last[1][0]), elapsed + duration
     return Y, start + float(elapsed), start

@@ -30,7 +30,9 @@ ROUNDNESS = (0.01, 1.0, 30.0)
 """Shares of the identity in the shapes of the first guess."""
 STARTS = 3
 """Rates of the scan from which the descent starts."""
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 40
+PRECISION = 1e-5
+"""Change of ln lam (of the horizon, relative) at which the descent stops."""
 DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 
@@ -104,8 +106,8 @@ class Search:
             jac=True,
             method="SLSQP",
             bounds=[*free, (np.log(bounds[0]), np.log(bounds[1]))],
-            constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": lambda z: state.at(z)[1]},
-            options={"maxiter": MAX_ITERATIONS, "ftol": 1e-6},
+            constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
+            options={"maxiter": MAX_ITERATIONS, "ftol": PRECISION},
         )
         T, rate = state.unpack(state.best)
         return Descent(L @ T, rate, state.value, int(found.nit), str(found.message))
@@ -147,9 +149,6 @@ class _State:
             return self.known[1:]
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
-        if self.bounds[1] > self.bounds[0]:
-            step = DIFFERENCE if rate * (1 + DIFFERENCE) <= self.bounds[1] else -DIFFERENCE
-            slope[:, -1] = (self._constraints(T, rate * (1 + step), z[0])[0] - value) / np.log1p(step)
         # what counts is the least horizon with the constraints kept, at whatever ln lam the windows then need
         need = z[0] - value[: -len(T)].min()
         room = value[-len(T) :].min() + z[0] - need
@@ -157,6 +156,15 @@ class _State:
             self.best, self.value = z.copy(), need / rate
         self.known = (z.tobytes(), value, slope)
         return value, slope
+
+    def jacobian(self, z: Array) -> Array:
+        """Gradients of the constraints; the one in ln eta is a difference quotient, and only here."""
+        value, slope = self.at(z)
+        if self.bounds[1] > self.bounds[0]:
+            T, rate = self.unpack(z)
+            step = DIFFERENCE if rate * (1 + DIFFERENCE) <= self.bounds[1] else -DIFFERENCE
+            slope[:, -1] = (self._constraints(T, rate * (1 + step), z[0])[0] - value) / np.log1p(step)
+        return slope
 
     def _constraints(self, T: Array, rate: float, log_lam: float) -> tuple[Array, Array]:
         windows = self._windows(rate)

@@ -81,7 +81,7 @@ def read(data):
     )
 
 
-def worst_ratio(data, target, samples=False, fine=16, laps=9):
+def worst_ratio(data, target, samples=False, fine=14, laps=7):
     """Largest lambda_max(target Y) over a dense grid of window starts and later times; also where (start, t)."""
     A, S, J, eta, gaps, first, periodic = read(data)
     n, N = len(A), len(gaps)

@@ -207,6 +207,22 @@ class EstimateRecord(Record):
             spread = np.where(variance > 0, self.radius[:, None] * variance, 0.0)
         return freeze(np.sqrt(np.maximum(spread, 0.0)))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, one entry per estimate; NaN and infinity become None."""
+        return {
+            "states": list(self.plant.states.names),
+            "time_unit": self.plant.time_unit,
+            "times": self.times.tolist(),
+            "x": self.x.tolist(),
+            "radii": [[_finite(r) for r in row] for row in self.radii],
+            "radius": [_finite(r) for r in self.radius],
+            "cost": [_finite(c) for c in self.cost],
+            "status": list(self.status),
+            "certified": self.certified.tolist(),
+            "on_schedule": self.on_schedule.tolist(),
+            "notes": list(self.notes),
+        }
+
     def _rows(self) -> list[tuple[str, str]]:
         span = f"{short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}" if len(self) else "-"
         counts = {s: self.status.count(s) for s in dict.fromkeys(self.status)}

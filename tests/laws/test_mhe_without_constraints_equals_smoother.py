@@ -110,3 +110,23 @@ def test_the_fine_grid_with_explicit_w_and_v_comes_closer_as_the_square_of_its_s
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert np.all(np.abs(orders - 2) < 0.25)
     assert errors[-1][0] < 2e-3
+
+
+@pytest.mark.parametrize(("cost", "first"), [("certificate", 1), ("paper", 0)])
+def test_a_window_that_starts_at_a_sample_is_half_open_or_closed_as_its_cost_says(cost, first):
+    """Period .1, horizon .6: t - M falls on a sample although neither is a binary fraction."""
+    A, C, G = (np.array(M, float) for M in PLANTS["oscillator"])
+    rng = np.random.default_rng(6)
+    chosen = weights(rng, 2, 2, 1)
+    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=0.6, eta=ETA, cost=cost, **chosen)
+    times, ys = 0.1 * np.arange(1, 25), rng.normal(size=(24, 1))
+    twice = 2.0 if cost == "paper" else 1.0
+    P2, Qw, Rt = twice * chosen["P2"], twice * chosen["Qw"], parallel(chosen["R"], twice * chosen["Qv"])
+    for k in range(24):
+        estimate = mhe.update(times[k], ys[k])
+        if k >= 6:
+            prior = mhe.predict(times[k - 6]).x
+            inside = slice(k - 6 + first, k + 1)
+            x, Y, _ = discounted_kalman(A, C, G, P2, Qw, Rt, ETA, prior, times[k - 6], times[inside], ys[inside])
+            assert np.max(np.abs(estimate.x - x)) <= 1e-10 * max(1.0, np.max(np.abs(x)))
+            assert np.max(np.abs(estimate.covariance - Y)) <= 1e-10 * np.max(np.abs(Y))

@@ -16,6 +16,8 @@ _PICTURES = {
     "PeriodicSchedule": ("schedules", "draw_schedule"),
     "WindowSigma": ("windows", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
+    "PatientRun": ("thyroid", "draw_patient_run"),
+    "PatientFigure": ("thyroid", "draw_figure"),
     "WorstCaseSigma": ("explorations", "draw_worst_case"),
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),

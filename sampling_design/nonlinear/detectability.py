@@ -1,0 +1,290 @@
+"""Assumption 7 along simulated pairs of trajectories: evidence for a nonlinear plant, never proof."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.estimators.flows import discounted_length
+from sampling_design.evidence import Claim
+from sampling_design.nonlinear.model import NonlinearPlant, own_box
+from sampling_design.nonlinear.simulation import Integrator
+from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
+from sampling_design.schedules.sampling_set import SamplingSet
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+
+QUIET_SHARE = 1 / 3
+"""Share of the pairs without disturbance and noise: there the right side is smallest."""
+
+SAME_TIME = 1e-9
+"""Grid times closer to a sample than this share of the step are that sample."""
+
+
+class PairWitness(NamedTuple):
+    """Where the inequality was tightest: number of the pair, its sampling set K_i, time, difference of the states."""
+
+    pair: int
+    start: int
+    t: float
+    difference: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DetectabilityEvidence(Record):
+    """Inequality (16) along random pairs.
+
+        ratio = min over pairs and times of  (right side of (16)) / |dx(t)|^2_P1
+
+    Attributes
+    ----------
+    ratio : float
+        (16) held along all pairs exactly when this is at least 1; with P1 = P2 (the default) it held with
+        P1 = ratio P2.
+    ratios : array
+        The least ratio of each pair.
+    pairs, left_out : int
+        Pairs looked at, and pairs that left X or could not be simulated (not counted in `pairs`).
+    eta, duration : float
+    witness : PairWitness
+    claim : Claim
+        Its strength is "sampled".
+    """
+
+    ratio: float
+    ratios: Array
+    pairs: int
+    left_out: int
+    eta: float
+    duration: float
+    time_unit: str
+    witness: PairWitness
+    claim: Claim
+
+    @property
+    def holds(self) -> bool:
+        """Whether (16) held at every time that was looked at."""
+        return self.ratio >= 1.0
+
+    def horizon(self) -> float:
+        """Return 2 ln(2/ratio)/eta, what Theorem 9 would ask if (16) held with P1 = ratio P2 for *all* pairs."""
+        return float(2 * np.log(2 / self.ratio) / self.eta) if self.eta > 0 and self.ratio > 0 else float("inf")
+
+    def _rows(self) -> list[tuple[str, str]]:
+        left = f", {self.left_out} more left out" if self.left_out else ""
+        return [
+            ("worst ratio", f"{short(self.ratio)} (evidence, not proof)"),
+            ("pairs", f"{self.pairs}{left}"),
+            ("at", f"pair {self.witness.pair}, K_{self.witness.start}, t = {short(self.witness.t)} {self.time_unit}"),
+            ("median ratio", short(np.median(self.ratios))),
+            ("eta", f"{short(self.eta)} 1/{self.time_unit}"),
+            ("duration", f"{short(self.duration)} {self.time_unit}"),
+        ]
+
+    def explain(self) -> str:
+        """Say what was seen and that it proves nothing."""
+        word = "held" if self.holds else "failed"
+        return (
+            f"Inequality (16) {word} along {self.pairs} random pairs; its right side was at least {short(self.ratio)} "
+            "times the left. This is evidence, not proof: other pairs and times in between were not looked at."
+        )
+
+
+def check_detectability(
+    plant: NonlinearPlant,
+    schedule: Schedule | PeriodicSchedule,
+    start: Any = None,
+    *,
+    P1: Any = None,
+    P2: Any = None,
+    Qw: Any = None,
+    R: Any = None,
+    Qv: Any = None,
+    eta: float,
+    duration: float,
+    step: float | None = None,
+    pairs: int = 100,
+    u: Any = None,
+    rng: np.random.Generator | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> DetectabilityEvidence:
+    """Look at Assumption 7 along random pairs of simulated trajectories.
+
+        |dx(t)|^2_P1 <= e^{-eta t}|dx(0)|^2_P2 + int e^{-eta(t-tau)}|dw|^2_Qw
+                            + sum e^{-eta(t-tau)}(|dy|^2_R + |dv|^2_Qv)
+
+    Parameters
+    ----------
+    plant : NonlinearPlant
+    schedule : Schedule or PeriodicSchedule
+        Generates the sets K_i; the pairs take them in turn.
+    start : (lower, upper), optional
+        Box from which initial states are drawn, uniformly. Default: the plant's box of states, if finite.
+    P1, P2, Qw, R, Qv : arrays, optional
+        Physical weights; defaults as for the estimator, and P1 = P2.
+    eta : float
+        Discount rate [1/time].
+    duration : float
+        Length of the trajectories [time].
+    step : float, optional
+        The disturbances are constant on pieces of this length [time]; default duration/40.
+    pairs : int
+    u : (m,) array, optional
+        Constant input; default 0.
+    rng : numpy Generator, optional
+    progress : callable, optional
+
+    Returns
+    -------
+    DetectabilityEvidence
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong size or sign, the box of starts is missing, or every pair leaves X.
+
+    Notes
+    -----
+    *Claim.* Sampled: holds at the grid times of these pairs, at samples also in the limit from the left.
+    *Method.* w and v are uniform in their boxes (in +-1 scale where unbounded), shrunk by a random factor per pair, and
+    zero for a third of the pairs.
+
+    References
+    ----------
+    The paper, Assumption 7 and Section VI.
+
+    Examples
+    --------
+    >>> from sampling_design import PeriodicSchedule
+    >>> plant = NonlinearPlant(lambda x, u, w: [-(x[0] ** 3) + w[0]], lambda x, u, v: [x[0] + v[0]],
+    ...                        {"states": 1, "disturbances": 1, "outputs": 1})
+    >>> found = check_detectability(plant, PeriodicSchedule([1.0]), ([-1], [1]), eta=0.1, duration=5.0, pairs=6)
+    >>> found.claim.strength, found.pairs
+    ('sampled', 6)
+    """
+    study = _Study(plant, scaled_weights(plant, P2, Qw, R, Qv, eta), start, duration, step, u)
+    scale = plant.signals["states"].scales
+    left = study.weights.P2
+    if P1 is not None:
+        left = _checks.definite(
+            "P1", _checks.matrix("P1", P1, scale.size, scale.size) * scale * scale[:, None], scale.size
+        )
+    rng = np.random.default_rng(0) if rng is None else rng
+    count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
+    found, witnesses = [], []
+    for k in range(count):
+        i = 1 + k % sets.distinct
+        seen = study.pair(sets.starting_at(i), left, rng)
+        if seen is not None:
+            found.append(seen[0])
+            witnesses.append(PairWitness(k, i, seen[1], seen[2] * scale))
+        if progress is not None:
+            progress((k + 1) / count, f"{k + 1} of {count} pairs")
+    if not found:
+        raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
+    worst = int(np.argmin(found))
+    statement = f"(16) along {len(found)} random pairs of length {short(study.duration)} {plant.time_unit}"
+    claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
+    return DetectabilityEvidence(
+        found[worst], _checks.freeze(found), len(found), count - len(found), study.weights.eta, study.duration,
+        plant.time_unit, witnesses[worst], claim,
+    )  # fmt: skip
+
+
+class _Study:
+    """What all pairs share."""
+
+    def __init__(
+        self, plant: NonlinearPlant, weights: NonlinearWeights, start: Any, duration: Any, step: Any, u: Any
+    ) -> None:
+        self.plant, self.weights = plant, weights
+        self.start = own_box("states", plant.bounds["states"] if start is None else start, plant.n_states)
+        if not np.all(np.isfinite(self.start)):
+            raise ArgumentError("`start` must be a finite box (lower, upper): the plant's box of states is not.")
+        self.duration = _checks.positive("duration", duration)
+        self.step = self.duration / 40 if step is None else _checks.positive("step", step)
+        self.u = _checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
+        self.integrator = Integrator(plant)
+
+    def pair(self, times: Any, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array] | None:
+        """Return least ratio, where, and the scaled difference there; None if the pair leaves X."""
+        samples = times.between(0.0, self.duration).times
+        grid = _grid(self.duration, self.step, samples)
+        loud = 0.0 if rng.random() < QUIET_SHARE else rng.random()
+        one, other = (self._trajectory(grid, loud, rng) for _ in range(2))
+        if one is None or other is None:
+            return None
+        x, w, v, y = (a - b for a, b in zip(one, other, strict=True))
+        sampled = np.isin(grid, samples)
+        ratio = ratios(grid, x, w, v, y, sampled, P1, self.weights)
+        j = int(np.argmin(ratio))
+        return float(ratio[j]), float(grid[j]), x[j]
+
+    def _trajectory(
+        self, grid: Array, loud: float, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array, Array] | None:
+        """Return scaled x, w, v and y on the grid; None if x leaves X or the integration fails."""
+        plant = self.plant
+        x = np.empty((grid.size, plant.n_states))
+        x[0] = rng.uniform(*self.start)
+        w, v = (loud * self._noise(key, grid.size, rng) for key in ("disturbances", "noises"))
+        y = np.empty((grid.size, plant.n_outputs))
+        lower, upper = plant.bounds["states"]
+        for j, t in enumerate(grid.tolist()):
+            if np.any(x[j] < lower) or np.any(x[j] > upper):
+                return None
+            y[j] = plant.h(x[j], self.u, v[j])
+            if j + 1 < grid.size:
+                try:
+                    x[j + 1] = self.integrator.step(x[j], self.u, w[j], t, grid[j + 1])
+                except SolverError:
+                    return None
+        scale = {key: signals.scales for key, signals in plant.signals.items()}
+        return x / scale["states"], w / scale["disturbances"], v / scale["noises"], y / scale["outputs"]
+
+    def _noise(self, key: str, rows: int, rng: np.random.Generator) -> Array:
+        scale = self.plant.signals[key].scales
+        lower, upper = self.plant.bounds[key]
+        return rng.uniform(
+            np.where(np.isfinite(lower), lower, -scale), np.where(np.isfinite(upper), upper, scale), (rows, scale.size)
+        )
+
+
+def _grid(duration: float, step: float, samples: Array) -> Array:
+    """Multiples of the step up to the duration, and the samples; a multiple that is nearly a sample gives way."""
+    regular = np.append(np.arange(0.0, duration * (1 - SAME_TIME), step), duration)
+    if samples.size:
+        near = np.abs(regular[:, None] - samples).min(axis=1) <= SAME_TIME * step
+        regular = regular[~near]
+    grid = np.union1d(regular, samples)
+    return grid if grid[0] == 0.0 else np.insert(grid, 0, 0.0)
+
+
+def ratios(
+    grid: Array, x: Array, w: Array, v: Array, y: Array, sampled: Any, P1: Array, weights: NonlinearWeights
+) -> Array:
+    """Return, at each grid time, right side over left side of (16) for differences of one pair, all scaled.
+
+    At a sample the smaller of the values before and after it counts; infinite where the states agree.
+    """
+    eta, square = weights.eta, lambda a, W: np.einsum("ki,ij,kj->k", a, W, a)
+    right = np.empty(grid.size)
+    gaps = np.diff(grid)
+    gain = square(w[:-1], weights.Qw) * discounted_length(eta, gaps)
+    jump = np.where(sampled, square(y, weights.R) + square(v, weights.Qv), 0.0)
+    total = float(x[0] @ weights.P2 @ x[0])
+    for j in range(grid.size):
+        if j:
+            total = total * np.exp(-eta * gaps[j - 1]) + gain[j - 1]
+        right[j] = total  # before the sample at this time, if there is one
+        total += jump[j]
+    left = square(x, P1)
+    return np.divide(right, left, out=np.full(grid.size, np.inf), where=left > 0)

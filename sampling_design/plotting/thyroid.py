@@ -1,0 +1,69 @@
+"""Figures 1 to 3 of the paper's Section VI: outputs and samples, measured states, unmeasured states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear.patient_run import PatientFigure, PatientRun
+from sampling_design.nonlinear.thyroid import SCALING
+from sampling_design.plotting import style
+
+_STATES = ("T4_th", "T4", "T3_p", "T3_c", "TSH", "TSH_c")
+_UNITS = ("pmol/l", "100 nmol/l", "nmol/l", "10 nmol/l", "mU/l", "mU/l")  # of z = T x
+_MEASURED = (1, 2, 4)
+_UNMEASURED = (0, 3, 5)
+_ROWS = {1: _MEASURED, 2: _MEASURED, 3: _UNMEASURED}
+
+
+def draw_figure(figure: PatientFigure, ax: Any = None) -> Any:
+    """Draw one figure in three rows and return the axes; on `ax` alone its first row."""
+    states = _ROWS[figure.number]
+    if ax is not None:
+        return _row(figure.of, figure.number, states[0], ax)
+    whole, axes = style.new_figure(len(states), row_height=2.0)
+    for state, row in zip(states, axes, strict=True):
+        _row(figure.of, figure.number, state, row)
+        row.label_outer()
+    whole.suptitle(figure.explain())
+    axes[0].legend(loc="upper right", fontsize="small", frameon=False, ncols=3)
+    return axes
+
+
+def draw_patient_run(run: PatientRun, ax: Any = None) -> Any:
+    """Draw all six states with both estimates and return the axes.
+
+    Raises
+    ------
+    ArgumentError
+        If `ax` is given: six rows need a figure of their own.
+    """
+    if ax is not None:
+        raise ArgumentError("`ax` cannot hold a run: it has six rows. Draw run.figure(1), (2) or (3) instead.")
+    whole, axes = style.new_figure(len(_STATES), row_height=1.6)
+    for state, row in enumerate(axes):
+        _row(run, 2 if state in _MEASURED else 3, state, row)
+        row.label_outer()
+    axes[0].legend(loc="upper right", fontsize="small", frameon=False, ncols=3)
+    whole.suptitle(run.explain(), fontsize="medium")
+    return axes
+
+
+def _row(run: PatientRun, number: int, state: int, ax: Any) -> Any:
+    scale = SCALING[state]
+    if number == 1:
+        column = _MEASURED.index(state)
+        y = run.outputs[:, column] * scale
+        ax.plot(run.times, y, color=style.ALLOWED, linewidth=1.0, label="noisy output")
+        ax.plot(run.times[run.sampled], y[run.sampled], "o", color=style.MEASURED, markersize=5, label="samples")
+    else:
+        ax.plot(run.times, run.truth[:, state] * scale, color=style.TRUTH, linewidth=1.4, label="truth")
+        ax.plot(
+            run.times, run.standard[:, state] * scale, color=style.PROVEN, linewidth=1.1, label="standard, every 2 h"
+        )
+        ax.plot(
+            run.times, run.sample_based[:, state] * scale, color=style.MEASURED, linewidth=1.1, label="sample-based"
+        )
+    ax.set_ylabel(f"{_STATES[state]} [{_UNITS[state]}]")
+    ax.set_xlabel(style.time_label("d"))
+    return ax

@@ -50,6 +50,14 @@ def standard_mhe(
 def periodic_at_equal_cost(schedule: Schedule | PeriodicSchedule) -> PeriodicSchedule:
     """Return the regular schedule with as many samples per time as `schedule`, from the same first sample.
 
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+
+    Returns
+    -------
+    PeriodicSchedule
+
     Raises
     ------
     ArgumentError

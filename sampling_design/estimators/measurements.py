@@ -191,7 +191,7 @@ def _check_header(where: str, header: list[str], plant: Plant) -> str:
     try:
         _checks.known_keys("the header", header, [stamps[0], *wanted])
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise FileFormatError(f"{where}: unknown column: {error}", where) from None
     return stamps[0]
 
 
@@ -232,7 +232,18 @@ def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, t
 
 
 def write_measurements(measurements: Measurements, path: str | os.PathLike[str]) -> Path:
-    """Write measurements as CSV; `read_measurements` returns them exactly."""
+    """Write measurements as CSV; `read_measurements` returns them exactly.
+
+    Parameters
+    ----------
+    measurements : Measurements
+    path : path
+
+    Returns
+    -------
+    Path
+        The file, written whole or not at all.
+    """
     plant = measurements.plant
     header = ["time", *plant.outputs.names, *plant.inputs.names]
     body = [
@@ -245,7 +256,15 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
 def write_estimates(record: EstimateRecord, path: str | os.PathLike[str]) -> Path:
     """Write estimates as CSV: time, status, certified, cost, then per state its value and its radius.
 
-    A radius or cost that is not known is an empty cell.
+    Parameters
+    ----------
+    record : EstimateRecord
+    path : path
+
+    Returns
+    -------
+    Path
+        The file, written whole or not at all. A radius or cost that is not known is an empty cell.
     """
     header = ["time", "status", "certified", "cost"]
     header += [column for name in record.plant.states.names for column in (name, f"{name}_radius")]

@@ -149,9 +149,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     ):
         weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
-        for name, value, known in (("w_model", w_model, W_MODELS), ("engine", engine, ENGINES)):
-            if value not in known:
-                raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r}.")
+        _one_of("w_model", w_model, W_MODELS)
+        _one_of("engine", engine, ENGINES)
         constant = w_model == "constant" and w_set is not None
         self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough, constant)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
@@ -159,16 +158,31 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
         self.certificate, self.carried_weight = certificate, carried_weight
         self.memory, self.lateness = 2 * self.horizon, self.horizon
+        self._bound_by_sets(w_bound, v_bound, initial_error)
+        self.state = self.initial_state(prior, prior_time)
+
+    def _bound_by_sets(self, w_bound: Any, v_bound: Any, initial_error: Any) -> None:
+        """Take the bounds as given, or else as the constraint sets imply them."""
         sets = self.constraints
         w_bound = _from_set(sets.w) if w_bound is None else w_bound
         v_bound = _from_set(sets.v) if v_bound is None else v_bound
         self._set_bounds(w_bound, v_bound, initial_error, kept_v=sets.keeps_v)
-        if constant:
+        if self.table.constant_w:
             self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
-        self.state = self.initial_state(prior, prior_time)
-        outside = -np.inf if sets.x is None else sets.x.excess(self.state.last.x)
+
+    def initial_state(self, prior: Any = None, prior_time: float = 0.0) -> State:
+        """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2.
+
+        Raises
+        ------
+        ArgumentError
+            If the prior has another length or lies outside `x_set`.
+        """
+        state = super().initial_state(prior, prior_time)
+        outside = -np.inf if self.constraints.x is None else self.constraints.x.excess(state.last.x)
         if outside > 0:
             raise ArgumentError(f"`prior` must lie in `x_set`, got one outside by {outside:.6g}.")
+        return state
 
     def _solve(self, window: Window) -> Solution:
         free = smooth(window)
@@ -307,3 +321,8 @@ def _from_set(chosen: ConvexSet | None) -> Array | float | None:
     """The bound that a constraint set implies, in the form that the bounds have."""
     magnitude = None if chosen is None else chosen.magnitude()
     return float(magnitude) if magnitude is not None and magnitude.ndim == 0 else magnitude
+
+
+def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r}.")

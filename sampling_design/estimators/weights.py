@@ -140,9 +140,7 @@ def build_weights(
         If a weight is not positive definite, eta is negative, the cost is unknown, or the certificate is another
         plant's.
     """
-    theirs = getattr(certificate, "plant", None)
-    if theirs is not None and not all(np.array_equal(getattr(theirs, M), getattr(plant, M)) for M in "ACG"):
-        raise ArgumentError("`certificate` belongs to another plant: its A, C or G differ from those of `plant`.")
+    _refuse_other_plant(plant, certificate)
     if cost not in COSTS:
         raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
     given = {"P2": P2, "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
@@ -162,14 +160,11 @@ def build_weights(
     twice = 2.0 if cost == "paper" else 1.0
     kept = twice * matrices["Qv"]
     together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
-    weights = Weights(
-        plant=plant,
-        prior=twice * matrices["P2"],
-        w=twice * matrices["Qw"],
-        R=matrices["R"],
-        v=kept,
-        y=together,
-        eta=rate,
-        cost=cost,
-    )
-    return weights, overridden
+    prior, w = twice * matrices["P2"], twice * matrices["Qw"]
+    return Weights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=cost), overridden
+
+
+def _refuse_other_plant(plant: Plant, certificate: Any) -> None:
+    theirs = getattr(certificate, "plant", None)
+    if theirs is not None and not all(np.array_equal(getattr(theirs, M), getattr(plant, M)) for M in "ACG"):
+        raise ArgumentError("`certificate` belongs to another plant: its A, C or G differ from those of `plant`.")

@@ -49,7 +49,7 @@ def test_words():
     [
         (lambda: ConvexSet.box([1.0], [0.0]), "the set is empty, got 1.0 > 0.0 at 0"),
         (lambda: ConvexSet.box([0.0], [1.0, 2.0]), "`upper` must have 1 entries as `lower` has, got 2"),
-        (lambda: ConvexSet.box([np.nan], [1.0]), "`lower` must be a vector without NaN"),
+        (lambda: ConvexSet.box([np.nan], [1.0]), "must be a vector without NaN"),
         (
             lambda: ConvexSet.halfspaces([[1.0], [-1.0]], [0.0, -1.0]),
             "the set is empty: every point violates it by 0.5",

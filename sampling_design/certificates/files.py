@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FORMAT = "sampling-design/certificate/1"
 CLAIM = "assumption-7"
+FAMILY_CLAIM = "family"
 _NUMBERS = ("eta", "lam", "lam_samples", "margin")
 _MATRICES = ("P1", "P2", "Qw", "R", "Qv")
 _KEYS = ("format", "claim", "plant", "times", *_MATRICES, *_NUMBERS, "witness", "tool", "solver", "digest")
@@ -65,9 +66,8 @@ def certificate_to_dict(certificate: Certificate) -> dict[str, Any]:
     seen = certificate.witness
     data: dict[str, Any] = {
         "format": FORMAT,
-        "claim": CLAIM,
         "plant": plant_to_dict(certificate.plant),
-        "times": times_to_dict(certificate.schedule),
+        **certificate._file_parts(),
         **{key: getattr(certificate, key).tolist() for key in _MATRICES},
         **{key: getattr(certificate, key) for key in _NUMBERS},
         "witness": None
@@ -111,7 +111,7 @@ def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
     try:
         found = certificate_from_dict(data, where)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}", where) from None
+        raise FileFormatError(f"{where}: is no certificate: {error}", where) from None
     if plant is not None and not same_plant(plant, found.plant):
         raise CertificateError(f"{where}: certifies another plant ({found.plant.name or 'unnamed'}).", path=where)
     return found
@@ -137,10 +137,12 @@ def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> C
 
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a certificate file?")
-    if data.get("claim") != CLAIM:
-        raise ArgumentError(f"`claim` must be {CLAIM!r} here, got {data.get('claim')!r}.")
-    _checks.known_keys("the certificate", data, _KEYS)
-    missing = [key for key in _KEYS if key not in data]
+    of_family = data.get("claim") == FAMILY_CLAIM
+    if not of_family and data.get("claim") != CLAIM:
+        raise ArgumentError(f"`claim` must be {CLAIM!r} or {FAMILY_CLAIM!r} here, got {data.get('claim')!r}.")
+    known = (*_KEYS, "graph") if of_family else _KEYS
+    _checks.known_keys("the certificate", data, known)
+    missing = [key for key in known if key not in data]
     if missing:
         raise ArgumentError(f"`{missing[0]}` is missing in the certificate. Was the file cut off?")
     if data["digest"] != digest(data):
@@ -151,9 +153,16 @@ def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> C
     empty = np.zeros((0, 0))
     seen = data["witness"]
     values: dict[str, Any] = {key: data[key] if data[key] else empty for key in _MATRICES}
-    return Certificate(
+    build: type[Certificate] = Certificate
+    if of_family:
+        from sampling_design.certificates.family_certificate import FamilyCertificate, parts_from_dict
+
+        build = FamilyCertificate
+        values |= parts_from_dict(data, values["P2"])
+    else:
+        values["schedule"] = times_from_dict(data["times"])
+    return build(
         plant,
-        times_from_dict(data["times"]),
         **values,
         **{key: data[key] for key in _NUMBERS},
         witness=None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),

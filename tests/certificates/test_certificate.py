@@ -135,6 +135,9 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
     path.write_text(text.replace('"eta": 0.4', '"eta": 0.3'))
     with pytest.raises(CertificateError, match="the digest does not fit the content"):
         load_certificate(path)
+    path.write_text('{"format": "sampling-design/plant/1"}')
+    with pytest.raises(FileFormatError, match="is no certificate: `format` must be"):
+        load_certificate(path)
     path.write_text(text[: len(text) // 2])
     with pytest.raises(FileFormatError, match="Was the file cut off"):
         load_certificate(path)

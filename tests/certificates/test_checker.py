@@ -155,6 +155,44 @@ def test_malformed_data_are_refused_with_the_right_word(change, inequality):
     assert found["reason"]
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.update(R=[[np.nan]]), "is not symmetric and finite"),
+        (lambda d: d.update(P2=[[1.0, 0.0], [0.0, -1.0]]), "is not positive definite: least eigenvalue -1"),
+        (lambda d: d.update(eta=-1.0), "must be positive, got -1.0"),
+        (lambda d: d["times"].update(gaps=[-1.0, 1.0]), "times must increase strictly, the first within the period"),
+        (lambda d: d.update(Qw=[[1.0, 0.0], [0.0, 0.0]]), "Qw is singular in a direction that drives the plant"),
+        (lambda d: d["witness"].update(t=-1.0), "the witness must have 0 <= start <= t within the schedule"),
+        (lambda d: d["witness"].update(ratio=1e3), "the witness reaches"),
+        (lambda d: d.update(P1=[[9.0, 0.0], [0.0, 9.0]]), "could not be decided|fails by"),
+    ],
+)
+def test_each_proof_stops_at_the_first_thing_that_is_wrong(change, words):
+    data = certificates()[0].to_dict()
+    change(data)
+    with pytest.raises(checker.Refused, match=words):
+        checker.assumption_7(data)
+
+
+def test_digest_and_claim_come_first():
+    data = certificates()[0].to_dict()
+    assert "something was altered" in checker.check({**data, "lam": 2.0})["reason"]
+    other = checker.check(redigested({**data, "claim": "guess"}))
+    assert other["reason"].startswith("no proof is known for the claim")
+
+
+def test_what_can_not_be_decided_is_refused():
+    """P1 = P2 with a plant that stands still: the inequality is tight along the whole gap."""
+    still = Plant([[0.0]], [[1.0]], G=[[0.0]])
+    made = Certificate.from_matrices(
+        still, PeriodicSchedule([1.0]), P1=[[1.0]], P2=[[1.0]], Qw=[[1.0]], R=[[2.0]], Qv=[[2.0]], eta=1e-12, lam=1.0
+    )
+    verdict = made.verify()
+    assert not verdict.passed
+    assert "could not be decided: it is tight or nearly so" in verdict.reason or "fails by" in verdict.reason
+
+
 def test_an_aliased_schedule_is_never_proven():
     made = Certificate.from_matrices(
         OSCILLATOR,

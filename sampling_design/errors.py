@@ -91,6 +91,12 @@ class CertificateError(MathematicsError):
         self.details = details
 
 
+class UndecidedError(CertificateError):
+    """Neither a certificate nor a counterexample was found; `details` says how far both searches came."""
+
+    exit_code = 3
+
+
 class SolverError(SamplingDesignError):
     """A numerical solver failed or a budget ran out; carries the solver's status."""
 

@@ -19,6 +19,7 @@ from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import SamplingFamily
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -118,7 +119,7 @@ def witness_of(problem: WindowProblem, peak: Peak) -> Witness:
 
 def certify(
     plant: Plant,
-    schedule: AnySchedule,
+    schedule: AnySchedule | SamplingFamily,
     *,
     eta: float | None = None,
     P2: npt.ArrayLike | None = None,
@@ -135,8 +136,8 @@ def certify(
     Parameters
     ----------
     plant : Plant
-    schedule : PeriodicSchedule or Schedule
-        A finite schedule is certified to its last time.
+    schedule : PeriodicSchedule, Schedule or a family of schedules
+        A finite schedule is certified to its last time. For a family see `certify_family`.
     eta : float, optional [1/time]
         Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon.
     P2 : (n, n) array, optional
@@ -190,6 +191,11 @@ def certify(
     >>> certificate.verify().passed
     True
     """
+    if isinstance(schedule, SamplingFamily):
+        from sampling_design.certificates.family import certify_family
+
+        given: dict[str, Any] = {"eta": eta, "P2": P2, "Qw": Qw, "R": R, "Qv": Qv}
+        return certify_family(plant, schedule, **given, budget=budget, progress=progress)
     schedule = _met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
     noise_input(plant.G, weights[0])

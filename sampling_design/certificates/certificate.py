@@ -265,14 +265,32 @@ class Certificate(Record):
         """Return the estimation horizon and its error bound; see `horizon_of`."""
         return horizon_of(self, theorem, length)
 
-    def verify(self) -> Verification:
+    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
         """Prove the inequalities anew from the data alone, by `checker.py`, which shares no code with this room.
+
+        Parameters
+        ----------
+        rigorous : bool
+            Decide in ball arithmetic instead (extra `rigorous`): "proven" is then a theorem about the stated doubles.
+        budget : float [seconds]
+            For the rigorous verdict, "undecided" when it runs out.
 
         Returns
         -------
         Verification
+            With `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+
+        Raises
+        ------
+        MissingExtraError
+            If `rigorous` is asked for and python-flint is not installed.
         """
-        return verdict_of(files.certificate_to_dict(self))
+        data = files.certificate_to_dict(self)
+        if rigorous:
+            from sampling_design.certificates.rigorous import verify_rigorously
+
+            return verify_rigorously(data, budget)
+        return verdict_of(data)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path."""
@@ -363,7 +381,10 @@ class Certificate(Record):
 
 def verdict_of(data: dict[str, Any]) -> Verification:
     """Run the independent checker on the plain data of a certificate."""
-    from sampling_design.certificates import checker, family_checker
+    if data["claim"] == "family":
+        from sampling_design.certificates import family_checker
 
-    judge = family_checker if data["claim"] == "family" else checker
-    return Verification(**judge.check(data))
+        return Verification(**family_checker.check(data))
+    from sampling_design.certificates import checker
+
+    return Verification(**checker.check(data))

@@ -18,7 +18,19 @@ FLOORS = {
     "plotting": 6,
     "cli": 7,
 }
-GROUND = {"errors", "evidence", "_checks", "_linalg", "_conic", "_record", "_files", "_units", "_modal"}
+GROUND = {
+    "errors",
+    "evidence",
+    "_checks",
+    "_linalg",
+    "_conic",
+    "_record",
+    "_files",
+    "_units",
+    "_modal",
+    "_balls",
+    "_ball_flow",
+}
 LATE_UPWARD_CALLS = {("_record.py", "plotting")}
 
 
@@ -68,7 +80,12 @@ def test_a_plant_and_a_schedule_never_meet_below_observability():
 
 @pytest.mark.parametrize(
     ("library", "door"),
-    [("matplotlib", {"plotting"}), ("cvxpy", {"_conic.py", "estimators/qp.py"}), ("typer", {"cli"})],
+    [
+        ("matplotlib", {"plotting"}),
+        ("cvxpy", {"_conic.py", "estimators/qp.py"}),
+        ("typer", {"cli"}),
+        ("flint", {"_balls.py"}),
+    ],
 )
 def test_a_library_has_one_door(library, door):
     for path in sources():

@@ -1,0 +1,189 @@
+"""Linear matrix flows Y' = A Y + Y A' + S in ball arithmetic, and what they certainly stay below over a stretch.
+
+On a step of length h, Y lies below its chord plus (h^2/8) sup |e^{As}|^2 r I, where Y'' >= -r I at the step's
+start: Y'' itself only turns with e^{As}. The error is of second order, and a convex stretch costs nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sampling_design._balls import (
+    Ball,
+    Matrix,
+    ball,
+    flint,
+    floats,
+    frobenius,
+    identity,
+    largest,
+    matrix,
+    positive_part,
+    spectral,
+)
+
+WORST_CONDITION = 1e6
+"""Modal coordinates worse than this are not used to bound |e^{As}|: the logarithmic norm does better."""
+HALVINGS = 50
+"""Most halvings of a step: what is left then is below the resolution of a double."""
+
+
+class OutOfTime(Exception):
+    """The budget is spent."""
+
+
+class Clock:
+    """A budget in seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        self.end = time.monotonic() + seconds
+
+    def check(self) -> None:
+        """Raise OutOfTime once the budget is spent."""
+        if time.monotonic() > self.end:
+            raise OutOfTime("the budget ran out")
+
+
+class Flow:
+    """Y' = A Y + Y A' + S, with S psd, over any duration: Y -> F Y F' + W, in balls."""
+
+    def __init__(self, A: Matrix, S: Matrix) -> None:
+        self.A, self.S, self.n = A, S, A.nrows()
+        self.At, self.square = A.transpose(), A * A
+        self.constant = A * S + S * self.At
+        self.identity = identity(self.n)
+        self._kept: dict[Any, tuple[Matrix, Matrix]] = {}
+        self._reach: dict[Any, Ball] = {}
+        self.size = float(frobenius(A))
+        self.growths = [(ball(1.0), largest((A + self.At) * ball(0.5)))]
+        modal = self._modal()
+        if modal is not None:
+            self.growths.append(modal)
+
+    def _modal(self) -> tuple[Ball, Ball] | None:
+        """(kappa, mu) with |e^{As}| <= kappa e^{mu s} from real modal coordinates, guessed in floats."""
+        guess = floats(self.A)
+        if not self.n or not np.isfinite(guess).all():
+            return None
+        try:
+            values, vectors = np.linalg.eig(guess)
+        except np.linalg.LinAlgError:
+            return None
+        keep = values.imag >= 0
+        parts = [v.real for v in vectors.T[keep]] + [v.imag for v in vectors.T[values.imag > 0]]
+        V = np.array(parts).T
+        V = V / np.linalg.norm(V, axis=0)
+        if V.shape != guess.shape or not np.linalg.cond(V) < WORST_CONDITION:
+            return None
+        X = matrix(V)
+        inverse = X.inv()
+        B = inverse * self.A * X
+        return (spectral(X) * spectral(inverse)).upper(), largest((B + B.transpose()) * ball(0.5))
+
+    def over(self, duration: Ball) -> tuple[Matrix, Matrix]:
+        """Return F = e^{Ah} and W = int_0^h e^{As} S e^{A's} ds: a block exponential on h/2^k, then k doublings."""
+        key = (duration.mid().man_exp(), duration.rad().man_exp())
+        if key not in self._kept:
+            doublings = max(0, int(np.ceil(np.log2(max(float(duration) * self.size, 1e-300)))) + 1)
+            F, W = self._short(duration / 2**doublings)
+            for _ in range(doublings):
+                W, F = W + F * W * F.transpose(), F * F
+            self._kept[key] = F, W
+        return self._kept[key]
+
+    def _short(self, h: Ball) -> tuple[Matrix, Matrix]:
+        n = self.n
+        block = flint().arb_mat(2 * n, 2 * n)
+        for i in range(n):
+            for j in range(n):
+                block[i, j], block[i, n + j], block[n + i, n + j] = (
+                    -self.A[i, j] * h,
+                    self.S[i, j] * h,
+                    self.A[j, i] * h,
+                )
+        E = block.exp().tolist()
+        if not n:
+            return self.A, self.S
+        F = flint().arb_mat([row[n:] for row in E[n:]]).transpose()
+        return F, F * flint().arb_mat([row[n:] for row in E[:n]])
+
+    def step(self, Y: Matrix, duration: Ball) -> Matrix:
+        """Return Y after `duration`."""
+        F, W = self.over(duration)
+        return F * Y * F.transpose() + W
+
+    def second(self, Y: Matrix) -> Matrix:
+        """Return Y''."""
+        part = self.square * Y + self.A * Y * self.At
+        return part + part.transpose() + self.constant
+
+    def reach(self, duration: Ball) -> Ball:
+        """Return an exact number that is at least (h^2/8) sup |e^{As}|^2 over [0, h]."""
+        key = (duration.mid().man_exp(), duration.rad().man_exp())
+        if key not in self._reach:
+            bounds = [k * k * (2 * mu * duration).exp() if mu > 0 else k * k for k, mu in self.growths]
+            flow = min((b.upper() for b in bounds), key=float)
+            self._reach[key] = (flow * duration * duration / 8).upper()
+        return self._reach[key]
+
+
+class Node:
+    """A moment of a flow: Y there, what it certainly stays below, and how far it can bulge over the next chord."""
+
+    def __init__(self, flow: Flow, Y: Matrix, top: Callable[[Matrix], Ball]) -> None:
+        self.flow, self.Y, self.top = flow, Y, top(Y)
+        self._second: Matrix | None = None
+        self._sag: Ball | None = None
+
+    def bulges(self, duration: Ball) -> Any:
+        """Yield bounds of Y over its chord, as a multiple of I: first by norms, then by the least eigenvalue of Y''."""
+        reach = self.flow.reach(duration)
+        if self._second is None:
+            self._second = self.flow.second(self.Y)
+        if self._sag is None:
+            yield reach * frobenius(self._second)
+            self._sag = positive_part(largest(-self._second))
+        yield reach * self._sag
+
+    def after(self, duration: Ball, top: Callable[[Matrix], Ball]) -> Node:
+        """The node `duration` later."""
+        return Node(self.flow, self.flow.step(self.Y, duration), top)
+
+
+def highest(
+    flow: Flow,
+    Y: Matrix,
+    duration: Ball,
+    clock: Clock,
+    top: Callable[[Matrix], Ball] = largest,
+    slope: Ball | None = None,
+    limit: Ball | None = None,
+) -> Ball | None:
+    """Return a number <= `limit` (1 by default) that `top` stays below along the whole flow, or None if none is proven.
+
+    `top(Y)` must be convex along chords, monotone, and rise by at most `slope` r when Y rises by r I.
+    """
+    slope, limit = ball(1.0) if slope is None else slope, ball(1.0) if limit is None else limit
+    left = Node(flow, Y, top)
+    right = left.after(duration, top)
+    if not (left.top <= limit and right.top <= limit):
+        return None
+    reached, pending = max(left.top, right.top), [(left, right, duration, 0)]
+    while pending:
+        clock.check()
+        left, right, length, depth = pending.pop()
+        ends = max(left.top, right.top)
+        bounds = ((ends + slope * bulge).upper() for bulge in left.bulges(length))
+        proven = next((bound for bound in bounds if bound <= limit), None)
+        if proven is not None:
+            reached = max(reached, proven)
+            continue
+        middle = left.after(length / 2, top)
+        if depth >= HALVINGS or not middle.top <= limit:
+            return None
+        pending += [(middle, right, length / 2, depth + 1), (left, middle, length / 2, depth + 1)]
+    return reached

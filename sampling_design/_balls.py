@@ -1,0 +1,151 @@
+"""Ball arithmetic: the only door to python-flint (extra `rigorous`).
+
+A number is a ball (midpoint, radius) that certainly holds the value; a double becomes a ball of radius zero. So
+"certainly positive" here is a theorem about the doubles that were given. Floats enter as guesses only: a guessed bound
+is proven by the pivots of L D L' in balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import MissingExtraError
+
+Array = npt.NDArray[np.float64]
+Ball = Any
+Matrix = Any
+
+BITS = 160
+"""Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii."""
+SLACKS = (1e-13, 1e-10, 1e-6)
+"""By how much of a matrix's size a guessed eigenvalue is raised before it is proven; the first nearly always does."""
+
+
+def flint() -> Any:
+    """Return the library, loaded on first use.
+
+    Raises
+    ------
+    MissingExtraError
+        If python-flint is not installed.
+    """
+    try:
+        import flint as module
+    except ImportError:
+        raise MissingExtraError("python-flint", "rigorous") from None
+    return module
+
+
+@contextmanager
+def precision(bits: int = BITS) -> Iterator[None]:
+    """Work with `bits` bits inside the block."""
+    context = flint().ctx
+    before = context.prec
+    context.prec = bits
+    try:
+        yield
+    finally:
+        context.prec = before
+
+
+def ball(x: float) -> Ball:
+    """Return the double x as a ball of radius zero."""
+    return flint().arb(float(x))
+
+
+def matrix(X: npt.ArrayLike) -> Matrix:
+    """Return doubles (m, n) as a matrix of balls of radius zero."""
+    owned = np.asarray(X, dtype=np.float64)
+    return flint().arb_mat(*owned.shape, owned.ravel().tolist())
+
+
+def symmetric(X: npt.ArrayLike) -> Matrix:
+    """Return the symmetric part of X, all that the form x'Xx knows of it, without rounding."""
+    M = matrix(X)
+    return (M + M.transpose()) * ball(0.5)
+
+
+def identity(n: int) -> Matrix:
+    """Return I."""
+    return matrix(np.eye(n))
+
+
+def floats(M: Matrix) -> Array:
+    """Return the midpoints as doubles: guesses, no proof."""
+    return np.array([float(x) for x in M.entries()]).reshape(M.nrows(), M.ncols())
+
+
+def definite(M: Matrix) -> bool | None:
+    """Say of a symmetric matrix: positive definite (True), not even semidefinite (False), or not decided (None)."""
+    rows = M.tolist()
+    for k, row in enumerate(rows):
+        pivot = row[k]
+        if not pivot > 0:
+            return False if pivot < 0 else None
+        for i in range(k + 1, len(rows)):
+            other = rows[i]
+            factor = other[k] / pivot
+            for j in range(k + 1, i + 1):
+                other[j] -= factor * rows[j][k]
+    return True
+
+
+def cholesky(M: Matrix) -> Matrix | None:
+    """Return L with M = LL', or None where M is not certainly positive definite."""
+    n = M.nrows()
+    rows, L = M.tolist(), [[flint().arb(0)] * n for _ in range(n)]
+    for k in range(n):
+        if not rows[k][k] > 0:
+            return None
+        root = rows[k][k].sqrt()
+        for i in range(k, n):
+            L[i][k] = rows[i][k] / root
+        for i in range(k + 1, n):
+            for j in range(k + 1, i + 1):
+                rows[i][j] -= L[i][k] * L[j][k]
+    return flint().arb_mat(L) if n else matrix(np.zeros((0, 0)))
+
+
+def frobenius(M: Matrix) -> Ball:
+    """Return an exact number that is at least |M|_F."""
+    return (M * M.transpose()).trace().upper().sqrt().upper()
+
+
+def largest(M: Matrix) -> Ball:
+    """Return an exact number that is at least the largest eigenvalue of a symmetric matrix, hardly above it."""
+    n, guess = M.nrows(), floats(M)
+    if np.isfinite(guess).all():
+        size = float(np.abs(guess).max(initial=0.0))
+        top = float(np.linalg.eigvalsh(guess)[-1])
+        for slack in SLACKS:
+            bound = ball(top + slack * max(size, 1e-300))
+            if definite(bound * identity(n) - M):
+                return bound
+    return frobenius(M)
+
+
+def spectral(M: Matrix) -> Ball:
+    """Return an exact number that is at least |M|_2."""
+    square = largest(M.transpose() * M)
+    return (square if square > 0 else square * 0).sqrt().upper()
+
+
+def raised(M: Matrix) -> Matrix:
+    """Return a symmetric matrix, of hardly any radius, that is certainly at least M: radii no longer pile up."""
+    middle = ((M + M.transpose()) * ball(0.5)).mid()
+    return middle + frobenius(M - middle) * identity(M.nrows())
+
+
+def lowered(M: Matrix) -> Matrix:
+    """Return a symmetric matrix, of hardly any radius, that is certainly at most M."""
+    return -raised(-M)
+
+
+def positive_part(x: Ball) -> Ball:
+    """Return an exact number that is at least max(x, 0)."""
+    return x.upper() if x > 0 else flint().arb(0).max(x).upper()

@@ -1,0 +1,159 @@
+"""The numbers of a certificate file as balls of radius zero, and the coordinates in which a target matrix is I."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Flow
+from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
+
+Array = npt.NDArray[np.float64]
+
+
+class Unproven(Exception):
+    """What stops a proof: verdict ("refuted" or "undecided"), inequality, reason; where known amount, time, start."""
+
+    def __init__(self, verdict: str, inequality: str, reason: str, **where: float) -> None:
+        super().__init__(reason)
+        self.verdict, self.inequality, self.reason, self.where = verdict, inequality, reason, where
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """Turn what goes wrong with malformed data into a refusal of their form."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise Unproven("refuted", "form", f"the data are no certificate ({error!r})") from error
+
+
+def positive_definite(name: str, M: Matrix) -> None:
+    """Raise Unproven unless M is certainly positive definite."""
+    found = definite(M)
+    if not found:
+        verdict, word = ("refuted", "is not") if found is False else ("undecided", "is not certainly")
+        raise Unproven(verdict, f"{name} > 0", f"{name} {word} positive definite")
+
+
+class Weights:
+    """Plant and weights of a certificate: A, C, S = G Qw^-1 G', V = R^-1 + Qv^-1, P2, eta; forms by symmetric part."""
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        plant = data["plant"]["matrices"]
+        self.n, self.p = len(plant["A"]), len(plant["C"])
+        self.A = matrix(np.reshape(plant["A"], (self.n, self.n)))
+        self.C = np.reshape(np.asarray(plant["C"], dtype=np.float64), (self.p, self.n))
+        forms = {}
+        for name, size in (("P2", self.n), ("R", self.p), ("Qv", self.p)):
+            forms[name] = symmetric(np.reshape(data[name], (size, size)))
+            positive_definite(name, forms[name])
+        self.P2 = forms["P2"]
+        self.V = forms["R"].inv() + forms["Qv"].inv()
+        self.eta = positive("eta", data["eta"])
+        q = len(data["Qw"])
+        G = np.reshape(np.asarray(plant.get("G", np.eye(self.n)), dtype=np.float64), (self.n, q))
+        self.S = noise(G, np.reshape(np.asarray(data["Qw"], dtype=np.float64), (q, q)))
+
+    @cached_property
+    def prior(self) -> Matrix:
+        """P2^-1."""
+        return self.P2.inv()
+
+    def noise_of(self, seen: npt.NDArray[np.bool_]) -> Matrix:
+        """V restricted to the measured outputs."""
+        index = np.flatnonzero(seen)
+        return flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
+
+
+def noise(G: Array, Qw: Array) -> Matrix:
+    """Return G Qw^-1 G'; a channel that neither drives the plant nor is weighted does not exist."""
+    live = np.any(G != 0, axis=0) | np.any(Qw != 0, axis=0) | np.any(Qw != 0, axis=1)
+    if not live.any():
+        return matrix(np.zeros((G.shape[0], G.shape[0])))
+    weight, input_ = symmetric(Qw[np.ix_(live, live)]), matrix(G[:, live])
+    positive_definite("Qw", weight)
+    return input_ * weight.solve(input_.transpose())
+
+
+def positive(name: str, value: Any) -> float:
+    """Return a positive finite number of the file."""
+    number = float(value)
+    if not 0 < number < np.inf:
+        raise Unproven("refuted", f"{name} > 0", f"{name} must be positive and finite, got {value!r}")
+    return number
+
+
+class Laps:
+    """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
+
+    def __init__(self, times: dict[str, Any], p: int) -> None:
+        self.periodic = times["kind"] == "periodic"
+        if self.periodic:
+            self.gaps = [ball(gap) for gap in times["gaps"]]
+            first = ball(times["first"])
+        else:
+            at = [ball(t) for t in times["times"]]
+            first = at[0]
+            self.gaps = [first, *(b - a for a, b in pairwise(at))]
+        self.N = len(self.gaps)
+        self.times = [first]
+        for gap in self.gaps[1:]:
+            self.times.append(self.times[-1] + gap)
+        self.period = sum(self.gaps[1:], self.gaps[0])
+        self.reach = [self.gaps[0].max(first), *self.gaps[1:]]
+        self.first = first
+        mask = np.ones((self.N, p)) if times["outputs"] is None else np.reshape(times["outputs"], (self.N, p))
+        self.seen = mask.astype(bool)
+        late = self.gaps if self.periodic else self.gaps[1:]
+        if not (all(gap > 0 for gap in late) and first >= 0 and (not self.periodic or first <= self.period)):
+            raise Unproven("refuted", "times", "times must increase strictly, the first within the period")
+
+    def after(self, i: int) -> int:
+        """The sample after sample i of the lap."""
+        return (i + 1) % self.N
+
+
+class Frame:
+    """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I."""
+
+    def __init__(self, weights: Weights, laps: Laps, target: Matrix, inequality: str) -> None:
+        L = cholesky(target)
+        if L is None:
+            raise Unproven("undecided", inequality, f"{inequality}: the left side is not certainly positive definite")
+        self.weights, self.laps, self.n, self.inequality = weights, laps, weights.n, inequality
+        self.L, Lt = L, L.transpose()
+        A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2
+        self.flow = Flow(A, Lt * weights.S * L)
+        self.start = Lt * weights.prior * L
+        turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
+        self.rows, self.noises = [], []
+        for seen in laps.seen:
+            self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(seen)]))
+            self.noises.append(weights.noise_of(seen))
+        self.float_rows = [floats(row) for row in self.rows]
+        self.float_noises = [floats(V) for V in self.noises]
+        self.identity = identity(self.n)
+
+    def gain(self, Y: Array, i: int) -> Array:
+        """The best gain at sample i, in floats: any gain gives a bound, this one nearly the least."""
+        C = self.float_rows[i]
+        return np.asarray(np.linalg.solve(C @ Y @ C.T + self.float_noises[i], C @ Y).T)
+
+    def with_gain(self, Y: Matrix, i: int, gain: Array) -> Matrix:
+        """Y after sample i with that gain: at least what the best gain leaves (Joseph's form)."""
+        K = matrix(gain)
+        left = self.identity - K * self.rows[i]
+        return left * Y * left.transpose() + K * self.noises[i] * K.transpose()
+
+    def sampled(self, Y: Matrix, i: int) -> Matrix:
+        """Y after sample i, exactly."""
+        C = self.rows[i]
+        CY = C * Y
+        return Y - CY.transpose() * (CY * C.transpose() + self.noises[i]).solve(CY)

@@ -1,0 +1,269 @@
+"""Certificates in ball arithmetic: all are proven, mutations refused, no tight case is wrongly accepted."""
+
+import copy
+import dataclasses
+import json
+import sys
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
+from sampling_design.certificates.ball_problem import noise
+from sampling_design.certificates.rigorous import verify_rigorously
+from sampling_design.errors import CertificateError, MissingExtraError
+from tests.certificates.test_checker import redigested, scaled, verdict_by_scan
+from tests.oracles import riccati as oracle
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+TILTED = Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4], [1.0, 0.2]], G=[[1.0], [0.4]])
+FOUR = Plant(
+    [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, 0.0]], [[1.0, 1.0, 1.0, 0.0]]
+)
+STIFF = Plant([[-1000.0, 3.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], [[1.0, 1.0, 0.0]])
+ORBIT = PeriodicSchedule(
+    np.array([310.0, 540.0, 420.0, 505.0, 390.0, 610.0, 450.0, 470.0, 380.0, 560.0, 430.0, 489.0]),
+    outputs=[[1, 1, 1], [1, 0, 0], [0, 1, 0]] * 4,
+)
+
+
+def satellite():
+    plant = named_plant("satellite")
+    outputs = np.array(ORBIT.outputs)[:, : plant.n_outputs]
+    outputs[~outputs.any(axis=1)] = True
+    return plant, PeriodicSchedule(ORBIT.gaps, outputs=outputs)
+
+
+CASES = {
+    "double integrator": lambda: certify(DOUBLE, PeriodicSchedule([1.0]), eta=0.4, P2=np.eye(2)),
+    "oscillator": lambda: certify(OSCILLATOR, PeriodicSchedule([0.8, 1.3]), eta=0.4, P2=np.diag([0.5, 0.2])),
+    "four states": lambda: certify(FOUR, PeriodicSchedule([1.0]), eta=0.4, P2=0.1 * np.eye(4)),
+    "worst start inside a gap": lambda: certify(
+        Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4]]),
+        PeriodicSchedule([1.2]),
+        eta=0.3,
+        P2=[[0.3, -0.3], [-0.3, 2.1]],
+        R=[[2.0]],
+        Qv=[[2.0]],
+    ),
+    "partial outputs": lambda: certify(
+        TILTED, PeriodicSchedule([1.2, 0.7], 0.3, [[1, 0], [1, 1]]), eta=0.3, P2=[[0.3, -0.3], [-0.3, 2.1]]
+    ),
+    "finite": lambda: certify(TILTED, Schedule([0.4, 1.5, 2.1]), eta=0.3, P2=np.eye(2)),
+    "finite from zero": lambda: certify(OSCILLATOR, Schedule([0.0, 0.5, 1.3, 2.9]), eta=0.4, P2=np.eye(2)),
+    "first sample late": lambda: certify(OSCILLATOR, PeriodicSchedule([0.6, 1.1], 1.7), eta=0.4, P2=np.eye(2)),
+    "stiff": lambda: certify(STIFF, PeriodicSchedule([1.0]), eta=0.1, P2=np.eye(3)),
+    "large prior": lambda: certify(DOUBLE, PeriodicSchedule([1.0]), eta=0.4, P2=1e4 * np.eye(2)),
+    "satellite": lambda: certify(*satellite(), eta=2e-4, P2=np.diag([1e-6] * 3 + [1.0] * 3)),
+}
+
+
+@pytest.fixture(scope="module")
+def made():
+    kept = {}
+
+    def get(name):
+        if name not in kept:
+            kept[name] = CASES[name]()
+        return kept[name]
+
+    return get
+
+
+def with_ratio(certificate, factor):
+    """P1 such that the worst inequality is (1 + factor) of tight, as far as the witness knows."""
+    return dataclasses.replace(
+        certificate, P1=certificate.P2 / certificate.witness.ratio / (1 + certificate.margin) * factor
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_certificate_is_proven(name, made):
+    verdict = made(name).verify(rigorous=True)
+    assert verdict.verdict == "proven"
+    assert verdict.passed
+    assert 0 < verdict.amount < 1
+    assert "Proven in ball arithmetic" in verdict.explain()
+    assert ("verdict", "proven") in verdict._rows()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_wrong_by_1e_9_is_refuted_at_a_point_where_it_fails(name, made):
+    wrong = with_ratio(made(name), 1 + 1e-9)
+    verdict = wrong.verify(rigorous=True)
+    assert verdict.verdict == "refuted", verdict.reason
+    assert -1e-6 < verdict.amount < -0.9e-9
+    if name != "stiff":  # the oracle's block exponential overflows
+        Pi = oracle.information_at(wrong.to_dict(), verdict.start, verdict.time)
+        least = scipy.linalg.eigh(Pi, wrong.P1, eigvals_only=True)[0]
+        assert least == pytest.approx((1 + wrong.margin) * (1 + verdict.amount), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["double integrator", "oscillator", "four states", "finite", "stiff"])
+def test_right_by_1e_6_is_proven(name, made):
+    assert with_ratio(made(name), 1 - 1e-6).verify(rigorous=True).verdict == "proven"
+
+
+@pytest.mark.parametrize("name", ["double integrator", "partial outputs", "finite"])
+def test_a_wrong_lambda_is_refuted(name, made):
+    lam = made(name).witness.ratio * (1 - 1e-3)
+    low = dataclasses.replace(
+        made(name), P1=made(name).P1 / 2, lam=lam * (1 - 1e-9), lam_samples=lam * (1 - 1e-9), witness=None
+    )
+    verdict = low.verify(rigorous=True)
+    assert verdict.verdict == "refuted"
+    assert verdict.inequality == "(1 - 1e-3) P2 <= lam Pi(t)"
+
+
+def test_a_wrong_lambda_of_sample_starts_is_refuted_and_the_right_one_proven(made):
+    case = made("worst start inside a gap")
+    assert case.lam_samples < 0.95 * case.lam
+    assert case.verify(rigorous=True).passed
+    exact = oracle.worst_ratio(case.to_dict(), case.P2, samples=True, fine=40)[0]
+    low = dataclasses.replace(case, lam_samples=exact * (1 - 1.2e-3))
+    verdict = low.verify(rigorous=True)
+    assert verdict.verdict == "refuted"
+    assert "sample starts" in verdict.inequality
+    assert dataclasses.replace(case, lam_samples=exact * (1 - 0.8e-3)).verify(rigorous=True).passed
+
+
+def test_a_witness_that_does_not_reach_its_ratio_is_refuted(made):
+    case = made("oscillator")
+    wrong = dataclasses.replace(case, witness=dataclasses.replace(case.witness, ratio=case.witness.ratio * (1 + 2e-6)))
+    verdict = wrong.verify(rigorous=True)
+    assert (verdict.verdict, verdict.inequality) == ("refuted", "witness")
+    late = dataclasses.replace(case, witness=dataclasses.replace(case.witness, start=-1.0))
+    assert late.verify(rigorous=True).inequality == "witness"
+
+
+def test_mutations_agree_with_the_riccati_oracle():
+    rng = np.random.default_rng(5)
+    originals = [
+        json.loads(json.dumps(CASES[name]().to_dict())) for name in ("oscillator", "partial outputs", "finite")
+    ]
+    decided = {True: 0, False: 0}
+    while sum(decided.values()) < 40:
+        data = copy.deepcopy(originals[rng.integers(len(originals))])
+        field = scaled(data, rng)
+        expected = verdict_by_scan(data)
+        if expected is None:
+            continue
+        found = verify_rigorously(redigested(data))
+        assert found.verdict == ("proven" if expected else "refuted"), (field, found.reason, expected)
+        decided[expected] += 1
+    assert min(decided.values()) >= 8
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 10_000), factor=st.sampled_from([1 + 1e-9, 1 + 1e-7, 1 + 1e-4]))
+def test_a_violated_inequality_is_never_accepted(seed, factor):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    plant = Plant(rng.standard_normal((n, n)), rng.standard_normal((1, n)))
+    try:
+        right = certify(
+            plant, PeriodicSchedule(rng.uniform(0.3, 0.9, 2)), eta=0.2, P2=np.diag(rng.uniform(0.1, 2.0, n))
+        )
+    except CertificateError:
+        return
+    assert right.verify(rigorous=True).verdict == "proven"
+    assert not with_ratio(right, factor).verify(rigorous=True).passed
+
+
+def test_hand_made_certificate_of_a_scalar_plant_is_tight():
+    """x' = 0, y = x every second: Y rises to e^(eta) (Y+ + ...) just before a sample; P1 at the fixed point exactly."""
+    plant, schedule = Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0])
+    parts = {"P2": [[1.0]], "Qw": [[1.0]], "R": [[2.0]], "Qv": [[2.0]], "eta": 0.1}
+    top = oracle.worst_ratio(Certificate.from_matrices(plant, schedule, P1=[[0.2]], **parts).to_dict(), [[1.0]])[0]
+    for factor, verdict in ((1 - 1e-9, "proven"), (1 + 1e-9, "refuted")):
+        made = Certificate.from_matrices(plant, schedule, P1=[[factor / top]], lam=2 * top, **parts)
+        assert made.verify(rigorous=True).verdict == verdict
+
+
+def test_an_aliased_schedule_is_never_proven():
+    schedule = PeriodicSchedule([np.pi])
+    made = Certificate.from_matrices(
+        OSCILLATOR, schedule, P1=1e-9 * np.eye(2), P2=np.eye(2), Qw=np.eye(2), R=[[2.0]], Qv=[[2.0]], eta=0.4
+    )
+    verdict = made.verify(rigorous=True)
+    assert verdict.verdict == "refuted"
+    assert verdict.time > 20
+
+
+def test_no_states_are_proven():
+    plant = Plant(np.zeros((0, 0)), np.zeros((1, 0)))
+    assert certify(plant, PeriodicSchedule([1.0])).verify(rigorous=True).passed
+
+
+def test_a_spent_budget_is_undecided(made):
+    verdict = made("four states").verify(rigorous=True, budget=0.0)
+    assert (verdict.verdict, verdict.inequality, verdict.passed) == ("undecided", "budget", False)
+
+
+def test_without_the_extra_nothing_is_claimed(monkeypatch, made):
+    case = made("oscillator")
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(MissingExtraError, match=r"Install the extra: pip install 'sampling-design\[rigorous\]'"):
+        case.verify(rigorous=True)
+
+
+def change(path, value):
+    def apply(data):
+        *head, last = path
+        for key in head:
+            data = data[key]
+        data[last] = value
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("apply", "inequality", "verdict"),
+    [
+        (change(["P1"], [[1.0, 2.0], [2.0, 1.0]]), "P1 > 0", "refuted"),
+        (change(["P2"], [[1.0, 1.0], [1.0, 1.0]]), "P2 > 0", "undecided"),
+        (change(["Qw"], [[-1.0, 0.0], [0.0, 1.0]]), "Qw > 0", "refuted"),
+        (change(["R"], [[-1.0]]), "R > 0", "refuted"),
+        (change(["eta"], 0.0), "eta > 0", "refuted"),
+        (change(["lam"], -1.0), "lam > 0", "refuted"),
+        (change(["margin"], -0.1), "margin >= 0", "refuted"),
+        (change(["P1"], [[1.0]]), "form", "refuted"),
+        (change(["eta"], "fast"), "form", "refuted"),
+        (change(["times", "gaps"], [1.0, -0.5]), "times", "refuted"),
+        (change(["claim"], "wishful"), "claim", "undecided"),
+    ],
+)
+def test_malformed_data_are_refused_with_the_right_word(apply, inequality, verdict, made):
+    data = json.loads(json.dumps(made("oscillator").to_dict()))
+    apply(data)
+    found = verify_rigorously(redigested(data))
+    assert (found.inequality, found.verdict, found.passed) == (inequality, verdict, False)
+
+
+def test_an_altered_file_is_refused_by_its_digest(made):
+    data = made("oscillator").to_dict()
+    data["eta"] = 0.39
+    assert verify_rigorously(data).inequality == "digest"
+    del data["digest"]
+    assert verify_rigorously(data).inequality == "form"
+
+
+def test_the_verdict_is_that_of_the_file(made, tmp_path):
+    from sampling_design import load_certificate
+
+    path = made("partial outputs").save(tmp_path / "certificate.json")
+    assert load_certificate(path).verify(rigorous=True).verdict == "proven"
+    assert verify_rigorously(json.loads(path.read_text())).verdict == "proven"
+
+
+def test_a_channel_without_drive_and_weight_does_not_exist():
+    G, Qw = np.array([[1.0, 0.0], [0.5, 0.0]]), np.diag([2.0, 0.0])
+    from sampling_design import _balls as balls
+
+    with balls.precision():
+        assert np.allclose(balls.floats(noise(G, Qw)), np.outer([1.0, 0.5], [1.0, 0.5]) / 2)
+        assert np.allclose(balls.floats(noise(np.zeros((2, 2)), np.zeros((2, 2)))), 0)

@@ -50,6 +50,15 @@ def window_length(settings: Settings, split: Any, given: float | None) -> float:
     return length
 
 
+def schedule_for(settings: Settings, plant: Any, path: Path) -> Any:
+    """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
+    schedule = sd.read_schedule(path)
+    if schedule.time_unit in (None, plant.time_unit):
+        return schedule
+    settings.notice(f"{path}: times in {schedule.time_unit} are converted to {plant.time_unit}.")
+    return schedule.in_unit(plant.time_unit)
+
+
 def _modes(split: Any, unit: str) -> Any:
     rows = []
     for cluster in split.clusters:
@@ -135,7 +144,7 @@ def sigma(
     Example: sampling-design sigma examples/plants/satellite.toml out/schedule.csv --window 5554
     """
     plant = sd.read_plant(plant_file)
-    schedule = sd.read_schedule(schedule_file)
+    schedule = schedule_for(settings, plant, schedule_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
         settings.show({"sigma": None, "split": split.to_dict()}, split.explain())

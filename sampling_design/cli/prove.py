@@ -9,7 +9,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design._files import to_json, write_text
-from sampling_design.cli.plan import PlantFile, ScheduleFile
+from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 
 
@@ -31,7 +31,8 @@ def certify(
 
     Example: sampling-design certify examples/plants/satellite.toml out/schedule.csv -o out
     """
-    plant, schedule = sd.read_plant(plant_file), sd.read_schedule(schedule_file)
+    plant = sd.read_plant(plant_file)
+    schedule = schedule_for(settings, plant, schedule_file)
     with settings.progress("certify") as progress:
         certificate = sd.certify(plant, schedule, eta=eta, budget=noise_budget, progress=progress)
     horizons = sd.four_horizons(plant, schedule, certificate)

@@ -162,7 +162,8 @@ class Plant(Record):
         A = _checks.matrix("A", self.A)
         n = A.shape[0]
         A = _checks.matrix("A", A, n, n)
-        C = _checks.matrix("C", self.C, None, n)
+        empty = self.C is not None and np.size(np.asarray(self.C, dtype=object)) == 0 and n > 0
+        C = np.zeros((0, n)) if empty else _checks.matrix("C", self.C, None, n)
         p = C.shape[0]
         if p == 0:
             raise ArgumentError("`C` must have at least one row: a plant without outputs cannot be measured.")

@@ -105,6 +105,20 @@ def test_sigma_of_a_blind_schedule_is_a_no(shell, tmp_path):
     assert (tmp_path / "sigma.png").exists()
 
 
+def test_a_schedule_in_another_unit_is_converted_with_a_notice(shell, tmp_path):
+    minutes = 2.0 / 60
+    text = f"# sampling-design schedule; time_unit=min; period={minutes!r}\ntime\n{minutes / 4!r}\n{minutes / 2!r}\n"
+    (tmp_path / "minutes.csv").write_text(text)
+    (tmp_path / "seconds.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.0\n")
+    found = [
+        json.loads(shell("sigma", plant("oscillator"), tmp_path / f"{unit}.csv", "--window", 4, "--json").out)
+        for unit in ("minutes", "seconds")
+    ]
+    assert found[0]["upper"] == pytest.approx(found[1]["upper"])
+    result = shell("sigma", plant("oscillator"), tmp_path / "minutes.csv", "--window", 4)
+    assert "converted to s" in result.err
+
+
 def test_an_impossible_requirement_is_a_no(shell):
     result = shell("design", plant("oscillator"), "--samples", 9, "--spacing", 1, "--window", 4)
     assert result.code == 1

@@ -46,6 +46,7 @@ def test_integers_become_floats():
         ({"A": None}, "`A` must hold real numbers, got None"),
         ({"A": [1.0, 2.0]}, r"`A` must have 2 dimensions, got shape \(2,\)"),
         ({"C": np.zeros((0, 2))}, "`C` must have at least one row: a plant without outputs cannot be measured"),
+        ({"C": []}, "`C` must have at least one row: a plant without outputs cannot be measured"),
         ({"C": [[1.0], [0.0]]}, r"`C` must have shape \(2, 2\), got \(2, 1\)"),
         ({"B": [[1.0, 0.0]]}, r"`B` must have shape \(2, 2\), got \(1, 2\)"),
         ({"B": [[1.0], [0.0]], "D": [[1.0, 2.0]]}, r"`D` must have shape \(1, 1\), got \(1, 2\)"),

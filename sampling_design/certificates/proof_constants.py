@@ -295,36 +295,35 @@ def _record(
     found: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
-    lam = max(chain.lam, 1.0)
-    horizon = 2 * float(np.log(2 * lam)) / chain.eta
-    R = 2 * chain.R0 * np.eye(plant.n_outputs)
-    least = float(np.linalg.eigvalsh(chain.P1)[0])
-    C_x = 4 * lam * float(np.linalg.eigvalsh(chain.P2)[-1]) / least
-    C_w = 4 * lam * float(np.max(np.linalg.eigvalsh(chain.Qw), initial=0.0)) / least
-    last = (
-        Constant("R", 2 * chain.R0, r"R=Q_v=2R_0:\ (R^{-1}+Q_v^{-1})^{-1}=R_0", "measurement noise (E36)", "R=Q_v"),
-        Constant("lam", lam, r"\lambda_{\max}(P_2,P_1)", "Theorem 9", r"\lambda"),
-        Constant("horizon", horizon, r"M>2\ln(2\lambda)/\eta", "Theorem 9", "M"),
-        Constant("C_x", C_x, r"4\lambda\lambda_{\max}(P_2)/\lambda_{\min}(P_1)", "Theorem 9, Definition 6", "C_x"),
-        Constant("C_w", C_w, r"4\lambda\lambda_{\max}(Q_w)/\lambda_{\min}(P_1)", "Theorem 9, Definition 6", "C_w"),
-        Constant(
-            "C_v",
-            16 * lam * chain.R0 / least,
-            r"8\lambda\lambda_{\max}(Q_v)/\lambda_{\min}(P_1)",
-            "Theorem 9, Definition 6",
-            "C_v",
-        ),
-    )
+    R = _checks.freeze(2 * chain.R0 * np.eye(plant.n_outputs))
     frozen = {key: _checks.freeze(getattr(chain, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
         plant=plant,
         schedule=schedule,
         variant=variant,
         **frozen,
-        R=_checks.freeze(R),
-        Qv=_checks.freeze(R),
+        R=R,
+        Qv=R,
         eta=chain.eta,
-        constants=ConstantList((*chain.constants, *last)),
+        constants=ConstantList((*chain.constants, *_gains(chain))),
         detectability=found,
         split=split,
+    )
+
+
+def _gains(chain: Chain) -> tuple[Constant, ...]:
+    """Noise weight, lambda, horizon and gains of Theorem 9."""
+    lam = max(chain.lam, 1.0)
+    horizon = 2 * float(np.log(2 * lam)) / chain.eta
+    least = float(np.linalg.eigvalsh(chain.P1)[0])
+    C_x = 4 * lam * float(np.linalg.eigvalsh(chain.P2)[-1]) / least
+    C_w = 4 * lam * float(np.max(np.linalg.eigvalsh(chain.Qw), initial=0.0)) / least
+    C_v, source = 16 * lam * chain.R0 / least, "Theorem 9, Definition 6"
+    return (
+        Constant("R", 2 * chain.R0, r"R=Q_v=2R_0:\ (R^{-1}+Q_v^{-1})^{-1}=R_0", "measurement noise (E36)", "R=Q_v"),
+        Constant("lam", lam, r"\lambda_{\max}(P_2,P_1)", "Theorem 9", r"\lambda"),
+        Constant("horizon", horizon, r"M>2\ln(2\lambda)/\eta", "Theorem 9", "M"),
+        Constant("C_x", C_x, r"4\lambda\lambda_{\max}(P_2)/\lambda_{\min}(P_1)", source, "C_x"),
+        Constant("C_w", C_w, r"4\lambda\lambda_{\max}(Q_w)/\lambda_{\min}(P_1)", source, "C_w"),
+        Constant("C_v", C_v, r"8\lambda\lambda_{\max}(Q_v)/\lambda_{\min}(P_1)", source, "C_v"),
     )

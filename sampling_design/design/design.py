@@ -35,6 +35,9 @@ BRANCHES = 6
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
 
+_LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent already
+_ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
+
 
 def design_schedule(
     plant: Plant,
@@ -65,7 +68,8 @@ def design_schedule(
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
-        The search stops then; the proof and the bound are completed, and `status` says "budget".
+        Relaxations, search and branching stop then; the proof of sigma is completed, the bound holds but is
+        wider, and `status` says "budget".
     progress : callable, optional
         Called with the fraction done and a message.
 
@@ -178,11 +182,12 @@ class Sized:
     solver: tuple[SolverRecord, ...]
 
 
-def bounded(plant: Plant, requirement: Requirement, samples: int) -> Sized:
+def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: float = np.inf) -> Sized:
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
     problem = pose(plant, requirement, samples)
-    placed = relax_placed(problem)
-    return Sized(problem, placed, first_bound(problem, placed), (placed.record,))
+    left = deadline - time.perf_counter()
+    placed = relax_placed(problem, seconds=max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None)
+    return Sized(problem, placed, first_bound(problem, placed, deadline), (placed.record,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +228,7 @@ class _Run:
     def one(self, samples: int, low: float = 0.0, high: float = 1.0) -> ScheduleDesign:
         """Bound, search and prove one count of samples."""
         self.say(low, f"bounding {samples} samples per period")
-        sized = bounded(self.designed, self.requirement, samples)
+        sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
         return self.searched(sized, low + 0.15 * (high - low), high)
 
     def searched(self, sized: Sized, low: float, high: float) -> ScheduleDesign:
@@ -233,8 +238,10 @@ class _Run:
         def inner(fraction: float, message: str) -> None:
             self.say(low + fraction * (near - low), message)
 
-        found = search(sized.problem, sized.relaxation, self.rng, self.starts, self.began + self.seconds, inner)
-        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, self.began + self.seconds)
+        deadline, enough = self.began + self.seconds, sized.bound.value * (1 - _ENOUGH)
+        found = search(sized.problem, sized.relaxation, self.rng, self.starts, deadline, inner, enough)
+        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline)
+        time_left = time.perf_counter() <= deadline
         schedule = self.schedule(sized.problem, found)
         self.say(near, "proving sigma over all window positions")
         proof = prove(self.split, schedule, self.requirement, self.rtol)
@@ -253,7 +260,7 @@ class _Run:
             bound=bound,
             history=tuple(asdict(trial) for trial in found.trials),
             solver=sized.solver,
-            status="complete" if found.complete else "budget",
+            status="complete" if found.complete and time_left else "budget",
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
 
@@ -275,7 +282,7 @@ class _Run:
         ruled_out, best = low - 1, None
         for samples in range(low, high + 1):
             try:
-                sized = bounded(self.designed, self.requirement, samples)
+                sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
             except InfeasibleRequirementError as error:
                 if error.obstacle == "samples":  # too few to see the state at all: go on
                     ruled_out = samples

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -122,12 +123,14 @@ def is_admissible(problem: DesignProblem, times: Array) -> bool:
     )
 
 
-def exchanged(problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int = 3) -> tuple[Array, float]:
+def exchanged(
+    problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int = 3, deadline: float = np.inf
+) -> tuple[Array, float]:
     """Move one sample at a time to its best admissible place on a grid of `count`, until nothing improves."""
     for _ in range(rounds):
         before = sigma2
         for i in range(times.size):
-            if np.any(times[i] == problem.fixed):
+            if np.any(times[i] == problem.fixed) or time.perf_counter() > deadline:
                 continue
             others = np.delete(times, i)
             places = candidates(problem, others, count)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._linalg import expm_batch
 from sampling_design.observability.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 
@@ -79,7 +80,19 @@ class ScaledRows:
 
     def rows(self, r: Array) -> Array:
         """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation (search only, never proof)."""
-        values, slopes = self._table
+        return self._between(self._table, r)
+
+    @cached_property
+    def _flow_table(self) -> tuple[Array, Array]:
+        flow = expm_batch(self.A, self._nodes)
+        return flow, flow @ self.A
+
+    def flows(self, r: Array) -> Array:
+        """Return e^{Ar} in the scaled basis, shape (*r.shape, n, n), 0 <= r <= window, likewise."""
+        return self._between(self._flow_table, r)
+
+    def _between(self, table: tuple[Array, Array], r: Array) -> Array:
+        values, slopes = table
         h = self.window / (_NODES - 1)
         place = np.clip(r / h, 0.0, _NODES - 1)
         node = np.minimum(place.astype(np.intp), _NODES - 2)

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.gram import lags
 from sampling_design.design.problem import DesignProblem
+from sampling_design.design.sliding import SlidingSums
 
 Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+_NUMBERS = 400_000  # numbers per batch: fits into a cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,30 +62,23 @@ def positions(problem: DesignProblem, times: Array, inner: int = 1) -> Positions
     )
 
 
-def window_grams(problem: DesignProblem, times: Array, where: Positions) -> Array:
-    """Scaled Gram matrices (B, q, n, n) of the schedules `times` (B, k) in their windows."""
-    n, p = problem.plant.n_states, problem.plant.n_outputs
-    mask = problem.mask(times)
-    parts = []
+def window_grams(problem: DesignProblem, times: Array, where: Positions, used: Mask | None = None) -> Array:
+    """Scaled Gram matrices (B, q, n, n) of the schedules `times` (B, k) in their windows.
+
+    `used` (B, k, p) says which outputs each sample measures; default all that are available then.
+    """
+    mask = problem.mask(times) if used is None else used
     left = np.array([c == "left" for c in where.closed])
-    for closed, chosen in (("right", ~left), ("left", left)):
-        start = where.at[:, chosen, None]
-        r, inside = lags(times[:, None, :], start, problem.window, problem.period, closed)
-        shown = inside[..., None] & mask[:, None, :, None, :]
-        c = problem.rows.rows(r) * shown[..., None]
-        c = c.reshape(*start.shape[:2], -1, n) if c.size else np.zeros((*start.shape[:2], p, n))
-        parts.append(np.swapaxes(c, -1, -2) @ c)
-    grams = np.empty((times.shape[0], left.size, n, n))
-    grams[:, ~left], grams[:, left] = parts
-    return grams
+    return SlidingSums(problem.rows, times, mask, problem.period).at(where.at, left)
 
 
-def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1) -> Array:
-    """Least sigma^2 over the positions, for each schedule (B, k) of sorted times."""
+def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None) -> Array:
+    """Least sigma^2 over the positions, for each schedule (B, k) of sorted times; `used` as for `window_grams`."""
     result = np.empty(times.shape[0])
-    chunk = max(1, 40000 // (times.shape[1] * 4 * max(1, times.shape[1])))
+    chunk = max(1, _NUMBERS // (times.shape[1] * (12 + 4 * inner) * problem.plant.n_states**2))
     for low in range(0, times.shape[0], chunk):
         part = times[low : low + chunk]
-        sigma2, _ = problem.rows.least(window_grams(problem, part, positions(problem, part, inner)))
+        mask = None if used is None else used[low : low + chunk]
+        sigma2, _ = problem.rows.least(window_grams(problem, part, positions(problem, part, inner), mask))
         result[low : low + chunk] = sigma2.min(axis=1)
     return result

@@ -6,6 +6,7 @@ little. Linearising whole Gram matrices, W_m + sum ds_i dW_m/ds_i >= t I, sees a
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,14 @@ _MOST_WINDOWS = 40  # the worst ones; a step that forgets another one is refused
 _SUBSPACE = 4  # directions per window, the least seen ones: a larger inequality costs far more and says little more
 
 
-def refined(problem: DesignProblem, times: Array, sigma2: float, steps: int = 25) -> tuple[Array, float]:
-    """Improve sorted admissible times; a step is kept only if the worst sigma^2 grows."""
+def refined(
+    problem: DesignProblem, times: Array, sigma2: float, steps: int = 25, deadline: float = np.inf
+) -> tuple[Array, float]:
+    """Improve sorted admissible times until `deadline`; a step is kept only if the worst sigma^2 grows."""
     trust = problem.period / (4 * problem.samples)
     for _ in range(steps):
+        if time.perf_counter() > deadline:
+            break
         move = _step(problem, times, sigma2, trust)
         if move is None:
             return times, sigma2

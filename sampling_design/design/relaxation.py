@@ -49,8 +49,11 @@ def _start_count(problem: DesignProblem, points: int) -> int:
     return int(np.clip(_WORK / (n * (n + 1) / 2 * max(points, 1) ** 2), 8, min(points, 96)))
 
 
-def relax_placed(problem: DesignProblem, points: int | None = None) -> Relaxation:
-    """Maximise t subject to sum_j w_j G(t_j - a_m) >= t I for every window start a_m on the grid."""
+def relax_placed(problem: DesignProblem, points: int | None = None, seconds: float | None = None) -> Relaxation:
+    """Maximise t subject to sum_j w_j G(t_j - a_m) >= t I for every window start a_m on the grid.
+
+    Cut short after `seconds`; multipliers of any quality prove a bound.
+    """
     N = grid_size(problem) if points is None else points
     P = problem.period
     step, tiny = P / N, 1e-9 * P
@@ -71,7 +74,7 @@ def relax_placed(problem: DesignProblem, points: int | None = None) -> Relaxatio
     ahead = np.mod(times[None, :] - times[:, None] + tiny, P)
     linear = ((ahead < problem.spacing).astype(float), np.full(times.size, max(1.0, step / problem.spacing)))
     spare = float(problem.samples - problem.fixed.size)
-    return solve_relaxation(problem, times, starts, grams, constant, linear, spare)
+    return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
 
 
 def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:
@@ -92,6 +95,7 @@ def solve_relaxation(
     constant: Array,
     linear: tuple[Array, Array],
     count: float,
+    seconds: float | None = None,
 ) -> Relaxation:
     """Maximise t subject to sum w = count, rows w <= limits, w >= 0 and the windows' inequalities."""
     rows = problem.rows
@@ -107,7 +111,7 @@ def solve_relaxation(
     roof = _conic.svec(rows.N)[:, None]
     for m in range(starts.size):
         blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7)
+    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
     Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
     return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)

@@ -23,6 +23,9 @@ Progress = Callable[[float, str], None]
 DRAWS = 60
 """Random schedules that are looked at before the best few are refined."""
 
+_LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
+_EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -50,15 +53,18 @@ def search(
     starts: int,
     deadline: float = np.inf,
     progress: Progress | None = None,
+    enough: float = np.inf,
 ) -> Found:
-    """Refine the best starts and return the best schedule; stops early at `deadline` (perf_counter seconds).
+    """Refine the best starts and return the best schedule.
+
+    Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better.
 
     Raises
     ------
     SolverError
         If no admissible start was found although the requirement leaves room for one.
     """
-    pool = _starts(problem, relaxation, rng)
+    pool = _starts(problem, relaxation, rng, deadline)
     if not pool:
         raise SolverError(
             f"No admissible start was found for {problem.samples} samples, although there is room for them. "
@@ -72,31 +78,34 @@ def search(
     trials: list[Trial] = []
     chosen = [*order, *named]
     for done, i in enumerate(chosen):
-        if trials and time.perf_counter() > deadline:
+        if (trials and time.perf_counter() > deadline) or best_value >= enough**2:
             break
         name, t = pool[i]
-        t, value = refined(problem, t, float(values[i]))
+        t, value = refined(problem, t, float(values[i]), deadline=deadline)
         trials.append(Trial(name, float(np.sqrt(values[i])), float(np.sqrt(value))))
         if value > best_value:
             best, best_value = t, value
         if progress:
             progress((done + 1) / (len(chosen) + 1), f"refined start {done + 1} of {len(chosen)}")
-    complete = len(trials) == len(chosen)
-    if complete and time.perf_counter() <= deadline:
-        t, value = exchanged(problem, best, best_value, count=_places(problem), rounds=1)
+    good = best_value >= enough**2
+    complete = good or (len(trials) == len(chosen) and time.perf_counter() <= deadline)
+    if complete and not good:
+        t, value = exchanged(problem, best, best_value, count=_places(problem), rounds=1, deadline=deadline)
         if value > best_value:
-            t, value = refined(problem, t, value)
+            t, value = refined(problem, t, value, deadline=deadline)
             trials.append(Trial("exchange", float(np.sqrt(best_value)), float(np.sqrt(value))))
             best, best_value = t, value
     return Found(best, float(np.sqrt(max(best_value, 0.0))), tuple(trials), complete)
 
 
 def _places(problem: DesignProblem) -> int:
-    """Places that exchange tries for one sample: fewer where one look costs more."""
-    return int(np.clip(5e6 / problem.samples**3, 4, 96))
+    """Places that exchange tries for one sample: about the same number of schedules whatever the count."""
+    return int(np.clip(_EXCHANGES / problem.samples, 8, 96))
 
 
-def _starts(problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator) -> list[tuple[str, Array]]:
+def _starts(
+    problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator, deadline: float
+) -> list[tuple[str, Array]]:
     """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
     found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
@@ -104,6 +113,8 @@ def _starts(problem: DesignProblem, relaxation: Relaxation, rng: np.random.Gener
     lengths = np.diff(problem.intervals, axis=1)[:, 0]
     ends = np.cumsum(lengths)
     for i in range(DRAWS):
+        if i >= _LEAST_DRAWS and time.perf_counter() > deadline and any(t is not None for _, t in found):
+            break
         if i % 3 == 0:
             marks = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
         else:

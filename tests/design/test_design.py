@@ -91,6 +91,25 @@ def test_a_budget_that_ran_out_is_told_and_the_proof_still_stands():
     assert design.verify()
 
 
+def test_a_budget_cuts_relaxations_and_branches_of_a_large_design_too():
+    ends = [0.0, *(24.0 * day + hour for day in range(30) for hour in (7.0, 19.0)), 720.0]
+    nights = np.array(ends).reshape(-1, 2)
+    requirement = Requirement(window=720.0, period=720.0, spacing=5.0, samples=30, forbidden=nights)
+    design = design_schedule(library.tidal_gauge(), requirement, budget=0.2)
+    assert design.status == "budget"
+    assert len(design.history) == 1  # the first start only
+    assert 0 < design.sigma <= design.upper_bound
+    assert design.verify()
+
+
+def test_a_bound_never_grows_by_branching():
+    pair = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
+    requirement = Requirement(window=4.0, spacing=0.3, samples=6)
+    bounds = [design_schedule(pair, requirement, starts=1, branches=b).upper_bound for b in (0, 2, 5)]
+    assert bounds == sorted(bounds, reverse=True)
+    assert bounds[2] < bounds[0] * (1 - 1e-4)
+
+
 def test_progress_rises_to_the_end_and_costs_are_summed():
     seen = []
     outputs = {"y1": {"cost": 2.5}}

@@ -1,0 +1,68 @@
+"""Windows from running sums are the plain sums over their samples, whatever window, period and plant."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from sampling_design import Plant
+from sampling_design.design.positions import positions, window_grams, worst_sigma2
+from sampling_design.design.problem import DesignProblem
+from tests.oracles.design import random_schedule, window_sigma_scan
+
+PLANTS = {
+    "three states, two outputs": ([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.1]], [[1.0, 0, 1], [0, 1, 0]]),
+    "fast growth and fast decay": ([[2.0, 1.0], [0.0, -2.0]], [[1.0, 1.0]]),
+    "chain of three": (np.eye(3, k=1), np.eye(1, 3)),
+}
+
+
+def posed(name, window, period, samples, spans=None):
+    A, C = (np.array(M, dtype=float) for M in PLANTS[name])
+    none = np.zeros((0, 2))
+    available = spans or (None,) * C.shape[0]
+    return DesignProblem(Plant(A, C), window, period, 0.05, samples, none, np.zeros(0), available)
+
+
+def plain(problem, times, mask, a, left):
+    """sum of c'c over the laps of samples in (a, a + T], or [a, a + T), by definition."""
+    A, C, S = problem.plant.A, problem.plant.C, problem.rows.S
+    total, tiny = np.zeros((A.shape[0],) * 2), 1e-10 * problem.period
+    for t, measured in zip(times, mask, strict=True):
+        for lap in range(-3, 9):
+            r = t + lap * problem.period - a
+            if (-tiny < r < problem.window - tiny) if left else (tiny < r < problem.window + tiny):
+                c = C[measured] @ expm(A * r) @ S
+                total += c.T @ c
+    return total
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(("window", "period"), [(4.0, 4.0), (4.0, 3.0), (2.5, 4.0), (4.0, 1.1), (0.7, 4.0)])
+def test_every_window_is_the_plain_sum(name, window, period):
+    rng = np.random.default_rng(3)
+    problem = posed(name, window, period, 6)
+    times = np.array([random_schedule(rng, period, 0.05, 6) for _ in range(3)] + [np.arange(6) * period / 6])
+    used = rng.random((4, 6, problem.plant.n_outputs)) < 0.7
+    where = positions(problem, times)
+    found = window_grams(problem, times, where, used)
+    for b in range(4):
+        for q in range(0, where.at.shape[1], 2):
+            wanted = plain(problem, times[b], used[b], where.at[b, q], where.closed[q] == "left")
+            assert np.allclose(found[b, q], wanted, rtol=0, atol=1e-8 * max(np.trace(wanted), 1.0))
+
+
+def test_the_worst_sigma_is_that_of_a_scan():
+    rng = np.random.default_rng(4)
+    for name, (A, C) in PLANTS.items():
+        problem = posed(name, 4.0, 4.0, 7)
+        times = random_schedule(rng, 4.0, 0.05, 7)
+        scan = window_sigma_scan(A, C, times, 4.0, 4.0, places=1)
+        assert worst_sigma2(problem, times[None])[0] == pytest.approx(scan**2, rel=1e-6)
+
+
+def test_a_batch_is_its_schedules_one_by_one():
+    rng = np.random.default_rng(5)
+    problem = posed("chain of three", 4.0, 4.0, 9)
+    times = np.array([random_schedule(rng, 4.0, 0.05, 9) for _ in range(60)])
+    together = worst_sigma2(problem, times)
+    assert np.allclose(together, [worst_sigma2(problem, t[None])[0] for t in times], rtol=1e-9)

@@ -1,0 +1,105 @@
+"""How the documentation is built: `sphinx-build -W --keep-going -b html docs docs/_build/html`."""
+
+import os
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import make_pages  # noqa: E402
+
+import sampling_design  # noqa: E402
+
+project = "sampling_design"
+author = "The sampling_design maintainers"
+copyright = "the sampling_design maintainers"
+release = version = sampling_design.__version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "sphinxcontrib.bibtex",
+]
+exclude_patterns = ["_build", "**/.ipynb_checkpoints", "README.md"]
+suppress_warnings = ["mystnb.unknown_mime_type"]
+nitpicky = False
+
+# Markdown with executed cells
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "fieldlist"]
+myst_heading_anchors = 3
+myst_links_external_new_tab = True
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE / "_build" / "cells")
+nb_execution_timeout = 120
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
+nb_number_source_lines = False
+
+# Interfaces from docstrings
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+bibtex_bibfiles = ["references.bib"]
+bibtex_default_style = "plain"
+bibtex_reference_style = "author_year"
+
+html_theme = "furo"
+html_title = "sampling_design"
+html_static_path = ["_static"]
+html_css_files = ["house.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "sidebar_hide_name": False,
+    "light_css_variables": {
+        "color-brand-primary": "#1f5fa8",
+        "color-brand-content": "#1f5fa8",
+        "font-stack": "Inter, 'Helvetica Neue', Helvetica, Arial, sans-serif",
+    },
+    "dark_css_variables": {"color-brand-primary": "#7db2ec", "color-brand-content": "#7db2ec"},
+}
+mathjax3_config = {"chtml": {"displayAlign": "left", "displayIndent": "1.5em"}}
+
+_CODE = re.compile(r"``.*?``|`[^`]*`")
+
+
+def _norms_are_no_substitutions(line):
+    """Escape what the mathematics of a docstring means and reStructuredText does not: |x|, a trailing underscore, *."""
+    parts, last = [], 0
+    for match in _CODE.finditer(line):
+        parts += [_escaped(line[last : match.start()]), match.group()]
+        last = match.end()
+    return "".join([*parts, _escaped(line[last:])])
+
+
+def _escaped(text):
+    text = re.sub(r"(?<!\\)\|", r"\\|", text)
+    return re.sub(r"(?<=\w)_(?!\w)", r"\\_", text)
+
+
+def escape_mathematics(app, what, name, obj, options, lines):
+    """Escape running text of a docstring, and leave examples and displayed formulas as they are."""
+    literal = False
+    for i, line in enumerate(lines):
+        indented = line.startswith("    ") or line.lstrip().startswith(">>>")
+        if not line.strip():
+            continue
+        if line.startswith(".. ") or (literal and indented):
+            literal = True
+            continue
+        literal = lines[i - 1].rstrip().endswith("::") if i else False
+        if not line.lstrip().startswith((">>>", "...", ":")) and not literal:
+            lines[i] = _norms_are_no_substitutions(line)
+
+
+def setup(app):
+    """Write the pages that are made from the package itself, then read all pages."""
+    make_pages.write_all(HERE)
+    app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

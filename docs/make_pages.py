@@ -1,0 +1,291 @@
+"""Pages and pictures that are made from the package itself, so that they cannot drift from it.
+
+`made/items.md`: the table item -> theory -> function -> test, from `paper_items.toml`.
+`made/api/ROOM.md`: a room's README, then every name of the front door that lives there.
+`made/command-line.md`: every command with its flags. `made/reports.md`, `made/notebooks/`: what is there to include.
+`made/floors.svg`: who imports whom.
+"""
+
+import ast
+import tomllib
+from pathlib import Path
+
+ROOMS = {
+    "plants": "What is measured",
+    "schedules": "When it is measured",
+    "observability": "What samples show",
+    "design": "When to sample",
+    "certificates": "What a schedule proves",
+    "estimators": "What the state is",
+    "nonlinear": "Nonlinear plants",
+    "validation": "Whether the promise held",
+    "plotting": "Pictures",
+    "cli": "Command line",
+}
+FLOORS = (
+    ("plants", "schedules"),
+    ("observability",),
+    ("design", "certificates"),
+    ("estimators",),
+    ("nonlinear", "validation"),
+    ("plotting",),
+    ("cli",),
+)
+REPORTS = ("benchmarks", "arena", "thyroid")
+GROUPS = {
+    "definition": "Definitions",
+    "assumption": "Assumptions",
+    "theorem": "Theorems and lemma",
+    "remark": "Remarks",
+    "equation": "Equations",
+    "section": "Appendix and Section VI",
+    "erratum": "Corrections",
+}
+
+
+def write_all(docs: Path) -> None:
+    """Write everything below docs/made, touching only what has changed."""
+    package, made = docs.parent / "sampling_design", docs / "made"
+    write(made / "items.md", items_page(read_items(docs)))
+    for room in ROOMS:
+        if (package / room / "README.md").is_file():
+            write(made / "api" / f"{room}.md", room_page(room))
+    write(made / "api" / "index.md", api_index([r for r in ROOMS if (made / "api" / f"{r}.md").is_file()]))
+    write(made / "command-line.md", command_page())
+    write(made / "reports.md", reports_page([p for p in REPORTS if (docs / f"{p}.md").is_file()]))
+    write(made / "floors.svg", floors_picture(package))
+    copy_notebooks(docs.parent / "examples" / "notebooks", made / "notebooks")
+
+
+def write(path: Path, text: str) -> None:
+    """Write `path` if it does not say that already (an untouched page is not built again)."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.is_file() or path.read_text() != text:
+        path.write_text(text)
+
+
+def read_items(docs: Path) -> list[dict]:
+    """Return the items of the paper, in order."""
+    return tomllib.loads((docs / "paper_items.toml").read_text())["item"]
+
+
+def items_page(items: list[dict]) -> str:
+    """Return the table item -> theory -> function -> test."""
+    errata = [i for i in items if i["kind"] == "erratum"]
+    shown = sum(bool(i.get("printed")) for i in errata)
+    lines = [
+        "# From the paper to functions and tests",
+        "",
+        f"All {len(items)} entries: every numbered item of the paper and every correction of it. A test reads the same",
+        "list (`docs/paper_items.toml`) and fails where a page, a function or a test is missing.",
+        f"{shown} of the {len(errata)} corrections have a test that puts the printed formula in and shows it fail;",
+        "for the others the table says why there is nothing to evaluate.",
+        "",
+    ]
+    for kind, heading in GROUPS.items():
+        lines += [f"## {heading}", "", "| item | says | functions | tests |", "|---|---|---|---|"]
+        lines += [item_row(i) for i in items if i["kind"] == kind]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def item_row(item: dict) -> str:
+    """Return one row; a pipe inside a cell would end it."""
+    functions = ", ".join(function_link(f) for f in item.get("functions", ())) or f"*{item['no_function']}*"
+    tests = item.get("printed", []) + [t for t in item.get("tests", ()) if t not in item.get("printed", ())]
+    shown = "<br>".join(test_label(t, t in item.get("printed", ())) for t in tests)
+    if "no_test" in item:
+        shown = "<br>".join(filter(None, [shown, f"*{item['no_test']}*"]))
+    cells = (f"[{item['label']}](#{item['theory']})", item["title"], functions, shown)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def function_link(name: str) -> str:
+    """Return a link where the function stands on the front door, its dotted name elsewhere."""
+    import sampling_design
+
+    last = name.split(".")[-1]
+    if last in sampling_design.__all__:
+        return f"{{py:obj}}`~sampling_design.{last}`"
+    return f"`{name}`"
+
+
+def test_label(name: str, printed: bool) -> str:
+    """Return the sentence that the test's name is, with its file."""
+    path, function = name.split("::")
+    sentence = function.removeprefix("test_").replace("_", " ")
+    mark = " **(printed formula)**" if printed else ""
+    return f"{sentence} <small>`{path.removeprefix('tests/')}`</small>{mark}"
+
+
+def room_page(room: str) -> str:
+    """Return the page of one room: its README, then its names."""
+    import sampling_design
+
+    modules = {m: names for m, names in sampling_design._FRONT_DOOR.items() if m.split(".")[0] == room and "." in m}
+    lines = [f"```{{include}} ../../../sampling_design/{room}/README.md", "```", ""]
+    if modules:
+        lines += ["## Interface", ""]
+    for module, names in modules.items():
+        lines += [f"### `{room}/{module.split('.', 1)[1]}.py`", ""]
+        for name in names:
+            lines += interface_of(name, getattr(sampling_design, name))
+    if room == "plants":
+        lines += ["### `plants/library.py`", "", "```{eval-rst}", ".. automodule:: sampling_design.plants.library"]
+        lines += ["   :members:", "", "```", ""]
+    return "\n".join(lines)
+
+
+def interface_of(name: str, thing: object) -> list[str]:
+    """Return the directive that documents one name of the front door."""
+    kind = "autoclass" if isinstance(thing, type) else "autofunction" if callable(thing) else "autodata"
+    if kind == "autodata":
+        return []
+    options = ["   :members:"] if kind == "autoclass" else []
+    return ["```{eval-rst}", f".. {kind}:: sampling_design.{name}", *options, "```", ""]
+
+
+def api_index(rooms: list[str]) -> str:
+    """Return the page that lists the rooms."""
+    lines = [
+        "# Interface, room by room",
+        "",
+        "Everything public opens at the front door: `from sampling_design import ...`.",
+    ]
+    lines += ["Each page begins with the README that stands in the room itself.", ""]
+    lines += ["| room | question | names |", "|---|---|---|"]
+    for room in rooms:
+        names = ", ".join(f"{{py:obj}}`~sampling_design.{n}`" for n in names_of(room))
+        lines.append(f"| [{room}]({room}.md) | {ROOMS[room].lower()} | {names} |")
+    return "\n".join([*lines, "", "```{toctree}", ":hidden:", *rooms, "```", ""])
+
+
+def names_of(room: str) -> list[str]:
+    """Return the names of the front door that live in a room."""
+    import sampling_design
+
+    door = sampling_design._FRONT_DOOR
+    names = [n for module, found in door.items() if module.split(".")[0] == room and "." in module for n in found]
+    return [n for n in names if callable(getattr(sampling_design, n))]
+
+
+def command_page() -> str:
+    """Return every command with its help, arguments and flags, from the application itself."""
+    from typer.main import get_command
+
+    from sampling_design.cli.app import app
+
+    root = get_command(app)
+    lines = ["# Command line", "", root.help or "", ""]
+    lines += ["Results go to stdout, progress and messages to stderr. `--install-completion` teaches the shell.", ""]
+    lines += ["Exit codes: [conventions](../conventions.md).", ""]
+    for name, command in root.commands.items():
+        lines += [f"## `sampling-design {name}`", "", *command_help(command.help or "")]
+        lines += ["| argument or flag | meaning |", "|---|---|"]
+        for parameter in command.params:
+            flags = parameter.opts if parameter.param_type_name == "option" else [parameter.name.upper()]
+            told = (getattr(parameter, "help", None) or "").replace("|", "\\|")
+            shown = f" Default {parameter.default}." if isinstance(parameter.default, int | float | str) else ""
+            lines.append(f"| `{' '.join(flags)}` | {told}{'' if isinstance(parameter.default, bool) else shown} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def command_help(text: str) -> list[str]:
+    """Return the help of a command, its example as something to copy."""
+    lines = []
+    for paragraph in text.strip().split("\n\n"):
+        said = " ".join(paragraph.split())
+        if said.startswith("Example: "):
+            lines += ["```sh", said.removeprefix("Example: "), "```", ""]
+        else:
+            lines += [said, ""]
+    return lines
+
+
+def reports_page(reports: list[str]) -> str:
+    """Return the page that gathers what commands have measured and written."""
+    lines = ["# Measured", "", "Figures that commands of this project have written; each page names its command.", ""]
+    return "\n".join([*lines, "```{toctree}", *(f"../{name}" for name in reports), "```", ""])
+
+
+def copy_notebooks(source: Path, target: Path) -> None:
+    """Copy the lecture notebooks beside the pages, where they are executed and shown with their outputs."""
+    names = sorted(p.name for p in source.glob("*.ipynb")) if source.is_dir() else []
+    for name in names:
+        write(target / name, (source / name).read_text())
+    lines = [
+        "# Notebooks",
+        "",
+        "Lectures of 10 to 20 minutes, from `examples/notebooks/`, executed for these pages.",
+        "",
+    ]
+    lines += ["```{toctree}", ":maxdepth: 1", *(n.removesuffix(".ipynb") for n in names), "```", ""]
+    write(target / "index.md", "\n".join(lines))
+
+
+def imports_between(package: Path) -> dict[tuple[str, str], int]:
+    """Count the modules of one room that import another."""
+    found: dict[tuple[str, str], int] = {}
+    rooms = {room for floor in FLOORS for room in floor}
+    for path in package.rglob("*.py"):
+        here = path.relative_to(package).parts[0]
+        if here not in rooms:
+            continue
+        named = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                modules = [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
+            elif isinstance(node, ast.Import):
+                modules = [a.name for a in node.names]
+            else:
+                continue
+            named |= {m.split(".")[1] for m in modules if m.startswith("sampling_design.")}
+        for other in named & rooms - {here}:
+            found[here, other] = found.get((here, other), 0) + 1
+    return found
+
+
+def floors_picture(package: Path) -> str:
+    """Return an SVG: rooms on their floors, a line wherever one imports another."""
+    width, height, box = 860, 92, (170, 46)
+    top = len(FLOORS)
+    places = {}
+    for level, rooms in enumerate(FLOORS):
+        for k, room in enumerate(rooms):
+            x = width / 2 + (k - (len(rooms) - 1) / 2) * 330
+            places[room] = (x, (top - 1 - level) * height + 40)
+    lines = []
+    for (here, other), count in sorted(imports_between(package).items()):
+        (x, y), (u, v) = places[here], places[other]
+        bend = 0 if abs(v - y) <= height else (120 if x <= width / 2 else -120) * (1 if u >= x else -1)
+        middle = f"{(x + u) / 2 + bend:.0f} {(y + v) / 2:.0f}"
+        lines.append(
+            f'<path d="M {x:.0f} {y + box[1] / 2:.0f} Q {middle} {u:.0f} {v - box[1] / 2 - 4:.0f}" fill="none" '
+            f'stroke="#1f5fa8" stroke-opacity="0.45" stroke-width="{1 + min(count, 12) / 4:.2f}" '
+            f'marker-end="url(#tip)"><title>{here} imports {other} ({count} modules)</title></path>'
+        )
+    boxes = []
+    for room, (x, y) in places.items():
+        boxes.append(
+            f'<g><rect x="{x - box[0] / 2:.0f}" y="{y - box[1] / 2:.0f}" width="{box[0]}" height="{box[1]}" rx="8" '
+            f'fill="#eef4fb" stroke="#1f5fa8"/><text x="{x:.0f}" y="{y - 2:.0f}" text-anchor="middle" '
+            f'font-weight="600">{room}</text><text x="{x:.0f}" y="{y + 14:.0f}" text-anchor="middle" '
+            f'font-size="11" fill="#555">{ROOMS[room].lower()}</text></g>'
+        )
+    ground = top * height + 26
+    boxes.append(
+        f'<rect x="60" y="{ground - 22}" width="{width - 120}" height="44" rx="8" fill="#f4f4f4" stroke="#888"/>'
+        f'<text x="{width / 2:.0f}" y="{ground + 5}" text-anchor="middle" font-size="13">ground: errors, evidence, '
+        f"checks, records, files, units, linear algebra, the one door to the conic solver</text>"
+    )
+    style = 'font-family="Helvetica, Arial, sans-serif" font-size="15"'
+    tip = (
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto" '
+        'markerUnits="userSpaceOnUse"><path d="M 0 0 L 8 4 L 0 8 z" fill="#1f5fa8" fill-opacity="0.6"/></marker></defs>'
+    )
+    inside = "\n".join([tip, *lines, *boxes])
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {ground + 34}" {style}>\n'
+        f'<rect width="100%" height="100%" fill="white"/>\n{inside}\n</svg>\n'
+    )

@@ -1,0 +1,107 @@
+"""Every numbered item of the paper and every correction has a theory entry, a function or a reason, and a test."""
+
+import ast
+import importlib
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import sampling_design
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+ITEMS = tomllib.loads((DOCS / "paper_items.toml").read_text())["item"]
+NUMBERED = {
+    *(f"def-{n}" for n in (1, 2, 3, 6, 11)),
+    *(f"ass-{n}" for n in (4, 7)),
+    *(f"thm-{n}" for n in (5, 9, 10, 14, 16, 17)),
+    *(f"rem-{n}" for n in (8, 13, 15)),
+    "lemma-12",
+    *(f"eq-{n}" for n in range(1, 30)),
+    "appendix-proof",
+    "appendix-equivalence",
+    "section-6",
+    *(f"E{n}" for n in range(1, 38)),
+}
+KEYS = {"id", "kind", "label", "title", "theory", "functions", "no_function", "tests", "printed", "no_test"}
+each_item = pytest.mark.parametrize("item", ITEMS, ids=lambda item: item["id"])
+
+
+@cache
+def anchors() -> set[str]:
+    """All targets `(name)=` of the pages that people wrote."""
+    pages = [p for p in DOCS.rglob("*.md") if not {"_build", "made"} & set(p.relative_to(DOCS).parts)]
+    return {name for page in pages for name in re.findall(r"^\(([\w-]+)\)=$", page.read_text(), re.MULTILINE)}
+
+
+@cache
+def functions_in(path: str) -> set[str]:
+    return {node.name for node in ast.parse((ROOT / path).read_text()).body if isinstance(node, ast.FunctionDef)}
+
+
+def opened(name: str) -> object:
+    """A name of the front door, or a dotted one below the package."""
+    if "." not in name:
+        return getattr(sampling_design, name)
+    module, last = name.rsplit(".", 1)
+    return getattr(importlib.import_module(f"sampling_design.{module}"), last)
+
+
+def test_every_numbered_item_and_every_correction_is_listed_once():
+    names = [item["id"] for item in ITEMS]
+    assert len(names) == len(set(names))
+    assert sorted(NUMBERED - set(names)) == []
+
+
+@each_item
+def test_the_entry_has_its_theory(item):
+    assert set(item) <= KEYS
+    assert item["theory"] in anchors(), f"no page has ({item['theory']})="
+
+
+@each_item
+def test_the_entry_has_functions_or_says_why_not(item):
+    assert bool(item.get("functions")) != bool(item.get("no_function"))
+    for name in item.get("functions", ()):
+        assert callable(opened(name))
+
+
+@each_item
+def test_the_entry_has_tests_or_says_why_not(item):
+    named = [*item.get("tests", ()), *item.get("printed", ())]
+    assert named or item.get("no_test")
+    for name in named:
+        path, function = name.split("::")
+        assert function in functions_in(path), f"{path} has no {function}"
+
+
+@pytest.mark.parametrize("item", [i for i in ITEMS if i["kind"] == "erratum"], ids=lambda item: item["id"])
+def test_a_correction_has_a_test_of_the_printed_formula_or_there_is_none_to_evaluate(item):
+    assert item["theory"] == f"errata-{item['id'].lower()}"
+    assert bool(item.get("printed")) != bool(item.get("no_test"))
+
+
+def test_few_corrections_are_left_to_reasons():
+    """Only unstated assumptions, notation, and a printed statement that is right cannot be put in and shown to fail."""
+    assert [i["id"] for i in ITEMS if i["kind"] == "erratum" and i.get("no_test")] == ["E34", "E35", "E36"]
+
+
+def test_theory_that_docstrings_cite_by_number_has_a_page():
+    headings = "\n".join(p.read_text() for p in (DOCS / "theory").glob("*.md"))
+    known = set(re.findall(r"^#+ (\d+(?:\.\d+)?) ", headings, re.MULTILINE))
+    cited = set()
+    for path in (ROOT / "sampling_design").rglob("*.py"):
+        for numbers in re.findall(r"[Tt]heory(?: sections?)? ((?:\d+(?:\.\d+)?(?:, | and )?)+)", path.read_text()):
+            cited |= {(path.name, n) for n in re.findall(r"\d+(?:\.\d+)?", numbers)}
+    assert cited
+    assert sorted(pair for pair in cited if pair[1] not in known) == []
+
+
+def test_pages_name_only_what_the_front_door_has():
+    pages = [p for p in DOCS.rglob("*.md") if "_build" not in p.parts and "made" not in p.parts]
+    named = {(p.name, n) for p in pages for n in re.findall(r"\{py:obj\}`~?sampling_design\.(\w+)`", p.read_text())}
+    assert named
+    assert sorted(pair for pair in named if pair[1] not in sampling_design.__all__) == []

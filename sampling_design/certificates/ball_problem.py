@@ -121,9 +121,12 @@ class Laps:
 
 
 class Frame:
-    """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I."""
+    """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I.
 
-    def __init__(self, weights: Weights, laps: Laps, target: Matrix, inequality: str) -> None:
+    Of `laps` only `seen` is used here, which outputs each kind of sample measures.
+    """
+
+    def __init__(self, weights: Weights, laps: Any, target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
             raise Unproven("undecided", inequality, f"{inequality}: the left side is not certainly positive definite")

@@ -171,32 +171,18 @@ def check_detectability(
     ('sampled', 6)
     """
     study = _Study(plant, scaled_weights(plant, P2, Qw, R, Qv, eta), start, duration, step, u)
-    scale = plant.signals["states"].scales
-    left = study.weights.P2
-    if P1 is not None:
-        left = _checks.definite(
-            "P1", _checks.matrix("P1", P1, scale.size, scale.size) * scale * scale[:, None], scale.size
-        )
+    left = study.weights.P2 if P1 is None else scaled_weights(plant, P2=P1, name="P1").P2
     rng = np.random.default_rng(0) if rng is None else rng
     count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
-    found, witnesses = [], []
+    found = []
     for k in range(count):
         i = 1 + k % sets.distinct
         seen = study.pair(sets.starting_at(i), left, rng)
         if seen is not None:
-            found.append(seen[0])
-            witnesses.append(PairWitness(k, i, seen[1], seen[2] * scale))
+            found.append((seen[0], PairWitness(k, i, seen[1], seen[2] * plant.signals["states"].scales)))
         if progress is not None:
             progress((k + 1) / count, f"{k + 1} of {count} pairs")
-    if not found:
-        raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
-    worst = int(np.argmin(found))
-    statement = f"(16) along {len(found)} random pairs of length {short(study.duration)} {plant.time_unit}"
-    claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
-    return DetectabilityEvidence(
-        found[worst], _checks.freeze(found), len(found), count - len(found), study.weights.eta, study.duration,
-        plant.time_unit, witnesses[worst], claim,
-    )  # fmt: skip
+    return study.evidence(found, count - len(found))
 
 
 class _Study:
@@ -213,6 +199,25 @@ class _Study:
         self.step = self.duration / 40 if step is None else _checks.positive("step", step)
         self.u = _checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
         self.integrator = Integrator(plant)
+
+    def evidence(self, found: list[tuple[float, PairWitness]], left_out: int) -> DetectabilityEvidence:
+        """Return the record of the pairs that stayed in X.
+
+        Raises
+        ------
+        ArgumentError
+            If there are none.
+        """
+        if not found:
+            raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
+        least, witness = min(found, key=lambda item: item[0])
+        unit = self.plant.time_unit
+        statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"
+        claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
+        values = _checks.freeze([value for value, _ in found])
+        return DetectabilityEvidence(
+            least, values, len(found), left_out, self.weights.eta, self.duration, unit, witness, claim
+        )
 
     def pair(self, times: Any, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array] | None:
         """Return least ratio, where, and the scaled difference there; None if the pair leaves X."""

@@ -96,7 +96,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
 
     References
     ----------
-    The paper, (14) and (15).
+    The paper, Section IV, equations (14) and (15).
 
     Examples
     --------

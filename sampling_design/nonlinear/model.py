@@ -257,12 +257,33 @@ _NEWTON_TOLERANCE = 1e-13
 def from_expressions(
     x: Any, f: Any, h: Any, *, u: Any = None, w: Any = None, v: Any = None, **details: Any
 ) -> NonlinearPlant:
-    """Return the plant of CasADi expressions f(x, u, w) and h(x, u, v) in the symbols x, u, w, v.
+    """Return the plant of CasADi expressions f(x, u, w) and h(x, u, v).
+
+    Parameters
+    ----------
+    x, u, w, v : casadi SX symbols
+        Columns; those that the plant does not have are left out.
+    f, h : casadi SX expressions
+        Of n and p entries.
+    **details
+        As for `NonlinearPlant`: time_unit, name, source, signals, bounds.
+
+    Returns
+    -------
+    NonlinearPlant
 
     Raises
     ------
     ArgumentError
         If the expressions hold other symbols.
+
+    Examples
+    --------
+    >>> import casadi
+    >>> x, w = casadi.SX.sym("x", 2), casadi.SX.sym("w")
+    >>> plant = from_expressions(x, casadi.vertcat(x[1], -casadi.sin(x[0]) + w), x[0], w=w)
+    >>> plant.linearise([0.0, 0.0]).A.tolist()
+    [[0.0, 1.0], [-1.0, 0.0]]
     """
     ca = casadi()
     none = ca.SX.sym("none", 0)
@@ -285,7 +306,26 @@ def from_expressions(
 
 
 def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
-    """Return a linear plant as a nonlinear one: f = Ax + Bu + Gw, h = Cx + Du + v (no v unless `noises`)."""
+    """Return a linear plant as a nonlinear one.
+
+        f = A x + B u + G w,    h = C x + D u + v
+
+    Parameters
+    ----------
+    plant : Plant
+    noises : bool
+        False leaves v out.
+
+    Returns
+    -------
+    NonlinearPlant
+
+    Examples
+    --------
+    >>> plant = from_linear(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]))
+    >>> plant.f([1.0, 2.0]).tolist()
+    [2.0, -1.0]
+    """
 
     def dynamics(x: Any, u: Any, w: Any) -> Any:
         return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)

@@ -62,7 +62,7 @@ class ThyroidReport(Record):
     def ratio(self, case: str, span: str = "all") -> float:
         """Return mean RMSE sample-based over mean RMSE standard."""
         standard, sparse = (float(np.mean(self.rmse(case, scheme, span))) for scheme in SCHEMES)
-        return sparse / standard
+        return sparse / standard if standard > 0 else float("nan")
 
     def seconds(self, case: str, scheme: str) -> np.ndarray:
         """Return the seconds of every window problem of a case."""

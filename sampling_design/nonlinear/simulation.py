@@ -15,6 +15,10 @@ TOLERANCE = 1e-10
 """Relative and absolute tolerance of the integrator, in scaled states."""
 
 
+MAX_STEPS = 20000
+"""Steps that the integrator may take over one stretch."""
+
+
 def simulate(
     plant: NonlinearPlant,
     x0: npt.ArrayLike,
@@ -87,7 +91,8 @@ class Integrator:
         self.plant, self.scale = plant, plant.signals["states"].scales
         rate = plant.f_casadi(z * self.scale, uw[:m], uw[m:]) / self.scale
         problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
-        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100000}
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
+        options["disable_internal_warnings"] = True  # what goes wrong is raised, not printed
         self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
 
     def step(self, x: Array, u: Array, w: Array, start: float, stop: float) -> Array:

@@ -26,11 +26,17 @@ class NonlinearWeights:
 
 
 def scaled_weights(
-    plant: NonlinearPlant, P2: Any = None, Qw: Any = None, R: Any = None, Qv: Any = None, eta: float = 0.0
+    plant: NonlinearPlant,
+    P2: Any = None,
+    Qw: Any = None,
+    R: Any = None,
+    Qv: Any = None,
+    eta: float = 0.0,
+    name: str = "P2",
 ) -> NonlinearWeights:
     """Return physical weights in scaled coordinates; the defaults are those of the linear estimator.
 
-    Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2).
+    `name` is what the weight of states is called in messages. Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2).
 
     Raises
     ------
@@ -40,12 +46,13 @@ def scaled_weights(
     given = {"P2": (P2, "states", 1.0), "Qw": (Qw, "disturbances", 1.0), "R": (R, "outputs", 2.0)}
     given["Qv"] = (Qv, "noises", 2.0)
     found = {}
-    for name, (value, key, default) in given.items():
+    for weight, (value, key, default) in given.items():
+        typed = name if weight == "P2" else weight
         scale = plant.signals[key].scales
         if value is None:
-            found[name] = default * np.eye(scale.size)
+            found[weight] = default * np.eye(scale.size)
         else:
             # scaled before it is judged: physical entries may differ by 24 orders of magnitude
-            physical = _checks.matrix(name, value, scale.size, scale.size)
-            found[name] = _checks.definite(name, physical * scale * scale[:, None], scale.size)
+            physical = _checks.matrix(typed, value, scale.size, scale.size)
+            found[weight] = _checks.definite(typed, physical * scale * scale[:, None], scale.size)
     return NonlinearWeights(**found, eta=_checks.nonnegative("eta", eta))

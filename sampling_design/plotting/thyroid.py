@@ -59,7 +59,7 @@ def _row(run: PatientRun, number: int, state: int, ax: Any) -> Any:
     else:
         ax.plot(run.times, run.truth[:, state] * scale, color=style.TRUTH, linewidth=1.4, label="truth")
         ax.plot(
-            run.times, run.standard[:, state] * scale, color=style.PROVEN, linewidth=1.1, label="standard, every 2 h"
+            run.times, run.standard[:, state] * scale, color=style.ATTAINED, linewidth=1.1, label="standard, every 2 h"
         )
         ax.plot(
             run.times, run.sample_based[:, state] * scale, color=style.MEASURED, linewidth=1.1, label="sample-based"

@@ -1,0 +1,25 @@
+"""The command thyroid in short runs."""
+
+import json
+
+
+def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
+    result = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path)
+    assert result.code == 0
+    assert "what is done instead" in result.out
+    assert "ratio 1.014" in result.out
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "runs.jsonl", "report.md", "thyroid.json", "figure1.png", "figure2.png", "figure3.png",
+    }  # fmt: skip
+    data = json.loads((tmp_path / "thyroid.json").read_text())
+    assert data["cases"]["per_day"]["standard"]["problems"] == 4
+    again = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path, "--json")
+    assert json.loads(again.out)["cases"] == data["cases"]
+
+
+def test_thyroid_refuses_another_experiments_file(shell, tmp_path):
+    shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path)
+    result = shell("thyroid", "--days", 0.25, "--seed", 5, "--workers", 1, "-o", tmp_path)
+    assert result.code == 2
+    assert "holds runs with seed = 0, asked for 5" in result.err
+    assert shell("thyroid", "--reading", "per_week").code == 2

@@ -1,0 +1,97 @@
+"""Inequality (16) along pairs: the sums against plain ones, where it is tight, where it fails."""
+
+import numpy as np
+import pytest
+
+from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear.detectability import check_detectability, ratios
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
+from sampling_design.nonlinear.weights import NonlinearWeights
+from tests.oracles import nonlinear as oracle
+
+BOX = ([-1.0, -1.0], [1.0, 1.0])
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+SCHEDULE = PeriodicSchedule([0.7, 1.6, 0.9])
+
+
+def test_both_sides_are_those_of_plain_sums():
+    rng = np.random.default_rng(5)
+    times = np.array([0.0, 0.3, 0.5, 1.1, 2.0])
+    x, w, v, y = (rng.standard_normal((5, k)) for k in (2, 1, 3, 3))
+    sampled = np.array([True, False, True, True, False])
+    half = [rng.standard_normal((k, k)) for k in (2, 2, 1, 3, 3)]
+    P1, P2, Qw, Qv, R = (a @ a.T + np.eye(len(a)) for a in half)
+    found = ratios(times, x, w, v, y, sampled, P1, NonlinearWeights(P2, Qw, Qv, R, 0.4))
+    sides = oracle.inequality(times, x, w, v, y, sampled, P1, P2, Qw, R, Qv, 0.4)
+    assert found == pytest.approx(sides[:, 1] / sides[:, 0], rel=1e-6)
+
+
+def test_a_certificate_of_a_linear_plant_is_never_refuted():
+    certificate = certify(OSCILLATOR, SCHEDULE)
+    weights = {key: getattr(certificate, key) for key in ("P1", "P2", "Qw", "R", "Qv", "eta")}
+    found = check_detectability(from_linear(OSCILLATOR), SCHEDULE, BOX, duration=8.0, pairs=12, **weights)
+    assert found.holds
+    assert found.ratio >= 1.0
+    assert found.claim.strength == "sampled"
+    assert "not proof" in found.explain()
+
+
+def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
+    # x' = x is not seen: |dx|^2 grows while the right side decays
+    blind = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [0 * x[0] + v[0]],
+                           {"states": 1, "disturbances": 1, "outputs": 1})  # fmt: skip
+    found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), eta=0.2, duration=3.0, pairs=9)
+    assert not found.holds
+    assert found.witness.t == pytest.approx(3.0)
+    # without disturbance the ratio is exactly e^{-(eta + 2) t}
+    assert found.ratio == pytest.approx(np.exp(-2.2 * 3.0), rel=1e-6)
+    assert found.horizon() == pytest.approx(2 * np.log(2 / found.ratio) / 0.2)
+    assert "failed" in found.explain()
+    assert "evidence, not proof" in str(found)
+
+
+def test_the_sets_are_taken_in_turn_and_the_worst_is_kept():
+    seen = []
+    found = check_detectability(
+        from_linear(OSCILLATOR), SCHEDULE, BOX, eta=0.1, duration=4.0, pairs=7,
+        progress=lambda fraction, note: seen.append(fraction),
+    )  # fmt: skip
+    assert found.ratio == found.ratios.min()
+    assert found.witness.start in (1, 2, 3)
+    assert seen[-1] == 1.0
+
+
+def test_the_same_generator_gives_the_same_evidence():
+    twice = [
+        check_detectability(
+            from_linear(OSCILLATOR), SCHEDULE, BOX, eta=0.1, duration=4.0, pairs=3, rng=np.random.default_rng(2)
+        )
+        for _ in range(2)
+    ]
+    assert np.array_equal(twice[0].ratios, twice[1].ratios)
+
+
+def test_pairs_that_leave_the_set_are_left_out_and_counted():
+    # from x > 0.5 the plant leaves its box within the time
+    walk = NonlinearPlant(lambda x, u, w: [0.5 + 0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1},
+                          bounds={"states": (0.0, 1.0)})  # fmt: skip
+    found = check_detectability(walk, SCHEDULE, eta=0.1, duration=1.0, pairs=40)
+    assert 0 < found.left_out < 40
+    assert found.pairs == 40 - found.left_out
+    assert "more left out" in str(found)
+    with pytest.raises(ArgumentError, match="every pair left it"):
+        check_detectability(walk, SCHEDULE, ([0.9], [1.0]), eta=0.1, duration=1.0, pairs=3)
+    burst = NonlinearPlant(lambda x, u, w: [x[0] ** 2], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1})
+    with pytest.raises(ArgumentError, match="every pair left it"):
+        check_detectability(burst, SCHEDULE, ([1.0], [2.0]), eta=0.1, duration=2.0, pairs=1)
+
+
+def test_bad_arguments_are_refused():
+    plant = from_linear(OSCILLATOR)
+    with pytest.raises(ArgumentError, match=r"`start` must be a finite box \(lower, upper\)"):
+        check_detectability(plant, SCHEDULE, eta=0.1, duration=1.0)
+    with pytest.raises(ArgumentError, match="`pairs` must be a whole number of at least 1"):
+        check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, pairs=0)
+    with pytest.raises(ArgumentError, match="`P1` must be positive definite"):
+        check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, P1=-np.eye(2))

@@ -1,0 +1,151 @@
+"""Section VI in short runs: what is compared, what is saved, what a page says."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.nonlinear import experiment
+from sampling_design.nonlinear.experiment import CASES, paper_weights, patient_run, thyroid_experiment
+from sampling_design.nonlinear.mhe import Solve
+from sampling_design.nonlinear.patient_run import PatientRun, rmse
+from sampling_design.nonlinear.thyroid import NOISE_BOUND, PRIOR_START, SCALING, TRUE_START, thyroid
+
+
+@pytest.fixture(scope="module")
+def week():
+    return patient_run("per_second", 1, days=7.0)
+
+
+def test_the_rmse_is_that_of_the_definition():
+    errors = np.array([[3.0, 4.0], [0.0, 0.0], [0.0, 12.0]])
+    assert rmse(errors) == pytest.approx(np.sqrt((25 + 0 + 144) / 3))
+
+
+def test_the_set_up_is_the_papers(week):
+    assert week.truth[0] == pytest.approx(TRUE_START)
+    assert week.times[:3] == pytest.approx([0.0, 1 / 12, 1 / 6])
+    assert np.all(np.abs(week.outputs - week.truth[:, [1, 2, 4]]) <= NOISE_BOUND * (1 + 1e-12))
+    gaps = np.diff(week.times[week.sampled])
+    assert week.sampled[0]
+    assert 0.5 - 1e-9 <= gaps.min() <= gaps.max() <= 1.5 + 1e-9
+    assert len(week.solves_standard) == week.times.size
+    assert len(week.solves_sample_based) == week.sampled.sum()
+    assert {s.status for s in (*week.solves_standard, *week.solves_sample_based)} == {"ok"}
+    weights = paper_weights()
+    assert np.diag(weights["P2"]) / SCALING**2 == pytest.approx([1, 5, 1, 1, 1, 1])
+    assert weights["Qw"][1, 1] == pytest.approx(1.39e-4)
+
+
+def test_both_schemes_agree_at_the_first_sample_and_find_the_truth(week):
+    assert week.standard[0] == pytest.approx(week.sample_based[0], rel=1e-9)
+    # TSH_c is not measured and keeps the prior's error at t = 0
+    assert week.sample_based[0, 5] == pytest.approx(PRIOR_START[5], rel=1e-4)
+    assert week.rmse("standard", "after_day_1") < 0.02
+    assert week.rmse("sample_based", "after_day_1") < 0.06
+    assert week.rmse("standard") < week.rmse("sample_based") < 1.1 * week.rmse("standard")
+    assert week.rmse("sample_based", "without_start") > week.rmse("standard", "without_start")
+
+
+def test_between_samples_the_estimate_is_the_open_loop(week):
+    from sampling_design.nonlinear.simulation import simulate
+
+    first, second = np.flatnonzero(week.sampled)[1:3]
+    path = simulate(thyroid(), week.sample_based[first], week.times[first:second])
+    assert week.sample_based[first:second] * SCALING == pytest.approx(path * SCALING, abs=1e-7)
+
+
+def test_readings_share_the_noise_and_differ_in_what_it_does():
+    runs = [patient_run(case, 0, days=1.0) for case in CASES]
+    noise = [run.outputs - run.truth[:, [1, 2, 4]] for run in runs]
+    assert noise[0] == pytest.approx(noise[1], rel=1e-6, abs=1e-14)
+    moved = [np.abs(run.truth - runs[1].truth)[-1, 0] * SCALING[0] for run in runs]
+    assert moved[0] < 2e-3  # per second, fast store
+    assert moved[2] > 0.01  # per day, slow store
+
+
+def test_a_slow_store_keeps_the_equilibrium():
+    fast, slow = (thyroid(**CASES[case]) for case in ("per_day", "per_day_slow"))
+    assert slow.equilibrium(TRUE_START) == pytest.approx(fast.equilibrium(TRUE_START), rel=1e-9)
+
+
+def test_a_result_file_is_gone_on_with(tmp_path, monkeypatch):
+    path, asked = tmp_path / "runs.jsonl", []
+    original = experiment.patient_run
+    monkeypatch.setattr(
+        experiment, "patient_run", lambda case, run, **k: asked.append((case, run)) or original(case, run, **k)
+    )
+    options = {"cases": ["per_day"], "days": 0.25, "workers": 1, "path": path}
+    thyroid_experiment(1, **options)
+    seen = []
+    report = thyroid_experiment(3, **options, progress=lambda fraction, note: seen.append((fraction, note)))
+    assert asked == [("per_day", 0), ("per_day", 1), ("per_day", 2)]
+    assert seen[-1] == (1.0, "3 of 3 runs")
+    assert len(path.read_text().splitlines()) == 4
+    again = thyroid_experiment(3, **options)
+    assert len(asked) == 3
+    assert again.to_dict() == report.to_dict()
+    with pytest.raises(ArgumentError, match=r"holds runs with days = 0\.25, asked for 0.5"):
+        thyroid_experiment(3, **{**options, "days": 0.5})
+
+
+def test_two_processes_give_what_one_gives(tmp_path):
+    one, two = (thyroid_experiment(2, cases=["per_day"], days=0.25, workers=k) for k in (1, 2))
+    assert one.rmse("per_day", "standard") == pytest.approx(two.rmse("per_day", "standard"), rel=1e-7)
+
+
+def test_a_foreign_file_is_refused_and_left_alone(tmp_path):
+    path = tmp_path / "other.jsonl"
+    path.write_text('{"format": "something else"}\n')
+    with pytest.raises(FileFormatError, match="is no result file of this experiment"):
+        thyroid_experiment(1, days=0.25, path=path)
+    path.write_text('{"format": "sampling-design/thyroid-runs/1", "days"')
+    with pytest.raises(FileFormatError, match="is not valid JSON"):
+        thyroid_experiment(1, days=0.25, path=path)
+    assert path.read_text().endswith('"days"')
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"runs": 0}, "`runs` must be a whole number of at least 1"),
+        ({"cases": ["per_week"]}, "`cases` must be among per_second, per_day, per_day_slow, got 'per_week'"),
+        ({"days": 0.01}, "`days` must be at least one step of 2 hours"),
+        ({"days": -1.0}, "`days` must be positive"),
+        ({"seed": -1}, "`seed` must be a whole number"),
+        ({"workers": 0}, "`workers` must be a whole number of at least 1"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, words):
+    with pytest.raises(ArgumentError, match=words):
+        thyroid_experiment(**{"runs": 1, "days": 0.25, **arguments})
+
+
+def test_failed_problems_are_counted_and_printed():
+    solves = (Solve(0.0, "ok", 3, 0.01, 0, 1), Solve(1 / 12, "solver failed", 9, 0.04, 1, 2))
+    flat = np.ones((2, 6))
+    run = PatientRun("per_day", 0, np.array([0.0, 1 / 12]), flat, flat[:, :3], np.array([True, False]),
+                     2 * flat, 3 * flat, solves, solves[:1])  # fmt: skip
+    from sampling_design.nonlinear.report import ThyroidReport
+
+    report = ThyroidReport(("per_day",), 1, 1 / 12, 0, (run.summary(),))
+    assert report.failures == 1
+    assert report.to_dict()["cases"]["per_day"]["standard"]["failed"] == 1
+    assert "| per_day | standard | 2 | 0.025 | 0.040 | 1 |" in report.to_markdown()
+    assert "| per_day | after day 1 | - | - | - |" in report.to_markdown()
+
+
+def test_the_page_says_what_cannot_be_known(week):
+    from sampling_design.nonlinear.report import OPEN_POINTS, ThyroidReport
+
+    report = ThyroidReport(("per_second",), 1, 7.0, 0, (week.summary(),))
+    page = report.to_markdown()
+    assert "| the paper | t = 0 counted | 0.2244 | 0.2275 | 1.014 |" in page
+    assert f"{report.ratio('per_second'):.3f}" in page
+    assert all(choice in page for _, choice in OPEN_POINTS)
+    assert json.dumps(report.to_dict(), allow_nan=False)
+    assert "cannot be known" in page
+    assert "t = 0 counted" in str(report)
+    assert "samples instead of" in week.explain()
+    assert week.figure(2).explain().startswith("The measured states")

@@ -16,7 +16,7 @@ from sampling_design.evidence import SolverRecord
 
 Array = npt.NDArray[np.floating[Any]]
 
-_WORK = 1e8  # entries that one factorisation may touch, about: a second
+_ENTRIES = 700  # rows of all windows' inequalities together, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +43,13 @@ def grid_size(problem: DesignProblem) -> int:
     return int(np.clip(max(min(fine, 96), 4 * problem.samples, np.ceil(8 * cycles)), 24, 960))
 
 
-def _start_count(problem: DesignProblem, points: int) -> int:
-    """Window starts: as many as grid times where that is cheap, fewer where the inequalities are large."""
+def _start_count(problem: DesignProblem) -> int:
+    """Window starts: the same number for every grid, so that cost is linear in the grid times; fewer for many states.
+
+    More than some twenty no longer change the value in the fourth digit.
+    """
     n = problem.plant.n_states
-    return int(np.clip(_WORK / (n * (n + 1) / 2 * max(points, 1) ** 2), 8, min(points, 96)))
+    return int(np.clip(_ENTRIES / (n * (n + 1) / 2), 8, 32))
 
 
 def relax_placed(problem: DesignProblem, points: int | None = None, seconds: float | None = None) -> Relaxation:
@@ -67,7 +70,7 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
         distance = np.abs((times - t + P / 2) % P - P / 2)
         free &= distance >= problem.spacing * (1 - 1e-9)
     times, mask = times[free], mask[free]
-    count = _start_count(problem, times.size)
+    count = _start_count(problem)
     starts = np.arange(count) * (P / count)
     grams = grams_at(problem, times, starts, mask)
     constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)

@@ -1,0 +1,144 @@
+"""How the cost of a design grows: writes docs/scaling.md and docs/figures/scaling_design.png.
+
+python -m tests.benchmarks.scaling_design
+
+CPU seconds of one thread, the least of several runs, one process. The exponent is the slope of log(seconds)
+over log(size): 1 is linear growth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design import bound
+from sampling_design.design.positions import worst_sigma2
+from sampling_design.design.problem import DesignProblem
+from sampling_design.design.relaxation import relax_placed
+
+DOCS = Path(__file__).parents[2] / "docs"
+PERIOD = 6.28
+COUNTS = (12, 25, 50, 100)
+STATES = (2, 4, 6, 8)
+GRID = (100, 200, 400, 800)
+CELLS = (1200, 2400, 4800, 9600)
+CLOSED = np.array([[0.0, 1.5]])
+
+
+def oscillators(n: int) -> Plant:
+    """n/2 oscillators of 1, 2, ... rad/time, one output: their sum."""
+    A = np.kron(np.diag(np.arange(1.0, n // 2 + 1)), [[0.0, 1.0], [-1.0, 0.0]])
+    return Plant(A, np.tile([[1.0, 0.0]], n // 2))
+
+
+def posed(n: int, samples: int) -> DesignProblem:
+    """A period of which nearly a quarter is closed, so that even spacing is not the answer."""
+    spacing = PERIOD / (4 * samples)
+    return DesignProblem(oscillators(n), PERIOD, PERIOD, spacing, samples, CLOSED, np.zeros(0), (None,))
+
+
+def seconds(function: Callable[[], object], rounds: int) -> float:
+    """Least CPU time of one call."""
+    found = []
+    for _ in range(rounds):
+        began = time.process_time()
+        function()
+        found.append(time.process_time() - began)
+    return min(found)
+
+
+def designs(n: int, samples: int) -> Callable[[], object]:
+    """A whole design: relaxation, search, proof and bound."""
+    requirement = Requirement(window=PERIOD, spacing=PERIOD / (4 * samples), samples=samples, forbidden=CLOSED)
+    return lambda: design_schedule(oscillators(n), requirement, starts=3)
+
+
+def evaluations(samples: int) -> Callable[[], object]:
+    """Worst sigma of twenty schedules."""
+    problem, rng = posed(4, samples), np.random.default_rng(0)
+    times = np.sort(rng.uniform(0, PERIOD, (20, samples)), axis=1)
+    worst_sigma2(problem, times)
+    return lambda: worst_sigma2(problem, times)
+
+
+def bounds_of_count(samples: int) -> Callable[[], object]:
+    """The bound over all real times from given multipliers."""
+    problem = posed(4, samples)
+    found = relax_placed(problem)
+    return lambda: bound.placed_bound(problem, found.starts, found.Z)
+
+
+def relaxations(points: int) -> Callable[[], object]:
+    """The semidefinite relaxation on a grid."""
+    problem = posed(4, 24)
+    relax_placed(problem, 24)
+    return lambda: relax_placed(problem, points)
+
+
+def bounds_of_cells(cells: int) -> Callable[[], object]:
+    """The bound on a grid of time cells."""
+    problem = posed(4, 24)
+    found = relax_placed(problem)
+
+    def run() -> None:
+        before, bound.CELLS = bound.CELLS, cells
+        try:
+            bound.placed_bound(problem, found.starts, found.Z)
+        finally:
+            bound.CELLS = before
+
+    return run
+
+
+CURVES: dict[str, tuple[str, tuple[int, ...], Callable[[int], Callable[[], object]], int]] = {
+    "whole design, 4 states": ("samples per period", COUNTS, lambda k: designs(4, k), 2),
+    "worst sigma of 20 schedules": ("samples per period", COUNTS, evaluations, 5),
+    "bound from given multipliers": ("samples per period", COUNTS, bounds_of_count, 3),
+    "relaxation": ("grid times", GRID, relaxations, 3),
+    "bound, time cells": ("grid times", CELLS, bounds_of_cells, 3),
+    "whole design, 16 samples": ("retained states", STATES, lambda n: designs(n, 16), 2),
+}
+
+
+def main() -> None:
+    """Measure, write the table and the picture."""
+    designs(2, 8)()  # the first call loads the solver
+    lines = ["# How the cost of a design grows", "", *__doc__.split("\n\n")[2].split("\n"), ""]
+    lines[2:2] = ["Made by `python -m tests.benchmarks.scaling_design`.", ""]
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    axes = dict(zip(("samples per period", "grid times", "retained states"), figure.subplots(1, 3), strict=True))
+    for name, (what, sizes, make, rounds) in CURVES.items():
+        times = [seconds(make(size), rounds) for size in sizes]
+        slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+        lines += [f"## {name}: exponent {slope:.2f}", "", f"| {what} | " + " | ".join(map(str, sizes)) + " |"]
+        lines += [
+            "|---" * (len(sizes) + 1) + "|",
+            "| CPU seconds | " + " | ".join(f"{t:.3g}" for t in times) + " |",
+            "",
+        ]
+        print(
+            f"{name:32} {slope:5.2f}  " + "  ".join(f"{s}: {t:.3g} s" for s, t in zip(sizes, times, strict=True)),
+            flush=True,
+        )
+        axes[what].loglog(sizes, times, "o-", label=f"{name} ({slope:.2f})")
+    for what, ax in axes.items():
+        sizes = {"samples per period": COUNTS, "grid times": CELLS, "retained states": STATES}[what]
+        low = min(line.get_ydata()[0] for line in ax.get_lines())
+        first = min(line.get_xdata()[0] for line in ax.get_lines())
+        ax.loglog([first, sizes[-1]], [low, low * sizes[-1] / first], ":", color="#b8b8b8", label="linear")
+        ax.set_xlabel(what)
+        ax.set_ylabel("CPU time [s]")
+        ax.legend(fontsize="x-small", frameon=False)
+    (DOCS / "figures").mkdir(exist_ok=True)
+    figure.savefig(DOCS / "figures" / "scaling_design.png", dpi=110)
+    lines += ["![CPU time over size](figures/scaling_design.png)", ""]
+    (DOCS / "scaling.md").write_text("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

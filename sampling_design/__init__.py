@@ -31,6 +31,7 @@ _FRONT_DOOR = {
     "certificates.files": ("load_certificate",),
     "certificates.family": ("certify_family",),
     "certificates.family_certificate": ("FamilyCertificate",),
+    "certificates.survival": ("survival", "Survival"),
     "certificates.refusal": ("Counterexample", "find_counterexample"),
     "certificates.existence": ("certificate_exists", "smallest_repair"),
     "certificates.four_horizons": ("four_horizons", "FourHorizons"),

@@ -27,7 +27,7 @@ from sampling_design.certificates.family_proof import (
     node_conditions,
 )
 from sampling_design.certificates.family_proof import prove as proven_along
-from sampling_design.certificates.gap_graph import GapGraph
+from sampling_design.certificates.gap_graph import GapGraph, unrolled
 from sampling_design.certificates.refusal import narrowed, refute
 from sampling_design.certificates.riccati import steady_lap
 from sampling_design.certificates.weights import rate_range
@@ -46,6 +46,11 @@ LAM_RTOL = 3e-3
 COARSE_RTOL = 0.05
 LEAST_FLOOR = 1e-7
 """Kept information below this fraction of the nominal schedule's counts as none: the solver's tolerance, with room."""
+LAYERS, LAYERS_GIVEN = 2, 6
+"""Samples since the window's start that are told apart where P2 is chosen, and where it is given: the transient from
+a given P2 may be long, and one matrix below all of it far too small."""
+MOST_UNKNOWNS = 1500
+"""Unknowns of a semidefinite program beyond which no layers are added."""
 ROUNDS = 8
 """How often a gap that the proof found may be added to the grid."""
 SCAN = 6
@@ -71,12 +76,16 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Why there is no proposal: the share of the nominal information that is kept, and the gap that is worst."""
+    """Why there is no proposal: the share of the nominal information that is kept, and the gap that is worst.
+
+    `lam` is the least one on the grid, proven for nothing; infinite if there is none.
+    """
 
     kept: float
     gap: float | None
     memory: int
     eta: float
+    lam: float
 
 
 class Search:
@@ -85,10 +94,12 @@ class Search:
     def __init__(self, plant: Plant, family: Any, weights: Weights, P2: Array | None, budget: float) -> None:
         self.plant, self.family, self.weights, self.P2, self.budget = plant, family, weights, P2, budget
 
-    def program(self, eta: float, memory: int) -> Program:
+    def program(self, eta: float, memory: int, layers: int = LAYERS) -> Program:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
         graph = graph_of(self.family, memory, self.plant.n_outputs)
-        scales = self.plant.states.scales
+        n, scales = self.plant.n_states, self.plant.states.scales
+        room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
+        graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
         nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
         K = np.linalg.cholesky(np.mean(steady_lap(nominal), axis=0))
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
@@ -115,13 +126,16 @@ class Search:
             lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
         return (high, best, kept, seen) if best is not None else (np.inf, None, kept, record)
 
-    def propose(self, eta: float, memory: int) -> Proposal | Shortfall:
-        """Return matrices for which every inequality is proven along its interval, or why there are none."""
+    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> Proposal | Shortfall:
+        """Return matrices for which every inequality is proven along its interval, or why there are none.
+
+        A lambda above `worst` on the grid ends the search.
+        """
         program = self.program(eta, memory)
         lam, P, kept, record = self.least_lam(program, LAM_RTOL)
         gap = None
         for _ in range(ROUNDS):
-            if P is None:
+            if P is None or lam > worst:
                 break
             edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P))
             claimed, nodes = self._lam_of(program, P)
@@ -137,7 +151,7 @@ class Search:
             if again is None:
                 lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
             P = again
-        return Shortfall(kept, gap, memory, eta)
+        return Shortfall(kept, gap, memory, eta, lam)
 
     @staticmethod
     def _lam_of(program: Program, P: Array) -> tuple[float, Outcome]:
@@ -160,7 +174,7 @@ class Search:
     def horizon(self, eta: float, memory: int) -> float:
         """ln(lam)/eta at a rate, roughly; infinite where there is nothing."""
         try:
-            lam, P, _, _ = self.least_lam(self.program(eta, memory), COARSE_RTOL)
+            lam, P, _, _ = self.least_lam(self.program(eta, memory, layers=1), COARSE_RTOL)
         except CertificateError:
             return np.inf
         return np.inf if P is None else float(np.log(max(lam, 1.0)) / eta)
@@ -282,7 +296,7 @@ def certify_family(
         found = search.propose(bounds[0], level)  # what exists at some rate exists at the least
         if isinstance(found, Proposal):
             best = found if rate is not None else search.best_of(search.rates(bounds, level, report), level, found)
-            return _certified(plant, family, weights, given, best)
+            return certified(plant, family, weights, given, best)
         missed.append(found)
         if level == levels[0]:
             report(0.3, "search for a schedule without certificate")
@@ -290,7 +304,7 @@ def certify_family(
     raise _undecided(search, bounds[0], missed, least)
 
 
-def _certified(plant: Plant, family: Any, weights: Weights, given: Array | None, found: Proposal) -> FamilyCertificate:
+def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, found: Proposal) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
     P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
     if given is not None:

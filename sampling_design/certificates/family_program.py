@@ -27,6 +27,8 @@ LEAST_POINTS = 5
 POINTS_PER_RADIAN = 3.0
 """Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing."""
 MOST_POINTS = 41
+COARSE_TOLERANCE = 1e-6
+"""Tolerance of a second attempt where the solver failed; far below MARGIN."""
 LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
 
@@ -87,7 +89,7 @@ class Program:
             cost[-1] = -1.0
             blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
-            found = _conic.solve_cone_program(cost, [b for b in blocks if b[2].size])
+            found = _solved(cost, [b for b in blocks if b[2].size])
             if not _conic.usable(found.record):
                 return 0.0, None, found.record
             return float(found.x[-1]), self._matrices(found.x), found.record
@@ -108,7 +110,7 @@ class Program:
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
-        found = _conic.solve_cone_program(cost, blocks)
+        found = _solved(cost, blocks)
         if not _conic.usable(found.record) or found.x[-1] < LEAST_SLACK:
             return 0.0, None, found.record
         return float(found.x[-1]), self._matrices(found.x), found.record
@@ -120,7 +122,7 @@ class Program:
         cost[-1] = -1.0
         blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
-        found = _conic.solve_cone_program(cost, blocks)
+        found = _solved(cost, blocks)
         if not _conic.usable(found.record) or found.x[-1] <= 0:
             return 0.0, None, found.record
         return float(found.x[-1]), self._matrices(found.x), found.record
@@ -210,6 +212,14 @@ class Program:
             for k, (h, _) in failures.items():
                 if h not in times[k]:
                     times[k].append(h)
+
+
+def _solved(cost: Array, blocks: list[tuple[str, Array, Array]]) -> _conic.ConeSolution:
+    """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
+    found = _conic.solve_cone_program(cost, blocks)
+    if found.record.status == _conic.FAILED:
+        found = _conic.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE)
+    return found
 
 
 def _grid(dynamics: Dynamics, low: float, high: float) -> list[float]:

@@ -70,6 +70,24 @@ class GapGraph:
         }
 
 
+def unrolled(graph: GapGraph, layers: int) -> GapGraph:
+    """Return the graph that also remembers how many samples ago the window started, up to `layers`.
+
+    Without this one matrix per word has to lie below the whole transient that starts at P2.
+    """
+    inner = graph.count - 1
+    words = (graph.words[0], *(graph.words[1:] * layers))
+    edges = [edge for edge in graph.edges if edge.source == 0]
+    for layer in range(layers):
+        here, there = layer * inner, min(layer + 1, layers - 1) * inner
+        edges += [
+            Edge(edge.source + here, edge.target + there, edge.low, edge.high, edge.outputs)
+            for edge in graph.edges
+            if edge.source
+        ]
+    return GapGraph(words, tuple(edges))
+
+
 def graph_from_dict(data: Any, P2: Array) -> tuple[GapGraph, Array]:
     """Return the graph and its matrices (P2 first) in plain data.
 

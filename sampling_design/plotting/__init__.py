@@ -23,6 +23,7 @@ _PICTURES = {
     "SampleLosses": ("explorations", "draw_losses"),
     "Certificate": ("certificates", "draw_certificate"),
     "InformationCurve": ("certificates", "draw_information"),
+    "Survival": ("survival", "draw_survival"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
 }
 

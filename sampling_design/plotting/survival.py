@@ -1,0 +1,76 @@
+"""How much a certificate survives: lambda over the timing error, and over the losses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sampling_design._record import short
+from sampling_design.certificates.survival import Survival
+from sampling_design.plotting import style
+
+
+def draw_survival(result: Survival, ax: Any = None) -> Any:
+    """Draw lambda over the jitter radius (on `ax` alone if given), and below it over the window of each count of losses."""
+    if ax is not None:
+        return _radii(result, ax)
+    figure, (top, bottom) = style.new_figure(2)
+    _radii(result, top)
+    _losses(result, bottom)
+    lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated) or "none"
+    figure.suptitle(f"timing error up to {short(result.radius, 4)}, losses up to {lost}")
+    return [top, bottom]
+
+
+def _radii(result: Survival, ax: Any) -> Any:
+    good = [t for t in result.trials if t.survives]
+    bad = [t for t in result.trials if not t.survives]
+    ax.plot([t.amount for t in good], [t.lam for t in good], "o-", color=style.PROVEN, label="survives, proven")
+    if bad:
+        ax.plot(
+            [t.amount for t in bad], _shown(result, [t.lam for t in bad]), "x", color=style.FAILED, label="not proven"
+        )
+    _limit(result, ax)
+    ax.axvline(result.radius, color=style.PROVEN, linewidth=1.0)
+    ax.set_xlabel(style.time_label(result.certificate.plant.time_unit, "timing error of every sample"))
+    ax.legend(loc="lower right", fontsize="small", frameon=False)
+    return ax
+
+
+def _losses(result: Survival, ax: Any) -> Any:
+    for d in sorted({loss.most for loss in result.losses}):
+        mine = [loss for loss in result.losses if loss.most == d]
+        heights = _shown(result, [loss.lam for loss in mine])
+        for loss, height in zip(mine, heights, strict=True):
+            colour = style.PROVEN if loss.survives else style.FAILED
+            ax.plot([loss.of], [height], "o" if loss.survives else "x", color=colour)
+            ax.annotate(f"{d} lost", (loss.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small")
+    _limit(result, ax)
+    ax.set_xlim(1, max((loss.of for loss in result.losses), default=2) + 1)
+    ax.xaxis.set_major_locator(_ticker().MaxNLocator(integer=True))
+    ax.set_xlabel("consecutive samples among which they are counted")
+    return ax
+
+
+def _ticker() -> Any:
+    from matplotlib import ticker
+
+    return ticker
+
+
+def _shown(result: Survival, lams: list[float]) -> list[float]:
+    """Lambdas to draw; where none was found, a mark above the limit."""
+    return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
+
+
+def _limit(result: Survival, ax: Any) -> None:
+    label = f"limit of the horizon {short(result.length, 4)}"
+    ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(_ticker().LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(_ticker().FuncFormatter(lambda value, _: f"{value:.3g}"))
+    ax.yaxis.set_minor_formatter(_ticker().NullFormatter())
+    low, high = ax.get_ylim()
+    ax.set_ylim(low / 1.2, high * 1.2)
+    ax.set_ylabel("lambda")

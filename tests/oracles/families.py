@@ -1,0 +1,64 @@
+"""Slow and plain: lambda of one schedule by the Riccati recursion, sample after sample, start after start.
+
+Imports nothing of what it judges.
+"""
+
+import numpy as np
+from scipy.linalg import eigh, expm
+
+
+def flow(A, G, Qw, eta, h):
+    """F and W of Y -> F Y F' + W over h, by Van Loan's block exponential."""
+    n = len(A)
+    shifted = A + eta / 2 * np.eye(n)
+    Q = G @ np.linalg.inv(Qw) @ G.T
+    block = expm(np.block([[-shifted, Q], [np.zeros((n, n)), shifted.T]]) * h)
+    F = block[n:, n:].T
+    return F, F @ block[:n, n:]
+
+
+def after_sample(Y, C, R, Qv, seen=None):
+    """Y after a sample of the outputs `seen`, in information form."""
+    rows = np.ones(len(C), bool) if seen is None else np.asarray(seen, bool)
+    V = (np.linalg.inv(R) + np.linalg.inv(Qv))[np.ix_(rows, rows)]
+    return np.linalg.inv(np.linalg.inv(Y) + C[rows].T @ np.linalg.inv(V) @ C[rows])
+
+
+def information(plant, weights, eta, P2, times, start, t, outputs=None):
+    """Pi(t) of the window that starts at `start`."""
+    Qw, R, Qv = weights
+    Y, now = np.linalg.inv(P2), start
+    for k, tau in enumerate(times):
+        if start < tau < t - 1e-12:
+            F, W = flow(plant.A, plant.G, Qw, eta, tau - now)
+            Y, now = after_sample(F @ Y @ F.T + W, plant.C, R, Qv, None if outputs is None else outputs[k]), tau
+    F, W = flow(plant.A, plant.G, Qw, eta, t - now)
+    return np.linalg.inv(F @ Y @ F.T + W)
+
+
+def largest_lambda(plant, weights, eta, P2, times, outputs=None, starts=4, parts=3):
+    """The largest lambda_max(P2, Pi) over some starts per gap (just after the sample too) and some times per gap."""
+    Qw, R, Qv = weights
+    gaps = np.diff(times, prepend=0.0)
+    top = 0.0
+    for first in range(len(times)):
+        for part in np.linspace(1.0, 0.0, starts, endpoint=False):
+            Y, ahead = np.linalg.inv(P2), part * gaps[first]
+            for k in range(first, len(times)):
+                for x in np.linspace(1 / parts, 1.0, parts):
+                    F, W = flow(plant.A, plant.G, Qw, eta, x * ahead)
+                    inside = F @ Y @ F.T + W
+                    top = max(top, eigh(inside, np.linalg.inv(P2), eigvals_only=True)[-1])
+                Y = after_sample(inside, plant.C, R, Qv, None if outputs is None else outputs[k])
+                ahead = gaps[k + 1] if k + 1 < len(times) else 0.0
+    return top
+
+
+def step_holds(plant, weights, eta, P, target, h, seen):
+    """The least eigenvalue of Phi_h(P) + C'R~C - target, relative to |target|; `seen` none for no sample."""
+    Qw, R, Qv = weights
+    F, W = flow(plant.A, plant.G, Qw, eta, h)
+    Y = F @ np.linalg.inv(P) @ F.T + W
+    if np.any(seen):
+        Y = after_sample(Y, plant.C, R, Qv, seen)
+    return np.linalg.eigvalsh(np.linalg.inv(Y) - target)[0] / np.linalg.norm(target)

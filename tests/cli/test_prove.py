@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 from sampling_design import PeriodicSchedule, write_schedule
+from sampling_design.cli.prove import certify
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
@@ -70,3 +73,37 @@ def test_a_blind_schedule_has_no_certificate(shell, tmp_path):
     result = shell("certify", OSCILLATOR, tmp_path / "blind.csv")
     assert result.code == 1
     assert "Traceback" not in result.err
+
+
+def test_a_gap_range_is_certified_and_verified_rigorously(shell, tmp_path):
+    result = shell("certify", OSCILLATOR, "--gap-range", 0.9, 1.1, "--eta", 0.1, "-o", tmp_path)
+    assert result.code == 0
+    assert not (tmp_path / "horizons.png").exists()
+    plain = shell("verify", tmp_path / "certificate.json")
+    rigorous = shell("verify", tmp_path / "certificate.json", "--rigorous", "--json")
+    assert (plain.code, rigorous.code) == (0, 0)
+    assert json.loads(rigorous.out)["verdict"] == "proven"
+
+
+def test_a_range_that_holds_pi_is_refused_with_pi(shell):
+    result = shell("certify", OSCILLATOR, "--gap-range", 3.0, 3.3, "--eta", 0.1)
+    assert result.code == 1
+    assert "3.14159" in result.err
+
+
+def test_jitter_and_losses_need_a_schedule(shell, tmp_path):
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--jitter", 0.05, "--eta", 0.1).code == 0
+    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--lost", 1, 3, "--eta", 0.1).code == 0
+    assert shell("certify", OSCILLATOR, "--spaced", 2, 2, 0.5, "--eta", 0.1).code == 0
+
+
+def test_families_exclude_each_other_and_say_what_they_need():
+    with pytest.raises(ArgumentError, match="exclude each other: certify one family at a time"):
+        certify(Settings(), OSCILLATOR, gap_range=(1.0, 2.0), jitter=0.1)
+    with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file with --jitter"):
+        certify(Settings(), OSCILLATOR, jitter=0.1)
+    with pytest.raises(ArgumentError, match="`certify` needs no SCHEDULE file with --gap-range"):
+        certify(Settings(), OSCILLATOR, OSCILLATOR, gap_range=(1.0, 2.0))
+    with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file or a family"):
+        certify(Settings(), OSCILLATOR)

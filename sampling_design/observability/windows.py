@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.bracket import Bracket, bracket_sigma
 from sampling_design.observability.meeting import meet
-from sampling_design.observability.pieces import window_pieces
+from sampling_design.observability.pieces import Pieces, window_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -106,6 +106,11 @@ class WindowSigma(Record):
     scaled : WindowSigma or None
         The same in scaled coordinates, where the plant has scales; never instead of this one.
     time_unit : str
+    rigorous : bool
+        Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
+    slack : float
+        With `rigorous`: the windows of that theorem are [t - T - slack, t + slack]. Zero unless samples leave and
+        arrive within rounding of each other, which count as one event.
     """
 
     lower: float
@@ -118,13 +123,17 @@ class WindowSigma(Record):
     profile: WindowProfile
     scaled: WindowSigma | None = field(default=None, kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
 
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
+        wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
-            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t, T = {short(self.window)}",
-            theorem="Theorem 14, hypothesis",
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t, T = {short(self.window)}"
+            + wider,
+            theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("the plant's matrices and the sample times are exact",),
         )
 
@@ -141,6 +150,8 @@ class WindowSigma(Record):
             "rtol": self.rtol,
             "time_unit": self.time_unit,
             "refers_to": "the state at the window's start",
+            "rigorous": self.rigorous,
+            "slack": self.slack,
             "witness": {
                 "t": witness.t,
                 "side": witness.side,
@@ -151,9 +162,13 @@ class WindowSigma(Record):
             "claim": self.claim.to_dict(),
         }
 
+    @property
+    def _grounds(self) -> str:
+        return "proven in ball arithmetic" if self.rigorous else "proven"
+
     def _rows(self) -> list[tuple[str, str]]:
         rows = [
-            ("sigma at least", f"{short(self.lower)} (proven, state at the window's start)"),
+            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
             ("sigma at most", f"{short(self.upper)} (attained)"),
             ("worst window ends", f"{self.witness.position} {self.time_unit}"),
             ("samples in it", str(self.witness.samples.size)),
@@ -176,9 +191,8 @@ class WindowSigma(Record):
             return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
         if self.status == "below rounding":
             return f"{where}; it does not see the state {short(self.witness.direction)}: sigma is zero to rounding."
-        proven = (
-            f"Sigma is at least {short(self.lower)} over every window of {short(self.window)} {self.time_unit} (proven)"
-        )
+        length = f"{short(self.window)} {self.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
         if self.closed:
             return f"{proven} and {short(self.upper)} is attained. {where}."
         reason = {
@@ -195,6 +209,7 @@ def window_sigma(
     rtol: float = 0.01,
     budget: float | None = None,
     progress: Progress | None = None,
+    rigorous: bool = False,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
@@ -214,6 +229,9 @@ def window_sigma(
         When it runs out, the bounds so far are returned with closed = False.
     progress : callable, optional
         Called with the fraction done and a message.
+    rigorous : bool
+        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
+        for that proof too.
 
     Returns
     -------
@@ -225,6 +243,8 @@ def window_sigma(
     ------
     ArgumentError
         If plant and schedule do not fit, or the window is not positive or longer than the schedule.
+    MissingExtraError
+        If `rigorous` is asked for and python-flint is not installed.
 
     Notes
     -----
@@ -266,8 +286,24 @@ def window_sigma(
     for part in reversed(parts):
         found = bracket_sigma(part, pieces, tolerance, seconds / len(parts), progress)
         result = _record(found, length, tolerance, part, scaled)
+        if rigorous:
+            result = _in_balls(result, part, aligned, pieces, seconds / len(parts))
         scaled = result
     return result
+
+
+def _in_balls(
+    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+) -> WindowSigma:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.rigorous import prove_window_sigma
+
+    proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    closed = result.closed and status == result.status
+    return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
 
 
 def _record(found: Bracket, window: float, rtol: float, plant: Plant, scaled: WindowSigma | None) -> WindowSigma:

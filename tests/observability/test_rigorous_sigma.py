@@ -1,0 +1,129 @@
+"""Lower bounds of sigma in ball arithmetic: against sixty digits, where they are tight, and where nothing is proven."""
+
+import sys
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sampling_design import PeriodicSchedule, Plant, Schedule, named_plant, window_sigma
+from sampling_design.errors import MissingExtraError
+from sampling_design.observability.pieces import window_pieces
+from sampling_design.observability.rigorous import exact_times, prove_window_sigma
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+STIFF = Plant([[-40.0, 5.0, 0.0], [0.0, 0.3, 2.0], [0.0, -2.0, 0.3]], [[1.0, 1.0, 0.0]])
+
+
+def sigma_at(plant, times, start):
+    """Sigma of the samples at `times` for the state at `start`, in fifty digits."""
+    with mpmath.workdps(50):
+        G = mpmath.zeros(plant.n_states)
+        for t in times:
+            row = mpmath.matrix(plant.C.tolist()) * mpmath.expm(
+                mpmath.matrix(plant.A.tolist()) * (mpmath.mpf(t) - start)
+            )
+            G += row.T * row
+        return mpmath.sqrt(min(mpmath.eigsy(G, eigvals_only=True)))
+
+
+CASES = {
+    "double integrator": (DOUBLE, PeriodicSchedule([1.0]), 2.0),
+    "oscillator": (OSCILLATOR, PeriodicSchedule([0.5, 1.3, 0.9]), 4.0),
+    "tenths": (OSCILLATOR, PeriodicSchedule([0.1]), 0.3),
+    "finite": (OSCILLATOR, Schedule([0.0, 0.5, 1.3, 1.8, 2.9, 3.3]), 2.0),
+    "stiff": (STIFF, PeriodicSchedule([0.6, 0.8]), 3.0),
+    "partial outputs": (
+        Plant([[0.0, 1.0], [-1.0, 0.1]], np.eye(2)),
+        PeriodicSchedule([0.7, 0.4], outputs=[[1, 0], [0, 1]]),
+        2.0,
+    ),
+    "scales": (named_plant("helicopter_he1"), PeriodicSchedule([0.4, 0.5, 0.6]), 3.0),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_lower_is_proven_and_gives_hardly_anything_away(name):
+    plant, schedule, window = CASES[name]
+    plain, proven = window_sigma(plant, schedule, window), window_sigma(plant, schedule, window, rigorous=True)
+    assert proven.rigorous
+    assert proven.closed
+    assert plain.lower * (1 - 2e-6) <= proven.lower <= plain.lower
+    assert 0 <= proven.slack <= 1e-13 * (window + 10)
+    assert "ball arithmetic" in proven.claim.theorem
+    assert "ball arithmetic" in proven.explain()
+    assert "proven in ball arithmetic" in str(proven)
+    assert proven.to_dict()["rigorous"] is True
+    assert (proven.scaled is None) == (plain.scaled is None)
+    if proven.scaled is not None:
+        assert proven.scaled.rigorous
+
+
+@pytest.mark.parametrize(("plant", "gaps", "window"), [(DOUBLE, [1.0], 2.0), (OSCILLATOR, [0.5, 1.25, 0.75], 4.0)])
+def test_a_bound_too_high_by_1e_9_is_never_proven(plant, gaps, window):
+    schedule = PeriodicSchedule(gaps)
+    witness = window_sigma(plant, schedule, window, rtol=1e-6).witness
+    start = witness.t - window
+    exact = float(sigma_at(plant, witness.samples, mpmath.mpf(start)))
+    pieces = window_pieces(schedule, window)
+    too_high = prove_window_sigma(plant, schedule, pieces, exact / (1 - 1e-6) * (1 + 1e-9))
+    assert too_high.lower < exact
+    just_below = prove_window_sigma(plant, schedule, pieces, exact / (1 - 1e-6) * (1 - 1e-9))
+    assert exact * (1 - 2e-9) < just_below.lower < exact
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10_000))
+def test_no_position_in_fifty_digits_lies_below(seed):
+    rng = np.random.default_rng(seed)
+    plant = Plant(rng.standard_normal((2, 2)), rng.standard_normal((1, 2)))
+    schedule = PeriodicSchedule(rng.uniform(0.3, 0.9, 2))
+    window = float(rng.uniform(2.0, 3.0))
+    proven = window_sigma(plant, schedule, window, rigorous=True)
+    for start in rng.uniform(schedule.first, schedule.first + schedule.period, 5):
+        times = schedule.between(float(start), float(start) + window).times
+        assert sigma_at(plant, times, mpmath.mpf(float(start))) >= proven.lower
+
+
+def test_exact_times_are_whole_periods_away_from_the_lap():
+    schedule = PeriodicSchedule([0.1, 0.2])
+    pieces = window_pieces(schedule, 0.7)
+    lap, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
+    for t, exact in zip(pieces.times.tolist(), exact_times(schedule, pieces), strict=True):
+        assert abs(exact - Fraction(t)) < Fraction(1, 10**14)
+        assert any((exact - own) % period == 0 for own in lap)
+
+
+def test_a_window_that_is_a_multiple_of_the_gap_in_exact_numbers_needs_no_slack():
+    assert window_sigma(DOUBLE, PeriodicSchedule([0.25]), 0.75, rigorous=True).slack == 0.0
+    tenths = window_sigma(DOUBLE, PeriodicSchedule([0.1]), 0.3, rigorous=True)
+    assert 0 < tenths.slack < 1e-15
+    assert "samples in [t - T - " in tenths.claim.statement
+
+
+def test_nothing_to_prove_is_said_as_before():
+    few = window_sigma(DOUBLE, PeriodicSchedule([1.0]), 1.0, rigorous=True)
+    assert (few.lower, few.status, few.closed) == (0.0, "too few samples", True)
+    aliased = window_sigma(OSCILLATOR, PeriodicSchedule([np.pi]), 10.0, rigorous=True)
+    assert aliased.lower == 0.0
+    empty = window_sigma(Plant(np.zeros((0, 0)), np.zeros((1, 0))), PeriodicSchedule([1.0]), 2.0, rigorous=True)
+    assert empty.lower == np.inf
+
+
+def test_a_spent_budget_leaves_the_bound_open():
+    schedule = PeriodicSchedule([0.5, 1.3, 0.9])
+    proof = prove_window_sigma(OSCILLATOR, schedule, window_pieces(schedule, 4.0), 1.0, seconds=-1.0)
+    assert (proof.lower, proof.status) == (0.0, "budget")
+    record = window_sigma(OSCILLATOR, schedule, 4.0, budget=0.0, rigorous=True)
+    assert not record.closed
+    assert record.lower <= record.upper
+
+
+def test_without_the_extra_the_refusal_names_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(MissingExtraError, match="python-flint, which is not installed"):
+        window_sigma(DOUBLE, PeriodicSchedule([1.0]), 2.0, rigorous=True)

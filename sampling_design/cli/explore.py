@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 import sampling_design as sd
@@ -80,6 +81,38 @@ def pareto(
     settings.show(front.to_dict(), record_table(front), front.explain())
 
 
+def losses(
+    settings: Settings,
+    plant_file: PlantFile,
+    requirement_file: Annotated[
+        Path | None, typer.Argument(metavar="[REQUIREMENT]", help="Requirement file (.toml); without it, defaults.")
+    ] = None,
+    every_lap: Annotated[
+        bool, typer.Option("--every-lap", help="Leave the sample out of every lap, not once.")
+    ] = False,
+) -> None:
+    """Design, then say what the loss of each single sample costs: sigma without it, and what none can exceed.
+
+    Example: sampling-design losses examples/plants/oscillator.toml examples/requirements/oscillator.toml
+    """
+    plant = sd.read_plant(plant_file)
+    requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
+    if settings.decay_rate is not None:
+        requirement = requirement.replace(decay_rate=settings.decay_rate)
+    with settings.progress("losses") as progress:
+        rng = np.random.default_rng(settings.seed)
+        design = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress)
+        if design.schedule is None:
+            settings.show({"without": []}, design.explain())
+            return
+        result = sd.sample_losses(design, every_lap=every_lap, progress=progress)
+    folder = settings.folder()
+    if folder is not None:
+        settings.wrote(write_text(folder / "losses.json", to_json(result.to_dict())))
+        settings.wrote(save_picture(result, folder / "losses.png"))
+    settings.show(result.to_dict(), record_table(result), result.explain())
+
+
 def _counts(text: str) -> list[int]:
     """8,10,12 or 8-16, or both mixed."""
     found: list[int] = []
@@ -93,4 +126,4 @@ def _counts(text: str) -> list[int]:
     return found
 
 
-COMMANDS = (worst_case, pareto)
+COMMANDS = (worst_case, pareto, losses)

@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
-from sampling_design.design.schedule_design import ScheduleDesign, prove, stated
-from sampling_design.errors import ArgumentError
+from sampling_design.design.design import bounded
+from sampling_design.design.problem import repeated
+from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows import WindowSigma
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -31,7 +33,11 @@ class SampleLosses(Record):
     sigma : float
         Proven sigma of the whole schedule.
     lower, upper : (k,) array
-        Proven and attained sigma without sample i.
+        Proven and attained sigma without sample i, the others where they are.
+    bound : (k,) array
+        No admissible schedule with one sample fewer exceeds this, wherever its samples lie: so much could
+        planning for the loss save at most. One sample fewer in every lap, or in as many laps as a window
+        can touch, plus one.
     every_lap : bool
         Whether the sample is missing from every lap, or from a single one.
     """
@@ -40,6 +46,7 @@ class SampleLosses(Record):
     sigma: float
     lower: Array
     upper: Array
+    bound: Array
     every_lap: bool
 
     @property
@@ -54,13 +61,14 @@ class SampleLosses(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, one entry per sample."""
-        columns = zip(self.times.tolist(), self.lower.tolist(), self.upper.tolist(), strict=True)
-        rows = [{"time": t, "lower": low, "upper": up} for t, low, up in columns]
+        columns = zip(*(a.tolist() for a in (self.times, self.lower, self.upper, self.bound)), strict=True)
+        rows = [{"time": t, "lower": low, "upper": up, "bound": top} for t, low, up, top in columns]
         return {"sigma": self.sigma, "every_lap": self.every_lap, "without": rows}
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("lost", "in every lap" if self.every_lap else "once"), ("sigma with all", short(self.sigma))]
-        return rows + [(f"without t = {short(t)}", short(v)) for t, v in zip(self.times, self.lower, strict=True)]
+        columns = zip(self.times, self.lower, self.bound, strict=True)
+        return rows + [(f"without t = {short(t)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns]
 
     def explain(self) -> str:
         """Say which sample matters most."""
@@ -68,14 +76,15 @@ class SampleLosses(Record):
         how = "left out of every lap" if self.every_lap else "missed once"
         return (
             f"If the sample at {short(self.times[i])} is {how}, sigma falls from {short(self.sigma)} "
-            f"to {short(self.lower[i])}; no other single loss costs more."
+            f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
+            f"{short(self.bound[i])}."
         )
 
 
 def sample_losses(
     design: ScheduleDesign, *, every_lap: bool = False, rtol: float = 0.001, progress: Progress | None = None
 ) -> SampleLosses:
-    """Prove sigma over all window positions after each single loss of a sample.
+    """Prove sigma over all window positions after each single loss of a sample, and what no re-planning exceeds.
 
     Parameters
     ----------
@@ -91,6 +100,13 @@ def sample_losses(
     Returns
     -------
     SampleLosses
+
+    Notes
+    -----
+    *Claim.* `lower` is proven as in `window_sigma`. `bound` holds for every schedule that meets the
+    requirement with one sample fewer, a fixed time that is lost being free of its duty; where a sample is
+    missed once, over the laps that a window can touch, plus one, as one long period. No schedule of one
+    sample fewer exceeds what the whole count can reach, so `bound` is never above `design.upper_bound`.
 
     Raises
     ------
@@ -109,14 +125,40 @@ def sample_losses(
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
-    return SampleLosses(design.schedule.times, design.sigma, _checks.freeze(lower), _checks.freeze(upper), every_lap)
+    bound = np.maximum(_bounds(design, every_lap), lower)  # a bound may round to just below a tight proof
+    lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
+    return SampleLosses(design.schedule.times, design.sigma, lower, upper, bound, every_lap)
+
+
+def _bounds(design: ScheduleDesign, every_lap: bool) -> Array:
+    """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
+    schedule, requirement = design.schedule, design.requirement
+    assert schedule is not None
+    laps = 1 if every_lap else _laps(design)
+    plant = designed_plant(design.split, requirement)
+    known: dict[float | None, float] = {}
+    keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
+    for key in set(keys):
+        fixed = (requirement.fixed + schedule.period * np.arange(laps)[:, None]).ravel()
+        asked = repeated(requirement, laps).replace(fixed=fixed if key is None else fixed[fixed != key])
+        try:
+            known[key] = bounded(plant, asked, laps * len(schedule) - 1).bound.value
+        except InfeasibleRequirementError:  # too few measurements for the states, or none left
+            known[key] = 0.0
+    return np.minimum([known[key] for key in keys], design.upper_bound)
+
+
+def _laps(design: ScheduleDesign) -> int:
+    """Laps that a window can touch, plus one."""
+    assert design.schedule is not None
+    return int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1
 
 
 def _without(design: ScheduleDesign, i: int, every_lap: bool) -> PeriodicSchedule | None:
     """The schedule without sample i of each lap, or of one lap in as many as a window can touch, plus one."""
     schedule = design.schedule
     assert schedule is not None
-    laps = 1 if every_lap else int(np.ceil(float(design.requirement.window or 0) / schedule.period)) + 1
+    laps = 1 if every_lap else _laps(design)
     times = (schedule.times + schedule.period * np.arange(laps)[:, None]).ravel()
     if times.size == 1:
         return None

@@ -161,6 +161,22 @@ def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, d
     return r, used
 
 
+def repeated(requirement: Requirement, laps: int) -> Requirement:
+    """Return the same constraints on times, over `laps` periods as one; `requirement` is resolved."""
+    period = _known(requirement.period)
+
+    def tiled(spans: Array) -> Array:
+        return np.asarray((spans[None] + period * np.arange(laps)[:, None, None]).reshape(-1, 2))
+
+    outputs = {
+        name: {"available": None if a.available is None else tiled(a.available), "cost": a.cost}
+        for name, a in requirement.outputs.items()
+    }
+    fixed = (requirement.fixed + period * np.arange(laps)[:, None]).ravel()
+    changes = {"period": laps * period, "forbidden": tiled(requirement.forbidden), "fixed": fixed, "outputs": outputs}
+    return requirement.replace(**changes)
+
+
 def _known(value: float | None) -> float:
     """A number that was filled in before."""
     assert value is not None

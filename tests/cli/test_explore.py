@@ -1,4 +1,4 @@
-"""worst-case and pareto: what if the schedule were another one."""
+"""worst-case, pareto and losses: what if the schedule were another one."""
 
 import json
 from pathlib import Path
@@ -51,3 +51,20 @@ def test_counts_that_are_none_are_refused(shell, counts):
     result = shell("pareto", OSCILLATOR, "--counts", counts)
     assert result.code == 2
     assert "`--counts` must" in result.err
+
+
+def test_losses_say_what_each_sample_is_worth(shell, tmp_path):
+    requirement = EXAMPLES / "requirements" / "oscillator.toml"
+    result = shell("losses", OSCILLATOR, requirement, "--every-lap", "--seed", 1, "-o", tmp_path)
+    assert result.code == 0
+    data = json.loads((tmp_path / "losses.json").read_text())
+    assert data["every_lap"] is True
+    assert len(data["without"]) == 4
+    assert all(0 < row["lower"] <= row["bound"] < data["sigma"] for row in data["without"])
+    assert (tmp_path / "losses.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_losses_of_a_decaying_plant_need_no_samples(shell):
+    result = shell("losses", EXAMPLES / "plants" / "three_compartment.toml")
+    assert result.code == 0
+    assert "--decay-rate" in result.out

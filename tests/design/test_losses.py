@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, sample_losses
 from sampling_design.errors import ArgumentError
-from tests.oracles.design import window_sigma_scan
+from tests.oracles.design import best_on_grid, window_sigma_scan
 
 A, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
 
@@ -26,6 +26,32 @@ def test_a_price_is_what_a_scan_without_the_sample_says():
     assert np.all(losses.price > 0)
     assert f"{times[losses.dearest]:.6g}" in losses.explain()
     assert "without t" in str(losses)
+
+
+@pytest.mark.parametrize("every_lap", [True, False])
+def test_no_schedule_with_one_sample_fewer_exceeds_the_bound(every_lap):
+    design = designed(samples=3)
+    losses = sample_losses(design, every_lap=every_lap)
+    laps = 1 if every_lap else 2
+    assert np.all(losses.lower <= losses.bound)
+    assert np.all(losses.bound <= design.upper_bound)
+    count, period = 3 * laps - 1, 4.0 * laps
+    best, _ = best_on_grid(A, C, period, 4.0, 0.4, count, 6 * laps)
+    assert 0 < best <= losses.bound.min()
+    if every_lap:
+        fewer = designed(samples=2)
+        assert fewer.sigma <= losses.bound[0] <= fewer.upper_bound * 1.2
+
+
+def test_a_lost_fixed_sample_has_a_bound_of_its_own():
+    free = sample_losses(designed(samples=3), every_lap=True).bound
+    design = designed(samples=3, fixed=[0.0, 0.5])
+    losses = sample_losses(design, every_lap=True)
+    where = np.isin(design.schedule.times, [0.0, 0.5])
+    assert losses.bound[~where][0] < losses.bound[where].max()  # without the free one two close ones remain
+    assert losses.bound.max() <= free[0] * (1 + 1e-3)
+    assert f"none exceeds {losses.bound[0]:.6g}" in str(losses)
+    assert losses.to_dict()["without"][0]["bound"] == losses.bound[0]
 
 
 def test_missing_once_costs_less_where_a_window_spans_laps():

@@ -25,11 +25,16 @@ _PICTURES = {
     "InformationCurve": ("certificates", "draw_information"),
     "Survival": ("survival", "draw_survival"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
+    "EstimateRecord": ("estimates", "draw_estimates"),
+    "ValidationReport": ("validation", "draw_validation"),
+    "ScheduleLog": ("validation", "draw_schedule_log"),
 }
 
 
-def draw(record: Any, ax: Any = None) -> Any:
+def draw(record: Any, ax: Any = None, **beside: Any) -> Any:
     """Draw `record` and return the axes (a list of axes where the picture has several).
+
+    `beside` is what some pictures show beside the record, such as the measurements of estimates.
 
     Raises
     ------
@@ -40,10 +45,10 @@ def draw(record: Any, ax: Any = None) -> Any:
     if kind not in _PICTURES:
         raise ArgumentError(f"`record` has no picture: got {kind}, expected one of {', '.join(sorted(_PICTURES))}.")
     room, function = _PICTURES[kind]
-    return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax)
+    return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)
 
 
-def save(record: Any, path: str | os.PathLike[str], dpi: int = 130) -> Path:
+def save(record: Any, path: str | os.PathLike[str], dpi: int = 130, **beside: Any) -> Path:
     """Draw `record` into a new figure and write it to `path` (.png, .svg or .pdf), whole or not at all.
 
     Raises
@@ -57,7 +62,7 @@ def save(record: Any, path: str | os.PathLike[str], dpi: int = 130) -> Path:
     kind = target.suffix.lstrip(".")
     if kind not in ("png", "svg", "pdf"):
         raise ArgumentError(f"`path` must end in .png, .svg or .pdf, got {str(path)!r}.")
-    axes = draw(record)
+    axes = draw(record, **beside)
     first = axes[0] if isinstance(axes, list | tuple) else axes
     # no date and no version inside, so that the same result is the same file
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]

@@ -1,0 +1,124 @@
+"""Random trials in blocks, here or on other machines, bit for bit the same wherever they run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError
+from sampling_design.validation.error_map import ErrorMap
+from sampling_design.validation.promise import Promise
+from sampling_design.validation.scenario import Bounds, draw_inputs
+
+Array = npt.NDArray[np.float64]
+Workers = Executor | int | str | None
+
+BLOCK = 64
+"""Runs that are computed together. Fixed, since the rounding of a product may depend on how many share it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Runs with these seeds through one error map. Small enough to send, and it carries all it needs."""
+
+    found: ErrorMap
+    bounds: Bounds
+    promise: Promise | None
+    measure: Array
+    seeds: tuple[np.random.SeedSequence, ...]
+
+
+class Trials(NamedTuple):
+    """What was seen, one row per run.
+
+    size : (r, R) |measure e| at every row of the map; promised : (r,) largest ratio of |e|^2 to what was promised;
+    ellipsoid : (r, R) |e|^2_Pi / radius; plain : (blocks, R) largest Euclidean |e| of each block.
+    """
+
+    size: Array
+    promised: Array
+    ellipsoid: Array
+    plain: Array
+
+
+def run_block(block: Block) -> Trials:
+    """Draw, apply and compare one block."""
+    found, line = block.found, block.found.timeline
+    return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
+
+
+def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: Any) -> Trials:
+    """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
+    errors = found.apply(inputs)
+    size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
+    promised = np.full(size.shape[0], np.nan)
+    if promise is not None:
+        promised = np.max(ratio(promise.size(errors.e), promise.along(found.timeline, found.rows, inputs)), axis=1)
+    plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
+    return Trials(size, promised, found.ellipsoid_ratio(errors), plain)
+
+
+def ratio(observed: Array, promised: Array) -> Array:
+    """Return observed / promised; 0 where both are zero."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(observed > 0, observed / promised, 0.0)
+
+
+def monte_carlo(
+    found: ErrorMap,
+    bounds: Bounds,
+    promise: Promise | None,
+    measure: Array,
+    seeds: Sequence[np.random.SeedSequence],
+    workers: Workers = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> Trials:
+    """Return the trials of one run per seed, in the order of the seeds.
+
+    Parameters
+    ----------
+    found, bounds, promise, measure
+        As in `Block`.
+    seeds : sequence of SeedSequence
+        A run depends on its own seed alone.
+    workers : Executor, int or str, optional
+        Any `concurrent.futures.Executor` (a Dask client's too), a number of processes, or the name of a joblib backend.
+    progress : callable, optional
+
+    Returns
+    -------
+    Trials
+
+    Raises
+    ------
+    ArgumentError
+        If `workers` is none of these.
+    """
+    blocks = [Block(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)]
+    parts = []
+    for part in _mapped(blocks, workers):
+        parts.append(part)
+        if progress is not None:
+            progress(len(parts) / len(blocks), f"{min(len(parts) * BLOCK, len(seeds))} of {len(seeds)} runs")
+    return Trials(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _mapped(blocks: list[Block], workers: Workers) -> Iterator[Trials]:
+    if workers is None:
+        return map(run_block, blocks)
+    if isinstance(workers, Executor):
+        return iter(workers.map(run_block, blocks))
+    if isinstance(workers, (int, str)) and not isinstance(workers, bool):
+        from joblib import Parallel, delayed
+
+        chosen = {"n_jobs": workers} if isinstance(workers, int) else {"n_jobs": -1, "backend": workers}
+        return iter(Parallel(**chosen)(delayed(run_block)(block) for block in blocks))
+    raise ArgumentError(
+        "`workers` must be a concurrent.futures.Executor, a number of processes or the name of a joblib backend, "
+        f"got {type(workers).__name__} for the trials."
+    )

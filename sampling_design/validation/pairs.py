@@ -1,0 +1,171 @@
+"""Assumption 7 itself, inequality (16), along pairs of trajectories: random ones and the worst one."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import symmetrise
+from sampling_design.validation.error_map import discounted
+from sampling_design.validation.timeline import Timeline
+
+Array = npt.NDArray[np.float64]
+
+MOST_STARTS = 80
+"""Window starts that are tried; they are spread evenly over the break points where there are more."""
+
+
+class Pairs(NamedTuple):
+    """Differences of r pairs from one start: chi (r, n), w (r, T, q) and v (r, N, p) along the whole timeline."""
+
+    chi: Array
+    w: Array
+    v: Array
+
+
+class Look(NamedTuple):
+    """The largest ratio of the two sides of (16), the start and the time where it was seen."""
+
+    ratio: float
+    start: float
+    time: float
+
+
+def _stops(line: Timeline, start: int, span: float) -> int:
+    """Break point at which pairs from `start` end."""
+    return int(np.searchsorted(line.times, line.times[start] + span, side="right")) - 1
+
+
+def sides(line: Timeline, certificate: Any, start: int, stop: int, pairs: Pairs) -> Look:
+    """Simulate pairs from break point `start` to `stop`; return the largest |Dx|^2_P1 over the right side of (16).
+
+    The right side counts samples in (start, t]; before and after each sample is looked at.
+    """
+    root, eta = np.linalg.cholesky(certificate.P1).T, certificate.eta
+    x = pairs.chi
+    total = np.einsum("ri,ij,rj->r", x, certificate.P2, x)
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    best = (0.0, start)
+    for c in range(start, stop):
+        h, w = line.lengths[c], pairs.w[:, c]
+        push = np.einsum("ri,ij,rj->r", w, certificate.Qw, w)
+        total = total * np.exp(-eta * h) + push * discounted(eta, h)
+        x = x @ line.F[c].T + w @ line.gamma[c].T
+        left = np.sum((x @ root.T) ** 2, axis=1)
+        best = max(best, (float(np.max(left / total)), c + 1))
+        j = samples.get(c + 1)
+        if j is not None:
+            v = pairs.v[:, j] * line.masks[j]
+            y = x @ line.plant.C.T * line.masks[j] + v
+            total = total + np.einsum("ri,ij,rj->r", y, certificate.R, y)
+            total = total + np.einsum("ri,ij,rj->r", v, certificate.Qv, v)
+            best = max(best, (float(np.max(left / total)), c + 1))
+    return Look(best[0], float(line.times[start]), float(line.times[best[1]]))
+
+
+def random_pairs(
+    line: Timeline, certificate: Any, span: float, rng: np.random.Generator, count: int, starts: int = 8
+) -> Look:
+    """Return the worst of `count` random pairs from each of some starts; noise that hides what is seen among them."""
+    plant, looks = line.plant, []
+    R, Qv = certificate.R, certificate.Qv
+    blind = -np.linalg.solve(R + Qv, R @ plant.C)
+    units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (certificate.P2, certificate.Qw)]
+    last = max(1, _stops(line, 0, max(line.times[-1] - span, 0.0)))
+    for start in rng.integers(0, last, size=starts):
+        stop = _stops(line, int(start), span)
+        chi = rng.normal(size=(count, plant.n_states)) @ units[0].T
+        size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1))
+        w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T)
+        v = _hiding(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
+        looks.append(sides(line, certificate, int(start), stop, Pairs(chi, w, v)))
+    return max(looks, key=lambda look: look.ratio)
+
+
+def _hiding(line: Timeline, start: int, stop: int, x: Array, w: Array, blind: Array) -> Array:
+    """The cheapest noise at each sample, given the states."""
+    v = np.zeros((x.shape[0], line.samples.size, line.plant.n_outputs))
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    for c in range(start, stop):
+        x = x @ line.F[c].T + w[:, c] @ line.gamma[c].T
+        j = samples.get(c + 1)
+        if j is not None:
+            v[:, j] = x @ blind.T
+    return v
+
+
+class _Forward(NamedTuple):
+    """Covariances of one start: before and after each break point, and the noise of each cell."""
+
+    before: list[Array]
+    after: list[Array]
+
+
+def worst_pair(line: Timeline, certificate: Any, span: float) -> Look:
+    """Return how near the worst pair comes to equality in (16), over starts, times and w constant on cells.
+
+    Least right side that leads to Dx(t) = xi is xi'Y^-1 xi; the pair that reaches it is found by going back from the
+    worst xi, and then simulated like any other.
+    """
+    last = max(1, _stops(line, 0, max(line.times[-1] - span, 0.0)))
+    starts = np.unique(np.linspace(0, last - 1, min(MOST_STARTS, last)).astype(int))
+    root, best = np.linalg.cholesky(certificate.P1).T, (-np.inf, 0, 0)
+    for start in starts:
+        run = _forward(line, certificate, int(start), _stops(line, int(start), span))
+        tops = np.linalg.eigvalsh(symmetrise(root @ np.array(run.before) @ root.T))[:, -1]
+        at = int(np.argmax(tops))
+        best = max(best, (float(tops[at]), int(start), int(start) + at))
+    _, start, stop = best
+    stop = max(stop, start + 1)
+    return sides(line, certificate, start, stop, _backward(line, certificate, start, stop))
+
+
+def _cell_noise(line: Timeline, certificate: Any, c: int) -> tuple[Array, Array]:
+    """Gamma and (Qw delta)^-1 of a cell."""
+    unit = np.linalg.inv(certificate.Qw) / discounted(certificate.eta, line.lengths[c])
+    return line.gamma[c], unit
+
+
+def _forward(line: Timeline, certificate: Any, start: int, stop: int) -> _Forward:
+    Y = np.linalg.inv(certificate.P2)
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    run = _Forward([Y], [Y])
+    for c in range(start, stop):
+        gamma, unit = _cell_noise(line, certificate, c)
+        growth = np.exp(certificate.eta * line.lengths[c])
+        Y = symmetrise(growth * line.F[c] @ Y @ line.F[c].T + gamma @ unit @ gamma.T)
+        run.before.append(Y)
+        j = samples.get(c + 1)
+        if j is not None:
+            seen = line.masks[j] > 0
+            C = line.plant.C[seen]
+            noise = sum(np.linalg.inv(M[np.ix_(seen, seen)]) for M in (certificate.R, certificate.Qv))
+            gain = np.linalg.solve(C @ Y @ C.T + noise, C @ Y).T
+            rest = np.eye(Y.shape[0]) - gain @ C
+            Y = symmetrise(rest @ Y @ rest.T + gain @ noise @ gain.T)
+        run.after.append(Y)
+    return run
+
+
+def _backward(line: Timeline, certificate: Any, start: int, stop: int) -> Pairs:
+    """The pair of least right side that ends, just before `stop`'s sample, in the worst direction."""
+    run, plant = _forward(line, certificate, start, stop), line.plant
+    root = np.linalg.cholesky(certificate.P1).T
+    values, vectors = np.linalg.eigh(symmetrise(root @ run.before[-1] @ root.T))
+    x = np.linalg.solve(root, vectors[:, -1] * np.sqrt(values[-1]))
+    w = np.zeros((1, line.cells, plant.n_disturbances))
+    v = np.zeros((1, line.samples.size, plant.n_outputs))
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    for c in range(stop - 1, start - 1, -1):
+        if c + 1 < stop and c + 1 in samples:
+            j = samples[c + 1]
+            seen = line.masks[j] > 0
+            R, Qv = (M[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
+            v[0, j, seen] = -np.linalg.solve(R + Qv, R @ plant.C[seen] @ x)
+        gamma, unit = _cell_noise(line, certificate, c)
+        dual = np.linalg.solve(run.before[c + 1 - start], x)
+        w[0, c] = unit @ gamma.T @ dual
+        x = np.exp(certificate.eta * line.lengths[c]) * run.after[c - start] @ line.F[c].T @ dual
+    return Pairs(x[None], w, v)

@@ -1,0 +1,84 @@
+"""What an a-priori theorem promises along a run, with the noise that really occurred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.validation.error_map import Inputs, Rows, discounted
+from sampling_design.validation.timeline import Timeline
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """|root e(t)|^2 <= gain (e^{-rate t}|e0|^2_prior + int e^{-rate(t-s)}|w|^2_w ds + sum e^{-rate(t-tau)}|v|^2_v).
+
+    `theorem` names its source.
+    """
+
+    theorem: str
+    root: Array
+    prior: Array
+    w: Array
+    v: Array
+    rate: float
+    gain: float
+
+    def along(self, line: Timeline, rows: Rows, inputs: Inputs) -> Array:
+        """Return the right side at every row, for every run: (r, R)."""
+        samples = {int(b): j for j, b in enumerate(line.samples)}
+        total = _square(inputs.e0, self.prior)
+        push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted(self.rate, line.lengths)
+        noise = _square(inputs.v * line.masks, self.v)
+        fade = np.exp(-self.rate * line.lengths)
+        found = np.empty((rows.at.size, total.size))
+        last = 0
+        for row, (b, after) in enumerate(zip(rows.at, rows.after, strict=True)):
+            for c in range(last, b):
+                total = total * fade[c] + push[:, c]
+            last = b
+            if after and int(b) in samples:
+                total = total + noise[:, samples[int(b)]]
+            found[row] = total
+        return self.gain * found.T
+
+    def at_most(self, line: Timeline, rows: Rows, energies: tuple[float, float, Array]) -> Array:
+        """Return the right side at every row for the largest |e0|^2, |w|^2 and (per sample) |v|^2 in these weights."""
+        e0, w, v = energies
+        t, when = rows.times, line.times[line.samples]
+        heard = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
+        fade = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
+        total = np.exp(-self.rate * t) * e0 + w * discounted(self.rate, t) + np.where(heard, fade, 0.0) @ v
+        return np.asarray(self.gain * total)
+
+    def size(self, e: Array) -> Array:
+        """Return |root e|^2."""
+        return np.asarray(np.sum((e @ self.root.T) ** 2, axis=-1))
+
+
+def _square(values: Array, weight: Array) -> Array:
+    return np.asarray(np.einsum("...i,ij,...j->...", values, weight, values))
+
+
+def promise_of(certificate: Any, horizon: float, cost: str = "certificate", carried: bool = False) -> Promise:
+    """Return what a certificate promises of an estimator with its weights.
+
+    The sharper theorem for the certificate's own cost, Thm 9 for the paper's; with the prior's weight carried on the
+    full rate, whatever the horizon.
+    """
+    if carried:
+        inside = certificate.P2, certificate.Qw, certificate.Rtilde
+        root = np.linalg.cholesky(certificate.P1).T
+        return Promise("carried weight, full rate", root, *inside, rate=certificate.eta, gain=1.0)
+    found = certificate.horizon("sharp" if cost == "certificate" else "paper", horizon)
+    root = np.linalg.cholesky(certificate.P2 / found.lam).T
+    if cost == "certificate":
+        inside = certificate.P2, certificate.Qw, certificate.Rtilde
+        return Promise("sharper horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
+    inside = certificate.P2, certificate.Qw, 2 * certificate.Qv
+    return Promise("Theorem 9", root, *inside, rate=found.eta_tilde, gain=4 * found.lam)

@@ -1,0 +1,210 @@
+"""What was promised beside what was seen: findings, and the report that collects them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Record, short
+from sampling_design.evidence import Strength
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+ROUNDING = 1e-8
+"""A promise counts as kept while it is exceeded by no more than this share: the rounding of a long run."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Record):
+    """One promise and what became of it.
+
+    Attributes
+    ----------
+    claim : str
+        In words.
+    scenario : str
+        Under what.
+    predicted, observed : float
+        The observed value must be at most the predicted one, or at least where `sense` is "at least".
+    sense : "at most" or "at least"
+    source : str
+        Theorem behind the prediction.
+    strength : str
+        "attained" where the observed value is the worst case itself, "sampled" where trials were drawn.
+    note : str
+        What else was seen.
+    """
+
+    claim: str
+    scenario: str
+    predicted: float
+    observed: float
+    sense: str = "at most"
+    source: str = ""
+    strength: Strength = "sampled"
+    note: str = ""
+
+    @property
+    def margin(self) -> float:
+        """Share of the prediction that is left (negative where it is broken)."""
+        away = self.predicted - self.observed if self.sense == "at most" else self.observed - self.predicted
+        return away / abs(self.predicted) if self.predicted else away
+
+    @property
+    def passed(self) -> bool:
+        """Whether the promise held, up to rounding."""
+        return bool(self.margin >= -ROUNDING)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        keys = ("claim", "scenario", "predicted", "observed", "sense", "source", "strength", "note")
+        data = {key: getattr(self, key) for key in keys}
+        return {**data, "margin": self.margin, "passed": self.passed}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("claim", self.claim),
+            ("scenario", self.scenario),
+            ("predicted", f"{self.sense} {short(self.predicted)}"),
+            ("observed", short(self.observed)),
+            ("margin", short(self.margin, 3)),
+            ("passed", "yes" if self.passed else "no"),
+            *([("note", self.note)] if self.note else []),
+        ]
+
+    def explain(self) -> str:
+        """Say whether the promise held."""
+        verdict = "held" if self.passed else "was broken"
+        return (
+            f"The promise '{self.claim}' {verdict} under {self.scenario}: "
+            f"{self.sense} {short(self.predicted)} was predicted, {short(self.observed)} observed."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Errors of one scenario over time: the largest and the median of its runs, in the report's norm."""
+
+    name: str
+    largest: Array
+    median: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """One run of the real estimator: errors and radii (R, n) at some times (R,)."""
+
+    times: Array
+    errors: Array
+    radii: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ValidationReport(Record):
+    """What a plant's schedule and certificate promised, and whether it came true.
+
+    Attributes
+    ----------
+    plant : Plant
+    findings : tuple of Finding
+    times : (R,) array
+        Where errors were looked at; a sample's time stands twice, before and after it.
+    bound : (R,) array or None
+        What the a-priori theorem promises for the largest noise, in the report's norm.
+    norm : str
+        Norm of the errors in words: the certificate's |.|_P1, or states over their scales.
+    courses : tuple of Course
+    example : Example or None
+    settings : dict
+        Runs, duration, horizon, bounds, seed and versions.
+    skipped : tuple of str
+        What could not be checked, and why.
+    """
+
+    plant: Plant
+    findings: tuple[Finding, ...]
+    times: Array
+    bound: Array | None
+    norm: str
+    courses: tuple[Course, ...] = ()
+    example: Example | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every promise held."""
+        return all(finding.passed for finding in self.findings)
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+    def cells(self) -> list[list[str]]:
+        """Rows of the table of findings: claim, scenario, predicted, observed, margin, verdict."""
+        signs = {"at most": "<=", "at least": ">="}
+        return [
+            [
+                f.claim,
+                f.scenario,
+                f"{signs[f.sense]} {short(f.predicted, 5)}",
+                short(f.observed, 5),
+                short(f.margin, 3),
+                "held" if f.passed else "BROKEN",
+            ]
+            for f in self.findings
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: findings, settings, and the courses of the errors."""
+        return {
+            "format": "sampling-design/validation/1",
+            "plant": self.plant.name,
+            "passed": self.passed,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "skipped": list(self.skipped),
+            "settings": dict(self.settings),
+            "norm": self.norm,
+            "times": self.times.tolist(),
+            "bound": None if self.bound is None else self.bound.tolist(),
+            "courses": [
+                {"name": c.name, "largest": c.largest.tolist(), "median": c.median.tolist()} for c in self.courses
+            ],
+        }
+
+    def to_markdown(self) -> str:
+        """Return the report as a page: verdict, findings, notes, settings."""
+        heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
+        lines = [f"# Validation of {self.plant.name or 'a plant'}", "", self.explain(), ""]
+        lines += ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
+        lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in self.cells()]
+        notes = [f"- {f.claim} ({f.scenario}): {f.note}" for f in self.findings if f.note]
+        lines += ["", "## Notes", "", *notes] if notes else []
+        lines += ["", "## Not checked", "", *(f"- {text}" for text in self.skipped)] if self.skipped else []
+        lines += ["", "## Settings", ""]
+        lines += [f"- {key}: {value}" for key, value in self.settings.items()]
+        return "\n".join(lines) + "\n"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        held = sum(f.passed for f in self.findings)
+        worst = min(self.findings, key=lambda f: f.margin, default=None)
+        return [
+            ("passed", "yes" if self.passed else "no"),
+            ("findings", f"{held} of {len(self.findings)} held"),
+            ("least margin", "-" if worst is None else f"{short(worst.margin, 3)} ({worst.claim}, {worst.scenario})"),
+            ("runs", str(self.settings.get("runs", "-"))),
+            ("duration", f"{short(self.settings.get('duration', np.nan))} {self.plant.time_unit}"),
+            ("seed", str(self.settings.get("seed", "-"))),
+        ]
+
+    def explain(self) -> str:
+        """Say the verdict in words."""
+        broken = [f for f in self.findings if not f.passed]
+        if not broken:
+            return f"All {len(self.findings)} promises held."
+        first = broken[0]
+        return f"{len(broken)} of {len(self.findings)} promises were broken, first: {first.explain()}"

@@ -1,0 +1,305 @@
+"""What may happen: bounds on noise and initial error, trials within them, and records simulated exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.measurements import Measurements
+from sampling_design.plants.plant import Plant
+from sampling_design.validation.error_map import Inputs
+from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
+
+Array = npt.NDArray[np.float64]
+
+KINDS = ("white", "steady", "held", "sine")
+"""How a random disturbance moves: anew in each cell, never, once in a while, or at one frequency."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds on w(t), v and x(0) - prior: 0-d arrays bound the Euclidean norm, vectors each entry."""
+
+    w: Array
+    v: Array
+    e0: Array
+
+    @classmethod
+    def of(cls, plant: Plant, w_bound: Any = None, v_bound: Any = None, initial_error: Any = None) -> Bounds:
+        """Return checked bounds; where None is given, the plant's scales, entry by entry.
+
+        Raises
+        ------
+        ArgumentError
+            If a bound is negative or has another length.
+        """
+        defaults = plant.disturbances.scales, plant.outputs.scales, plant.states.scales
+        given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
+        return cls(*(_bound(key, value, scales) for (key, value), scales in zip(given.items(), defaults, strict=True)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"w_bound": self.w.tolist(), "v_bound": self.v.tolist(), "initial_error": self.e0.tolist()}
+
+
+def _bound(name: str, value: Any, scales: Array) -> Array:
+    if value is None:
+        return scales
+    if np.ndim(value) == 0:
+        return np.asarray(_checks.nonnegative(name, value))
+    found = _checks.vector(name, value, scales.size)
+    if np.any(found < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(found.min())!r}.")
+    return found
+
+
+def scaled_to(bound: Array, raw: Array) -> Array:
+    """Return the signals (..., m) shrunk or stretched until their largest value over all but the last axis meets it."""
+    if raw.shape[-1] == 0:
+        return raw
+    if bound.ndim == 0:
+        size = float(np.max(np.linalg.norm(raw, axis=-1), initial=0.0))
+        return raw * (bound / size) if size > 0 else raw
+    with np.errstate(divide="ignore"):
+        room = np.where(np.abs(raw) > 0, bound / np.abs(raw), np.inf)
+    return raw * float(np.min(room)) if np.isfinite(room).any() else raw
+
+
+def most_along(bound: Array, direction: Array) -> Array:
+    """Return, for each (..., m) direction, the signal within the bound whose product with it is largest."""
+    if bound.ndim == 1:
+        return bound * np.sign(direction)
+    size = np.linalg.norm(direction, axis=-1, keepdims=True)
+    return np.where(size > 0, bound * direction / np.where(size > 0, size, 1.0), 0.0)
+
+
+def within(bound: Array, raw: Array) -> Array:
+    """Return (..., m) normal draws as signals within the bound, half of them on it."""
+    if bound.ndim == 1:
+        return bound * np.clip(raw / 0.6745, -1.0, 1.0)
+    size = np.linalg.norm(raw, axis=-1, keepdims=True)
+    typical = np.sqrt(max(raw.shape[-1] - 2 / 3, 0.4549))  # median of the norm, near enough
+    return bound * raw / np.maximum(size, typical)
+
+
+def largest_square(weight: Array, bound: Array) -> float:
+    """Return a bound on z'Wz for z within the bound: exact for a norm, for entries if W is diagonal."""
+    if bound.ndim == 0:
+        return float(np.linalg.eigvalsh(weight)[-1]) * float(bound) ** 2 if weight.size else 0.0
+    return float(bound @ np.abs(weight) @ bound)
+
+
+def norm_of(bound: Array) -> float:
+    """Return the largest Euclidean norm within the bound."""
+    return float(bound) if bound.ndim == 0 else float(np.linalg.norm(bound))
+
+
+def draw_inputs(line: Timeline, bounds: Bounds, seeds: Sequence[np.random.SeedSequence]) -> Inputs:
+    """Return random inputs within the bounds, one run per seed; each kind of disturbance in turn."""
+    plant = line.plant
+    n, q, p = plant.n_states, plant.n_disturbances, plant.n_outputs
+    e0, w = np.empty((len(seeds), n)), np.empty((len(seeds), line.cells, q))
+    v = np.empty((len(seeds), line.samples.size, p))
+    for k, seed in enumerate(seeds):
+        rng = np.random.default_rng(seed)
+        e0[k] = within(bounds.e0, rng.normal(size=n))
+        w[k] = _disturbance(line, bounds.w, rng)
+        signs = rng.choice([-1.0, 1.0], size=p) if rng.random() < 0.5 else rng.normal(size=(line.samples.size, p))
+        v[k] = most_along(bounds.v, np.broadcast_to(signs, v[k].shape)) if signs.ndim == 1 else within(bounds.v, signs)
+    return Inputs(e0, w, v * line.masks)
+
+
+def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Array:
+    q, kind = line.plant.n_disturbances, KINDS[rng.integers(len(KINDS))]
+    if kind == "white":
+        return within(bound, rng.normal(size=(line.cells, q)))
+    if kind == "steady":
+        return np.tile(most_along(bound, rng.normal(size=q)), (line.cells, 1))
+    middles = (line.times[1:] + line.times[:-1]) / 2
+    if kind == "held":
+        edges = np.sort(rng.uniform(0.0, line.times[-1], size=rng.integers(1, 30)))
+        levels = most_along(bound, rng.normal(size=(edges.size + 1, q)))
+        return np.asarray(levels[np.searchsorted(edges, middles)])
+    speed = np.exp(rng.uniform(np.log(2 * np.pi / line.times[-1]), np.log(np.pi / np.median(line.lengths))))
+    wave = np.cos(speed * middles[:, None] + rng.uniform(0, 2 * np.pi, size=q))
+    return np.asarray(wave * most_along(bound, rng.normal(size=q)))
+
+
+def resonant_inputs(line: Timeline, bounds: Bounds) -> tuple[Inputs, tuple[str, ...]]:
+    """Return disturbances in step with each mode (two phases for a swinging one), from rest and without noise.
+
+    The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; pushed with
+    w = Re(conj(l'G) e^{i (Im lambda t + phase)}) it grows as fast as the bound on w allows.
+    """
+    plant = line.plant
+    values, left = np.linalg.eig(plant.A.T)
+    middles = (line.times[1:] + line.times[:-1]) / 2
+    waves, names = [], []
+    for value, row in zip(values, left.T, strict=True):
+        if value.imag < 0:
+            continue
+        push = np.conj(row @ plant.G)
+        for phase in (0.0, np.pi / 2) if value.imag > 0 else (0.0,):
+            raw = np.real(np.exp(1j * (value.imag * middles + phase))[:, None] * push)
+            raw = np.where(np.abs(raw) > 1e-12 * np.abs(raw).max(initial=0.0), raw, 0.0)
+            wave = raw if bounds.w.ndim == 0 else raw * bounds.w  # boxes: each entry swings up to its own bound
+            waves.append(scaled_to(bounds.w, wave))
+            names.append(f"{short(value.imag, 4)} rad per {plant.time_unit}, phase {short(phase, 3)}")
+    runs = len(waves)
+    quiet = np.zeros((runs, line.samples.size, plant.n_outputs))
+    return Inputs(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(names)
+
+
+def initial_inputs(line: Timeline, bounds: Bounds) -> Inputs:
+    """Return initial errors along each state, both at once with all signs of the first two, and nothing else."""
+    n = line.plant.n_states
+    directions = np.vstack([np.eye(n), np.ones(n), np.where(np.arange(n) % 2, -1.0, 1.0)])
+    e0 = np.array([most_along(bounds.e0, row) for row in directions])
+    quiet = np.zeros((e0.shape[0], line.samples.size, line.plant.n_outputs))
+    return Inputs(e0, np.zeros((e0.shape[0], line.cells, line.plant.n_disturbances)), quiet)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedRecord(Record):
+    """A record whose truth is known.
+
+    Attributes
+    ----------
+    measurements : Measurements
+    times : (T+1,), states : (T+1, n) arrays
+        The truth, between samples too.
+    at : (N,) array
+        Place of each sample in `times`.
+    w : (T, q), v : (N, p) arrays
+        Disturbance, constant over each cell between two of the times, and measurement noise.
+    """
+
+    measurements: Measurements
+    times: Array
+    states: Array
+    at: npt.NDArray[np.intp]
+    w: Array
+    v: Array
+
+    @property
+    def truth(self) -> Array:
+        """States at the samples, (N, n)."""
+        return self.states[self.at]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        largest = short(np.max(np.abs(self.w), axis=0)) if self.w.size else "-"
+        return [*self.measurements._rows(), ("largest w", largest), ("largest v", short(np.nanmax(np.abs(self.v))))]
+
+    def explain(self) -> str:
+        """Say what was simulated."""
+        span = f"{short(self.times[-1])} {self.measurements.plant.time_unit}"
+        return f"{len(self.at)} samples of a simulated truth over {span}, exact up to rounding."
+
+
+def simulate_record(
+    plant: Plant,
+    schedule: Any,
+    duration: float,
+    *,
+    x0: npt.ArrayLike | None = None,
+    inputs: Sequence[tuple[float, npt.ArrayLike]] = (),
+    w_bound: Any = None,
+    v_bound: Any = None,
+    rng: np.random.Generator | None = None,
+) -> SimulatedRecord:
+    """Simulate a plant on a schedule, exactly: w is constant over cells much shorter than the gaps.
+
+        x' = Ax + Bu + Gw,    y = Cx + Du + v at the samples
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+    duration : float [time]
+    x0 : (n,) array, optional
+        Default 0.
+    inputs : sequence of (t, u), optional
+        From t on u holds; before the first, zero.
+    w_bound, v_bound : float or array, optional
+        A number bounds the norm, a vector each entry. Default: the plant's scales.
+    rng : numpy.random.Generator, optional
+        Default seed 0.
+
+    Returns
+    -------
+    SimulatedRecord
+
+    Raises
+    ------
+    ArgumentError
+        If a bound is negative, x0 or u has another length, or the schedule does not fit.
+
+    Examples
+    --------
+    >>> from sampling_design import Plant, PeriodicSchedule
+    >>> record = simulate_record(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.7]), 7.1)
+    >>> len(record.measurements), bool(abs(record.v).max() <= 1.0)
+    (10, True)
+    """
+    seed = (np.random.default_rng(0) if rng is None else rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
+    bounds = Bounds.of(plant, w_bound, v_bound)
+    line = build_timeline(plant, schedule, duration)
+    drawn = draw_inputs(line, bounds, seed)
+    changes = _inputs(plant, inputs)
+    start = np.zeros(plant.n_states) if x0 is None else _checks.vector("x0", x0, plant.n_states)
+    states = _trajectory(line, start, drawn.w[0], changes)
+    return _measured(line, states, drawn, changes)
+
+
+def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
+    checked = [(_checks.number("inputs", t), _checks.vector("inputs", u, plant.n_inputs)) for t, u in given]
+    return sorted(checked, key=lambda pair: pair[0])
+
+
+def _input_at(plant: Plant, changes: list[tuple[float, Array]], t: float) -> Array:
+    known = [u for time, u in changes if time <= t]
+    return known[-1] if known else np.zeros(plant.n_inputs)
+
+
+def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, Array]]) -> Array:
+    """States at the break points; a cell in which u changes is crossed in parts."""
+    states = np.empty((line.times.size, x.size))
+    states[0] = x
+    for c in range(line.cells):
+        a, b = line.times[c], line.times[c + 1]
+        edges = [a, *(t for t, _ in changes if a < t < b), b]
+        lengths = np.diff(edges)
+        F, gamma = (line.F[c : c + 1], line.gamma[c : c + 1]) if len(edges) == 2 else _flows(line.plant, lengths, "G")
+        driven = _flows(line.plant, lengths, "B")[1] if changes else None
+        for k, left in enumerate(edges[:-1]):
+            x = F[k] @ x + gamma[k] @ w[c]
+            if driven is not None:
+                x = x + driven[k] @ _input_at(line.plant, changes, left)
+        states[c + 1] = x
+    return states
+
+
+def _flows(plant: Plant, lengths: Array, matrix: str) -> tuple[Array, Array]:
+    return exact_flow(plant, lengths, getattr(plant, matrix))
+
+
+def _measured(line: Timeline, states: Array, drawn: Inputs, changes: list[tuple[float, Array]]) -> SimulatedRecord:
+    """Put outputs at the samples and inputs at their times into one record, in order of time."""
+    plant, when = line.plant, line.times[line.samples]
+    stamps = np.unique(np.concatenate([when, [t for t, _ in changes], [0.0] if plant.n_inputs else []]))
+    y = np.full((stamps.size, plant.n_outputs), np.nan)
+    u = np.array([_input_at(plant, changes, t) for t in stamps]).reshape(stamps.size, plant.n_inputs)
+    outputs = states[line.samples] @ plant.C.T + drawn.v[0]
+    rows = np.searchsorted(stamps, when)
+    y[rows] = np.where(line.masks > 0, outputs + u[rows] @ plant.D.T, np.nan)
+    record = Measurements(plant, stamps, y, u)
+    return SimulatedRecord(
+        record, line.times, states, line.samples, drawn.w[0], np.where(line.masks > 0, drawn.v[0], 0.0)
+    )

@@ -1,0 +1,223 @@
+"""Planned against actual sample times: what came late, what was missed, and what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.meeting import meet
+from sampling_design.observability.windows import WindowSigma, window_sigma
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScheduleLog(Record):
+    """What became of a schedule.
+
+    Attributes
+    ----------
+    planned, actual : Schedule
+        Over the time of the log; `actual` holds the samples that measured something.
+    match : (N,) integer array
+        For each planned sample the actual one that stands for it, -1 where it was missed.
+    lacking : (N,) array of bool
+        Taken, but without an output that was planned.
+    planned_sigma, actual_sigma : WindowSigma or None
+        Over every position of the window; None where the log is shorter than the window.
+    time_unit : str
+    """
+
+    planned: Schedule
+    actual: Schedule
+    match: npt.NDArray[np.intp]
+    lacking: npt.NDArray[np.bool_]
+    planned_sigma: WindowSigma | None
+    actual_sigma: WindowSigma | None
+    time_unit: str
+
+    @property
+    def deviations(self) -> Array:
+        """Actual minus planned time of each planned sample; NaN where it was missed."""
+        actual = np.append(self.actual.times, np.nan)
+        return np.asarray(actual[self.match] - self.planned.times)
+
+    @property
+    def missed(self) -> Array:
+        """Planned times at which nothing came."""
+        return np.asarray(self.planned.times[self.match < 0])
+
+    @property
+    def extra(self) -> Array:
+        """Actual times that were not planned."""
+        spare = np.setdiff1d(np.arange(len(self.actual)), self.match)
+        return np.asarray(self.actual.times[spare])
+
+    @property
+    def largest_deviation(self) -> float:
+        """Largest |actual - planned|; 0 where nothing was taken."""
+        return float(np.nanmax(np.abs(self.deviations), initial=0.0)) if (self.match >= 0).any() else 0.0
+
+    @property
+    def kept(self) -> float | None:
+        """Proven sigma of the actual times over the proven sigma of the planned ones; None where there is none."""
+        if self.planned_sigma is None or self.actual_sigma is None or not self.planned_sigma.lower:
+            return None
+        return self.actual_sigma.lower / self.planned_sigma.lower
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; a deviation of a missed sample is None."""
+        sigmas = {"planned_sigma": self.planned_sigma, "actual_sigma": self.actual_sigma}
+        return {
+            "format": "sampling-design/schedule-log/1",
+            "time_unit": self.time_unit,
+            "planned": self.planned.times.tolist(),
+            "actual": self.actual.times.tolist(),
+            "deviations": [float(d) if np.isfinite(d) else None for d in self.deviations],
+            "largest_deviation": self.largest_deviation,
+            "missed": self.missed.tolist(),
+            "extra": self.extra.tolist(),
+            "lacking": self.planned.times[self.lacking].tolist(),
+            **{key: None if sigma is None else sigma.to_dict() for key, sigma in sigmas.items()},
+            "kept": self.kept,
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.time_unit
+        away = np.abs(self.deviations[self.match >= 0])
+        typical = short(np.median(away)) if away.size else "-"
+        rows = [
+            ("planned samples", str(len(self.planned))),
+            ("actual samples", str(len(self.actual))),
+            ("missed", f"{self.missed.size}" + (f" at {short(self.missed)} {unit}" if self.missed.size else "")),
+            ("not planned", f"{self.extra.size}" + (f" at {short(self.extra)} {unit}" if self.extra.size else "")),
+            ("lacking an output", str(int(self.lacking.sum()))),
+            ("largest deviation", f"{short(self.largest_deviation)} {unit}"),
+            ("median deviation", f"{typical} {unit}"),
+        ]
+        if self.planned_sigma is not None and self.actual_sigma is not None:
+            rows.append(("window", f"{short(self.planned_sigma.window)} {unit}"))
+            rows.append(("sigma, planned", short(self.planned_sigma.lower)))
+            rows.append(("sigma, actual", short(self.actual_sigma.lower)))
+        return rows
+
+    def explain(self) -> str:
+        """Say what the deviations cost."""
+        text = f"{self.missed.size} of {len(self.planned)} planned samples were missed, the others came within "
+        text += f"{short(self.largest_deviation)} {self.time_unit}. "
+        if self.planned_sigma is None or self.actual_sigma is None:
+            return text + "The record is shorter than the window, so that sigma cannot be compared."
+        if self.kept is None:
+            return text + "The plan itself does not see every mode in each window."
+        worst = f"sigma {short(self.actual_sigma.lower, 4)} instead of {short(self.planned_sigma.lower, 4)}"
+        return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}."
+
+
+def compare_schedule(
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    times: npt.ArrayLike,
+    window: float,
+    *,
+    outputs: Any = None,
+    retained: Plant | None = None,
+    budget: float = 20.0,
+    progress: Callable[[float, str], None] | None = None,
+) -> ScheduleLog:
+    """Compare the times at which samples were taken with those that were planned.
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+        The plan.
+    times : (N,) array [time]
+        When samples were taken, in order.
+    window : float [time]
+        Length of the windows over which sigma is judged.
+    outputs : (N, p) array of bool, optional
+        Which outputs each sample measured; default all.
+    retained : Plant, optional
+        The modes that must be seen; default the whole plant.
+    budget : float
+        Seconds for each of the two sigmas.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    ScheduleLog
+
+    Raises
+    ------
+    ArgumentError
+        If there are no times, they are not in order, or the plan has no sample in their range.
+
+    Notes
+    -----
+    *Method.* The plan is cut at half a gap beyond the last actual time. Planned and actual samples are matched in
+    order, each to its nearest, if that is less than half a gap of the plan away.
+
+    Examples
+    --------
+    >>> from sampling_design import Plant, PeriodicSchedule
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> log = compare_schedule(plant, PeriodicSchedule([1.0]), [1.0, 2.2, 4.0, 5.0], window=2.0)
+    >>> log.missed, round(log.largest_deviation, 3)
+    (array([3.]), 0.2)
+    """
+    actual = _checks.increasing("times", times)
+    if not actual.size:
+        raise ArgumentError("`times` must hold at least one sample: there is nothing to compare with the plan.")
+    length = _checks.positive("window", window)
+    taken = Schedule(actual, outputs, time_unit=plant.time_unit)
+    plan = meet(plant, schedule)
+    planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
+    if not len(planned):
+        raise ArgumentError(f"`schedule` plans no sample up to {float(actual[-1])!r}, the last of `times`.")
+    match = _matched(planned.times, actual)
+    judged = plant if retained is None else retained
+    before: WindowSigma | None = None
+    after: WindowSigma | None = None
+    end = float(min(planned.times[-1], actual[-1]))
+    if judged.n_states and end >= length and planned.times[-1] >= length:
+        before = window_sigma(judged, planned, length, budget=budget, progress=progress)
+        after = window_sigma(judged, taken, length, budget=budget, progress=progress)
+    lacking = _lacking(plant, planned, taken, match)
+    return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit)
+
+
+def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
+    return float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
+
+
+def _matched(planned: Array, actual: Array) -> npt.NDArray[np.intp]:
+    """Pair each planned time with the nearest actual one within half of the gaps around it, none twice."""
+    gaps = np.diff(planned)
+    before, after = np.append(np.inf, gaps) / 2, np.append(gaps, np.inf) / 2
+    if gaps.size:
+        before[0], after[-1] = after[0], before[-1]
+    match = np.full(planned.size, -1, dtype=np.intp)
+    for k, t in enumerate(planned):
+        near = int(np.argmin(np.abs(actual - t)))
+        away = actual[near] - t
+        if -before[k] <= away < after[k] and near not in match[:k]:
+            match[k] = near
+    return match
+
+
+def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    full = np.ones((len(planned), plant.n_outputs), dtype=bool)
+    wanted = full if planned.outputs is None else planned.outputs
+    if taken.outputs is None:
+        return np.zeros(len(planned), dtype=bool)
+    return np.array([k >= 0 and bool(np.any(row & ~taken.outputs[k])) for k, row in zip(match, wanted, strict=True)])

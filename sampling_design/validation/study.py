@@ -1,0 +1,306 @@
+"""The scenarios of a validation, one method each, and the findings that they leave behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import short
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import Schedule
+from sampling_design.validation.error_map import ErrorMap, build_error_map
+from sampling_design.validation.monte_carlo import Trials, Workers, measured, monte_carlo, ratio
+from sampling_design.validation.pairs import random_pairs, worst_pair
+from sampling_design.validation.promise import Promise, promise_of
+from sampling_design.validation.report import Course, Example, Finding, ValidationReport
+from sampling_design.validation.scenario import (
+    Bounds,
+    draw_inputs,
+    initial_inputs,
+    largest_square,
+    norm_of,
+    resonant_inputs,
+)
+from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
+from sampling_design.validation.trials import Run, driven, extent, real_run, true_run
+from sampling_design.validation.worst_disturbance import worst_energy, worst_push
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+Seeds = Sequence[np.random.SeedSequence]
+
+SCENARIOS = ("pairs", "random", "worst", "resonant", "initial", "estimator", "constraints", "paper")
+
+GROWTH_LIMIT = 1.5
+"""Largest error of the second half over that of the first, for a disturbance in step with a mode, from rest. A settled
+error repeats itself (1), one that grows linearly doubles (2)."""
+SETTLED = 3.0
+"""Horizons that a run must last before its growth is judged."""
+AGREEMENT = 1e-6
+"""The real estimator and the linear error map may differ by this share of the largest error: steering an unstable truth
+and solving the window problem cost some digits."""
+REAL_RUNS = 3
+"""Runs of the real estimator in each scenario that needs it."""
+REAL_SAMPLES = 60
+"""Samples of such a run."""
+PAIRS = 200
+"""Random pairs from each start."""
+PAPER_RUNS = 64
+"""Random runs of the paper's estimator."""
+ROOMY = 100.0
+"""Bounds this many times wider than the truth's own extent stay inactive."""
+CLOSED_FORM = ("banded", "square root")
+"""Engines that say that no constraint was active."""
+CHOSEN_HERE = ("prior", "prior_time", "x_set", "y_set", "v_set", "w_set")
+
+
+class Study:
+    """One plant, schedule and estimator under all scenarios."""
+
+    def __init__(
+        self, plant: Plant, schedule: Any, certificate: Any, bounds: Bounds, options: dict[str, Any], duration: Any
+    ):
+        taken = [key for key in CHOSEN_HERE if key in options]
+        if taken:
+            raise ArgumentError(f"`{taken[0]}` is chosen by the scenarios, it cannot be given.")
+        self.plant, self.schedule, self.certificate, self.bounds = plant, schedule, certificate, bounds
+        self.options = options
+        self.skipped: list[str] = []
+        self.findings: list[Finding] = []
+        self.courses: list[Course] = []
+        self.example: Example | None = None
+        estimator = self.estimator()
+        self.horizon = float(estimator.horizon)
+        self.line = self._timeline(duration, self.horizon)
+        self.map = build_error_map(self.line, estimator, bounds)
+        self.promise = self._promise(estimator)
+        self.measure = self.promise.root if self.promise is not None else np.diag(1 / plant.states.scales)
+
+    def _timeline(self, duration: Any, horizon: float) -> Timeline:
+        length = default_duration(self.schedule, horizon) if duration is None else duration
+        length = _checks.positive("duration", length)
+        if isinstance(self.schedule, Schedule):
+            length = min(length, float(self.schedule.times[-1]))
+        return build_timeline(self.plant, self.schedule, length, horizon)
+
+    def estimator(self, plant: Plant | None = None, **more: Any) -> MovingHorizonEstimator:
+        """Return the estimator under study, fresh."""
+        bounds = {"w_bound": self.bounds.w, "v_bound": self.bounds.v, "initial_error": self.bounds.e0}
+        return MovingHorizonEstimator(plant or self.plant, self.certificate, **{**self.options, **bounds, **more})
+
+    def _promise(self, estimator: Any) -> Promise | None:
+        """The a-priori promise, if the estimator says that it is on the certificate's schedule all along."""
+        if self.certificate is None:
+            self.skipped.append("a-priori bounds and inequality (16): there is no certificate.")
+            return None
+        for t, mask in zip(self.line.times[self.line.samples], self.line.masks, strict=True):
+            estimate = estimator.update(t, np.where(mask > 0, 0.0, np.nan))
+            if not estimate.on_schedule:
+                self.skipped.append(f"a-priori bounds and inequality (16): {estimate.note}")
+                return None
+        carried = bool(self.options.get("carried_weight", False))
+        return promise_of(self.certificate, self.horizon, self.options.get("cost", "certificate"), carried)
+
+    def run(self, scenarios: Sequence[str], seeds: Seeds, workers: Workers, progress: Progress | None) -> None:
+        """Run the scenarios in order."""
+        for k, name in enumerate(scenarios):
+
+            def tell(fraction: float, message: str, k: int = k, name: str = name) -> None:
+                if progress is not None:
+                    progress((k + fraction) / len(scenarios), f"{name}: {message}")
+
+            tell(0.0, "begun")
+            getattr(self, f"_{name}")(seeds, workers, tell)
+        if progress is not None:
+            progress(1.0, "done")
+
+    def report(self, settings: dict[str, Any]) -> ValidationReport:
+        """Return what was found."""
+        bound = None if self.promise is None else np.sqrt(self._largest(self.promise))
+        norm = "states over their scales" if self.promise is None else f"|e|_P1, {self.promise.theorem}"
+        return ValidationReport(
+            self.plant,
+            tuple(self.findings),
+            self.map.rows.times,
+            bound,
+            norm,
+            tuple(self.courses),
+            self.example,
+            settings,
+            tuple(self.skipped),
+        )
+
+    def _largest(self, promise: Promise) -> Array:
+        b = self.bounds
+        heard = [largest_square(m[:, None] * promise.v * m, b.v) for m in self.line.masks]
+        energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
+        return promise.at_most(self.line, self.map.rows, energies)
+
+    def _judge(self, scenario: str, seen: Trials, strength: Any = "sampled") -> None:
+        """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
+        self.courses.append(Course(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
+        if self.promise is not None:
+            worst, source = float(np.max(seen.promised)), self.promise.theorem
+            self._find("a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_spread(seen))
+            if source == "sharper horizon theorem":
+                self._plain(scenario, seen, strength)
+        self._ellipsoids(scenario, seen.ellipsoid, seen.ellipsoid[:, self.map.rows.samples], strength)
+
+    def _plain(self, scenario: str, seen: Trials, strength: Any) -> None:
+        b, times = self.bounds, self.map.rows.times
+        found = self.certificate.error_bound(
+            times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="sharp", length=self.horizon
+        )
+        worst = float(np.max(ratio(seen.plain.max(axis=0), found)))
+        self._find("Euclidean error bound", scenario, 1.0, worst, source=self.promise.theorem, strength=strength)  # type: ignore[union-attr]
+
+    def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Any = "sampled") -> None:
+        share = float(np.mean(ratios <= 1 + 1e-8))
+        after = at_samples[:, at_samples.shape[1] // 4 :]
+        note = f"largest ratio {short(ratios.max(), 4)}, median at settled samples {short(np.median(after), 3)}"
+        source = "online ellipsoid"
+        self._find(
+            "share in the ellipsoid", scenario, 1.0, share, "at least", source=source, strength=strength, note=note
+        )
+
+    def _find(
+        self, claim: str, scenario: str, predicted: float, observed: float, sense: str = "at most", **rest: Any
+    ) -> None:
+        self.findings.append(Finding(claim, scenario, predicted, observed, sense, **rest))
+
+    def _pairs(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        if self.promise is None:
+            return
+        span = 3 * max(self.horizon, float(np.max(np.diff(self.line.times[self.line.samples]), initial=0.0)))
+        rng = np.random.default_rng(seeds[0])
+        source = "Assumption 7, equation (16)"
+        look = random_pairs(self.line, self.certificate, span, rng, PAIRS)
+        where = f"at {short(look.time)} from {short(look.start)}"
+        self._find("inequality (16)", "random pairs", 1.0, look.ratio, source=source, note=where)
+        look = worst_pair(self.line, self.certificate, span)
+        where = f"at {short(look.time)} from {short(look.start)}"
+        self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
+
+    def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        seen = monte_carlo(self.map, self.bounds, self.promise, self.measure, seeds, workers, tell)
+        self._judge("random noise", seen)
+
+    def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        if self.promise is not None:
+            self._worst_energy(self.map, self.promise)
+        push = worst_push(self.map, self.bounds, self.measure)
+        self._judge("worst push", measured(self.map, self.promise, self.measure, push), "attained")
+
+    def _worst_energy(self, found: ErrorMap, promise: Promise) -> None:
+        worst = worst_energy(found, promise)
+        again = measured(found, promise, promise.root, worst.inputs)
+        note = f"worst at {short(found.rows.times[worst.row])}; run forward: {short(again.promised[0])}"
+        observed = max(worst.ratio, float(again.promised[0]))
+        self._find(
+            "a-priori bound", "worst energy", 1.0, observed, source=promise.theorem, strength="attained", note=note
+        )
+
+    def _resonant(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        inputs, names = resonant_inputs(self.line, self.bounds)
+        seen = measured(self.map, self.promise, self.measure, inputs)
+        self._judge("resonant disturbance", seen)
+        if self.line.times[-1] < SETTLED * self.horizon:
+            self.skipped.append("growth under a resonant disturbance: the schedule ends within three horizons.")
+            return
+        early = self.map.rows.times <= self.line.times[-1] / 2
+        growth = ratio(seen.size[:, ~early].max(axis=1), seen.size[:, early].max(axis=1))
+        at = int(np.argmax(growth))
+        self._find(
+            "error does not grow", "resonant disturbance", GROWTH_LIMIT, float(growth[at]), note=f"worst: {names[at]}"
+        )
+
+    def _initial(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        inputs = initial_inputs(self.line, self.bounds)
+        self._judge("initial error", measured(self.map, self.promise, self.measure, inputs), "attained")
+
+    def _paper(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        if self.promise is None or {"cost", "carried_weight", "horizon"} & set(self.options):
+            return
+        estimator = self.estimator(cost="paper")
+        line = self._timeline(None, float(estimator.horizon))
+        found = build_error_map(line, estimator, self.bounds)
+        promise = promise_of(self.certificate, float(estimator.horizon), "paper")
+        seen = monte_carlo(found, self.bounds, promise, promise.root, seeds[:PAPER_RUNS], workers, tell)
+        worst = float(np.max(seen.promised))
+        self._find(
+            "Theorem 9", "random noise, the paper's cost", 1.0, worst, source=promise.theorem, note=_spread(seen)
+        )
+        self._worst_energy(found, promise)
+        self._ellipsoids("random noise, the paper's cost", seen.ellipsoid, seen.ellipsoid[:, found.rows.samples])
+
+    def _short(self) -> tuple[Timeline, ErrorMap]:
+        """The timeline and map of the first samples, for runs of the real estimator."""
+        if self.line.samples.size <= REAL_SAMPLES:
+            return self.line, self.map
+        line = self._timeline(float(self.line.times[self.line.samples[REAL_SAMPLES - 1]]), self.horizon)
+        return line, build_error_map(line, self.estimator(), self.bounds)
+
+    def _estimator(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        line, found = self._short()
+        inputs = draw_inputs(line, self.bounds, seeds[:REAL_RUNS])
+        plant, expected = driven(self.plant), found.apply(inputs).e
+        runs: list[Run] = []
+        for k in range(inputs.e0.shape[0]):
+            truth = true_run(line, inputs, k)
+            runs.append(real_run(line, found.rows, truth, self.estimator(plant if truth.u is not None else None)))
+            tell((k + 1) / inputs.e0.shape[0], f"run {k + 1}")
+        errors = np.array([run.errors(found.rows) for run in runs])
+        self._agree("real estimator", errors, expected)
+        self._held("real estimator", runs, found)
+        self.example = Example(found.rows.times, errors[0], np.array([e.radii for e in runs[0].estimates]))
+
+    def _agree(self, scenario: str, errors: Array, expected: Array) -> None:
+        size = float(np.max(np.linalg.norm(expected @ self.measure.T, axis=2)))
+        away = float(np.max(np.linalg.norm((errors - expected) @ self.measure.T, axis=2)))
+        self._find("difference to the linear error map", scenario, AGREEMENT, away / size if size else away)
+
+    def _held(self, scenario: str, runs: list[Run], found: ErrorMap) -> None:
+        ratios = np.array(
+            [[e.ratio(x) for e, x in zip(r.estimates, r.truth.states[found.rows.at], strict=True)] for r in runs]
+        )
+        self._ellipsoids(scenario, ratios, ratios[:, found.rows.samples])
+        proven = float(np.mean([e.certified for r in runs for e in r.estimates]))
+        failed = [e.note for r in runs for e in r.estimates if e.failed]
+        note = failed[0] if failed else ""
+        self._find("share of proven estimates", scenario, 1.0, proven, "at least", note=note)
+
+    def _constraints(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
+        line, found = self._short()
+        inputs = draw_inputs(line, self.bounds, seeds[:REAL_RUNS])
+        plant, expected = driven(self.plant), found.apply(inputs).e
+        for label, room in (("inactive constraints", ROOMY), ("active constraints", 0.0)):
+            runs = []
+            for k in range(inputs.e0.shape[0]):
+                truth = true_run(line, inputs, k)
+                chosen = self.estimator(plant if truth.u is not None else None, x_set=extent(truth, room))
+                runs.append(real_run(line, found.rows, truth, chosen))
+            errors = np.array([run.errors(found.rows) for run in runs])
+            if room:
+                self._agree(label, errors, expected)
+            elif self.promise is not None:
+                promised = self.promise.along(line, found.rows, inputs)
+                worst = float(np.max(ratio(self.promise.size(errors), promised)))
+                note = f"a constraint was active in {short(100 * _active(runs, found), 3)} % of the solves"
+                self._find("a-priori bound", label, 1.0, worst, source=self.promise.theorem, note=note)
+            self._held(label, runs, found)
+            tell(0.5, label)
+
+
+def _active(runs: list[Run], found: ErrorMap) -> float:
+    solves = [run.estimates[row] for run in runs for row in found.rows.samples]
+    return float(np.mean([e.engine not in CLOSED_FORM for e in solves]))
+
+
+def _spread(seen: Trials) -> str:
+    return f"median over the runs {short(np.median(seen.promised), 3)}"

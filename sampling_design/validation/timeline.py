@@ -1,0 +1,139 @@
+"""Break points in time, fine enough for a disturbance, with the exact flow over each cell between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._linalg import expm_batch
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.meeting import meet
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+CELLS_PER_GAP = 6
+"""Cells of a mean gap: a disturbance may change its mind that often between two samples."""
+CELLS_PER_CYCLE = 16
+"""Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
+SAME_TIME = 1e-12
+"""A window start within this share of a sample's time (or of the horizon) is that sample's time."""
+LARGEST = 20_000
+"""Cells of one timeline; a disturbance gets coarser cells rather than more of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Break points 0 = t_0 < ... < t_T with the exact flow of a w that is constant over each cell.
+
+    Attributes
+    ----------
+    plant : Plant
+    times : (T+1,) array [time]
+    F, gamma : (T, n, n) and (T, n, q) arrays
+        x(t_{c+1}) = F_c x(t_c) + gamma_c w_c.
+    samples : (N,) indices
+        Break points at which something is measured.
+    masks : (N, p) array
+        1.0 where an output is measured.
+    starts : (N,) indices
+        Break point at which the window of each sample begins (0 while the windows still fill).
+    events : (K+1,) indices
+        0, samples, window starts and the end, in order.
+    """
+
+    plant: Plant
+    times: Array
+    F: Array
+    gamma: Array
+    samples: Index
+    masks: Array
+    starts: Index
+    events: Index
+
+    @property
+    def cells(self) -> int:
+        """T."""
+        return self.F.shape[0]
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the cells, (T,)."""
+        return np.diff(self.times)
+
+
+def build_timeline(plant: Plant, schedule: Any, duration: float, horizon: float = np.inf) -> Timeline:
+    """Return the timeline of [0, duration] for a schedule and windows (t - horizon, t].
+
+    Raises
+    ------
+    ArgumentError
+        If there is no sample in [0, duration], or the schedule does not fit the plant.
+    """
+    length = _checks.positive("duration", duration)
+    inside = meet(plant, schedule).between(0.0, length)
+    if not len(inside):
+        raise ArgumentError(f"`schedule` holds no sample in [0, {length!r}]: there is nothing to compare.")
+    times = inside.times
+    starts = _snapped(times - horizon, times, horizon)
+    events = np.unique(np.concatenate([[0.0], times, starts, [length]]))
+    breaks = _refined(plant, events, length / max(len(inside), 1))
+    masks = np.ones((times.size, plant.n_outputs)) if inside.outputs is None else inside.outputs.astype(np.float64)
+    F, gamma = exact_flow(plant, np.diff(breaks), plant.G)
+    return Timeline(
+        plant,
+        _checks.freeze(breaks),
+        F,
+        gamma,
+        np.searchsorted(breaks, times),
+        masks,
+        np.searchsorted(breaks, starts),
+        np.searchsorted(breaks, events),
+    )
+
+
+def default_duration(schedule: Schedule | PeriodicSchedule, horizon: float) -> float:
+    """Return three horizons and at least 40 mean gaps (but at most 200); of a finite schedule its last time."""
+    if isinstance(schedule, Schedule):
+        return float(schedule.times[-1])
+    gap = schedule.period / len(schedule)
+    return float(schedule.first + min(max(3 * horizon, 40 * gap), 200 * gap))
+
+
+def exact_flow(plant: Plant, lengths: Array, through: Array) -> tuple[Array, Array]:
+    """Return e^{Ah} and int_0^h e^{As} ds `through`, one pair per length, from one augmented exponential."""
+    n, m = through.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = plant.A, through
+    unique, place = np.unique(lengths, return_inverse=True)
+    whole = expm_batch(block, unique)[place]
+    return np.ascontiguousarray(whole[:, :n, :n]), np.ascontiguousarray(whole[:, :n, n:])
+
+
+def _snapped(starts: Array, times: Array, horizon: float) -> Array:
+    """Window starts, at least 0; one that is a sample's time but for rounding becomes it."""
+    clipped = np.maximum(starts, 0.0)
+    if not np.isfinite(horizon):
+        return np.zeros_like(times)
+    known = np.concatenate([[0.0], times])
+    at = np.clip(np.searchsorted(known, clipped), 1, known.size - 1)
+    near = np.where(clipped - known[at - 1] < known[at] - clipped, known[at - 1], known[at])
+    return np.where(np.abs(near - clipped) <= SAME_TIME * np.maximum(times, horizon), near, clipped)
+
+
+def _refined(plant: Plant, events: Array, gap: float) -> Array:
+    """Put equal cells between events."""
+    fastest = float(np.max(np.abs(np.linalg.eigvals(plant.A).imag), initial=0.0))
+    cell = gap / CELLS_PER_GAP
+    if fastest > 0:
+        cell = min(cell, 2 * np.pi / fastest / CELLS_PER_CYCLE)
+    cell = max(cell, float(events[-1]) / LARGEST)
+    counts = np.maximum(1, np.ceil(np.diff(events) / cell - 1e-9)).astype(int)
+    parts = [a + (b - a) * np.arange(k) / k for a, b, k in zip(events[:-1], events[1:], counts, strict=True)]
+    return np.concatenate([*parts, events[-1:]])

@@ -1,0 +1,100 @@
+"""Runs of a real estimator, sample by sample and through its protocol only, beside a truth that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.estimator import Estimate, Estimator
+from sampling_design.plants.plant import Plant
+from sampling_design.validation.error_map import Inputs, Rows
+from sampling_design.validation.timeline import Timeline, exact_flow
+
+Array = npt.NDArray[np.float64]
+Make = Callable[..., Estimator]
+
+GROWTH = 3.0
+"""A truth that would grow by more than e^3 in a run is held near zero by a known input."""
+
+
+def driven(plant: Plant) -> Plant:
+    """Return the plant with an input on every state in place of its own: only that moves an unstable truth about."""
+    n = plant.n_states
+    return replace(plant, B=np.eye(n), D=np.zeros((plant.n_outputs, n)), inputs=None)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A run's true states (T+1, n), outputs (N, p) with NaN where not measured, and inputs (N+1, n), from 0 and each
+    sample on (None where the plant needs none). The prior is 0: the truth starts at minus the initial error."""
+
+    states: Array
+    y: Array
+    u: Array | None
+
+
+class Run(NamedTuple):
+    """Estimates at every row of a map, and the truth beside them."""
+
+    estimates: tuple[Estimate, ...]
+    truth: Truth
+
+    def errors(self, rows: Rows) -> Array:
+        """Errors at the rows, (R, n)."""
+        return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
+
+
+def true_run(line: Timeline, inputs: Inputs, run: int = 0) -> Truth:
+    """Simulate the truth of one run of `inputs`, exactly; an unstable one is steered back to zero at each sample."""
+    plant = line.plant
+    pace = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
+    steered = pace * line.times[-1] > GROWTH
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    marks = np.unique(np.concatenate([[0], line.samples, [line.cells]]))
+    through = exact_flow(plant, line.lengths, np.eye(plant.n_states))[1]
+    x, u = -inputs.e0[run], np.zeros(plant.n_states)
+    states, outputs, applied = np.empty((line.times.size, x.size)), [], []
+    for b in range(line.times.size):
+        if b:
+            x = line.F[b - 1] @ x + line.gamma[b - 1] @ inputs.w[run, b - 1] + through[b - 1] @ u
+        states[b] = x
+        if b in samples:
+            j = samples[b]
+            outputs.append(np.where(line.masks[j] > 0, plant.C @ x + inputs.v[run, j], np.nan))
+        if steered and b in marks[:-1]:
+            until = line.times[marks[np.searchsorted(marks, b) + 1]]
+            F, G = exact_flow(plant, np.array([until - line.times[b]]), np.eye(x.size))
+            u = np.linalg.lstsq(G[0], -F[0] @ x, rcond=None)[0]
+        if b in marks:
+            applied.append(u)
+    first = 1 if line.samples[0] > 0 else 0
+    return Truth(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
+
+
+def real_run(line: Timeline, rows: Rows, truth: Truth, estimator: Estimator) -> Run:
+    """Feed a truth's outputs to an estimator and ask it at every row."""
+    first = 1 if line.samples[0] > 0 else 0
+    if truth.u is not None and first:
+        estimator.update(0.0, None, truth.u[0])
+    found: list[Estimate] = []
+    j = 0
+    for b, after in zip(rows.at, rows.after, strict=True):
+        t = float(line.times[b])
+        if after and j < line.samples.size and b == line.samples[j]:
+            found.append(estimator.update(t, truth.y[j], None if truth.u is None else truth.u[j + first]))
+            j += 1
+        else:
+            found.append(estimator.predict(t))
+    return Run(tuple(found), truth)
+
+
+def extent(truth: Truth, room: float = 0.0) -> tuple[Any, Any]:
+    """Return a box that holds the truth at every break point and the prior 0, wider by `room` times its size."""
+    low = np.minimum(truth.states.min(axis=0), 0.0)
+    high = np.maximum(truth.states.max(axis=0), 0.0)
+    wide = room * (high - low)
+    return low - wide, high + wide

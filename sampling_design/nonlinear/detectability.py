@@ -47,8 +47,10 @@ class DetectabilityEvidence(Record):
     Attributes
     ----------
     ratio : float
-        (16) held along all pairs exactly when this is at least 1; with P1 = P2 (the default) it held with
-        P1 = ratio P2.
+        (16) held along all pairs exactly when this is at least 1.
+    least_lambda : float
+        lambda_max(P2, P1) cannot be less than this for any P1 that satisfies (16) with these P2, Qw, R, Qv, eta:
+        the largest |dx(t)|^2_P2 over the right side. This much is refuted by the pairs, not only sampled.
     ratios : array
         The least ratio of each pair.
     pairs, left_out : int
@@ -60,6 +62,7 @@ class DetectabilityEvidence(Record):
     """
 
     ratio: float
+    least_lambda: float
     ratios: Array
     pairs: int
     left_out: int
@@ -74,9 +77,9 @@ class DetectabilityEvidence(Record):
         """Whether (16) held at every time that was looked at."""
         return self.ratio >= 1.0
 
-    def horizon(self) -> float:
-        """Return 2 ln(2/ratio)/eta, what Theorem 9 would ask if (16) held with P1 = ratio P2 for *all* pairs."""
-        return float(2 * np.log(2 / self.ratio) / self.eta) if self.eta > 0 and self.ratio > 0 else float("inf")
+    def least_horizon(self) -> float:
+        """Return 2 ln(2 least_lambda)/eta: with these weights Theorem 9 asks for more than this, whatever P1 is."""
+        return float(2 * np.log(2 * self.least_lambda) / self.eta) if self.eta > 0 else float("inf")
 
     def _rows(self) -> list[tuple[str, str]]:
         left = f", {self.left_out} more left out" if self.left_out else ""
@@ -85,6 +88,8 @@ class DetectabilityEvidence(Record):
             ("pairs", f"{self.pairs}{left}"),
             ("at", f"pair {self.witness.pair}, K_{self.witness.start}, t = {short(self.witness.t)} {self.time_unit}"),
             ("median ratio", short(np.median(self.ratios))),
+            ("lambda, at least", short(self.least_lambda)),
+            ("horizon of Theorem 9, at least", f"{short(self.least_horizon())} {self.time_unit}"),
             ("eta", f"{short(self.eta)} 1/{self.time_unit}"),
             ("duration", f"{short(self.duration)} {self.time_unit}"),
         ]
@@ -179,7 +184,8 @@ def check_detectability(
         i = 1 + k % sets.distinct
         seen = study.pair(sets.starting_at(i), left, rng)
         if seen is not None:
-            found.append((seen[0], PairWitness(k, i, seen[1], seen[2] * plant.signals["states"].scales)))
+            worst, t, difference, growth = seen
+            found.append((worst, growth, PairWitness(k, i, t, difference * plant.signals["states"].scales)))
         if progress is not None:
             progress((k + 1) / count, f"{k + 1} of {count} pairs")
     return study.evidence(found, count - len(found))
@@ -200,7 +206,7 @@ class _Study:
         self.u = _checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
         self.integrator = Integrator(plant)
 
-    def evidence(self, found: list[tuple[float, PairWitness]], left_out: int) -> DetectabilityEvidence:
+    def evidence(self, found: list[tuple[float, float, PairWitness]], left_out: int) -> DetectabilityEvidence:
         """Return the record of the pairs that stayed in X.
 
         Raises
@@ -210,17 +216,18 @@ class _Study:
         """
         if not found:
             raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
-        least, witness = min(found, key=lambda item: item[0])
+        least, _, witness = min(found, key=lambda item: item[0])
         unit = self.plant.time_unit
         statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"
         claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
-        values = _checks.freeze([value for value, _ in found])
+        values = _checks.freeze([value for value, _, _ in found])
+        growth = max(1.0, *(value for _, value, _ in found))  # at t = 0 it is 1
         return DetectabilityEvidence(
-            least, values, len(found), left_out, self.weights.eta, self.duration, unit, witness, claim
+            least, growth, values, len(found), left_out, self.weights.eta, self.duration, unit, witness, claim
         )
 
-    def pair(self, times: Any, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array] | None:
-        """Return least ratio, where, and the scaled difference there; None if the pair leaves X."""
+    def pair(self, times: Any, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:
+        """Return least ratio, where, the scaled difference there, and the growth in P2; None if the pair leaves X."""
         samples = times.between(0.0, self.duration).times
         grid = _grid(self.duration, self.step, samples)
         loud = 0.0 if rng.random() < QUIET_SHARE else rng.random()
@@ -231,7 +238,8 @@ class _Study:
         sampled = np.isin(grid, samples)
         ratio = ratios(grid, x, w, v, y, sampled, P1, self.weights)
         j = int(np.argmin(ratio))
-        return float(ratio[j]), float(grid[j]), x[j]
+        growth = 1 / float(ratios(grid, x, w, v, y, sampled, self.weights.P2, self.weights).min())
+        return float(ratio[j]), float(grid[j]), x[j], growth
 
     def _trajectory(
         self, grid: Array, loud: float, rng: np.random.Generator

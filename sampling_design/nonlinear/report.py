@@ -103,7 +103,11 @@ class ThyroidReport(Record):
     def to_markdown(self) -> str:
         """Return the result as a page: figures beside the paper's, solver times, and what is open."""
         data = self.to_dict()["cases"]
+        readings = " ".join(f"--reading {case}" for case in self.cases)
+        command = f"sampling-design thyroid --runs {self.runs} --days {short(self.days)} --seed {self.seed} {readings}"
         parts = [
+            "# The paper's Section VI: hormone concentrations from rare blood samples",
+            f"Written by `{command} -o DIR`, as DIR/report.md.",
             f"{self.runs} runs of {short(self.days)} days per reading of w, seed {self.seed}; "
             "RMSE in scaled states, mean over the runs and, in brackets, standard deviation between them.",
             _table(
@@ -114,9 +118,10 @@ class ThyroidReport(Record):
                 ],
             ),
             _table(
-                ["w", "scheme", "problems", "mean time [s]", "longest [s]", "failed"],
+                ["w", "scheme", "problems", "mean time [s]", "longest [s]", "together [s]", "failed"],
                 [_solver_row(case, scheme, data[case][scheme]) for case in self.cases for scheme in SCHEMES],
             ),
+            self.explain(),
             "What cannot be known from the paper, and what is done instead:",
             "\n".join(f"- *{point}*: {choice}" for point, choice in OPEN_POINTS),
         ]
@@ -161,6 +166,7 @@ def _error_row(case: str, span: str, data: Mapping[str, Any]) -> list[str]:
 
 def _solver_row(case: str, scheme: str, data: Mapping[str, Any]) -> list[str]:
     times = [f"{data[key]:.3f}" for key in ("seconds_mean", "seconds_max")]
+    times.append(f"{data['problems'] * data['seconds_mean']:.1f}")
     return [case, scheme.replace("_", "-"), str(data["problems"]), *times, str(data["failed"])]
 
 

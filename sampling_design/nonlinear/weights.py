@@ -36,7 +36,8 @@ def scaled_weights(
 ) -> NonlinearWeights:
     """Return physical weights in scaled coordinates; the defaults are those of the linear estimator.
 
-    `name` is what the weight of states is called in messages. Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2).
+    `name` is what the weight of states is called in messages.
+    Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2).
 
     Raises
     ------

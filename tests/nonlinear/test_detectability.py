@@ -34,6 +34,8 @@ def test_a_certificate_of_a_linear_plant_is_never_refuted():
     assert found.holds
     assert found.ratio >= 1.0
     assert found.claim.strength == "sampled"
+    # the pairs can only refute a lambda below the certificate's
+    assert 1.0 <= found.least_lambda <= certificate.lam * (1 + 1e-9)
     assert "not proof" in found.explain()
 
 
@@ -46,7 +48,8 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
     assert found.witness.t == pytest.approx(3.0)
     # without disturbance the ratio is exactly e^{-(eta + 2) t}
     assert found.ratio == pytest.approx(np.exp(-2.2 * 3.0), rel=1e-6)
-    assert found.horizon() == pytest.approx(2 * np.log(2 / found.ratio) / 0.2)
+    assert found.least_lambda == pytest.approx(1 / found.ratio)
+    assert found.least_horizon() == pytest.approx(2 * np.log(2 / found.ratio) / 0.2)
     assert "failed" in found.explain()
     assert "evidence, not proof" in str(found)
 

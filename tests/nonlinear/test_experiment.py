@@ -132,7 +132,7 @@ def test_failed_problems_are_counted_and_printed():
     report = ThyroidReport(("per_day",), 1, 1 / 12, 0, (run.summary(),))
     assert report.failures == 1
     assert report.to_dict()["cases"]["per_day"]["standard"]["failed"] == 1
-    assert "| per_day | standard | 2 | 0.025 | 0.040 | 1 |" in report.to_markdown()
+    assert "| per_day | standard | 2 | 0.025 | 0.040 | 0.1 | 1 |" in report.to_markdown()
     assert "| per_day | after day 1 | - | - | - |" in report.to_markdown()
 
 
@@ -146,6 +146,7 @@ def test_the_page_says_what_cannot_be_known(week):
     assert all(choice in page for _, choice in OPEN_POINTS)
     assert json.dumps(report.to_dict(), allow_nan=False)
     assert "cannot be known" in page
+    assert "`sampling-design thyroid --runs 1 --days 7 --seed 0 --reading per_second -o DIR`" in page
     assert "t = 0 counted" in str(report)
     assert "samples instead of" in week.explain()
     assert week.figure(2).explain().startswith("The measured states")

@@ -36,6 +36,8 @@ myst_links_external_new_tab = True
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE / "_build" / "cells")
 nb_execution_timeout = 120
+# while writing pages: DOCS_FAST=1 shows the lecture notebooks without executing them
+nb_execution_excludepatterns = ["made/notebooks/*"] if os.environ.get("DOCS_FAST") else []
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
@@ -84,8 +86,26 @@ def _escaped(text):
     return re.sub(r"(?<=\w)_(?!\w)", r"\\_", text)
 
 
+def _equations_stand_as_they_are(lines):
+    """Make every indented block before the first section a literal block: it is the docstring's equation."""
+    head = next((i for i, line in enumerate(lines[1:]) if line.startswith("---")), len(lines))
+    out, i = [], 0
+    while i < min(head, len(lines)):
+        begins = lines[i].startswith("    ") and i and not lines[i - 1].strip()
+        if begins and not (out and out[-2:] and out[-2].rstrip().endswith("::")):
+            out += [".. code-block:: text", ""]
+            while i < head and (lines[i].startswith("    ") or not lines[i].strip()):
+                out.append(lines[i])
+                i += 1
+        else:
+            out.append(lines[i])
+            i += 1
+    lines[:] = out + lines[i:]
+
+
 def escape_mathematics(app, what, name, obj, options, lines):
     """Escape running text of a docstring, and leave examples and displayed formulas as they are."""
+    _equations_stand_as_they_are(lines)
     literal = False
     for i, line in enumerate(lines):
         indented = line.startswith("    ") or line.lstrip().startswith(">>>")

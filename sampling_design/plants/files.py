@@ -69,6 +69,16 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
 def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """Write a plant to a .toml, .json, .mat or .npz file, whole or not at all; return the path.
 
+    Parameters
+    ----------
+    plant : Plant
+    path : path
+        Its suffix says which kind of file.
+
+    Returns
+    -------
+    Path
+
     Raises
     ------
     FileFormatError

@@ -345,6 +345,15 @@ PLANTS: dict[str, Callable[[], Plant]] = {
 def named_plant(name: str) -> Plant:
     """Return a plant of the library by its name.
 
+    Parameters
+    ----------
+    name : str
+        A key of `PLANTS`, such as "satellite".
+
+    Returns
+    -------
+    Plant
+
     Raises
     ------
     ArgumentError

@@ -211,7 +211,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             note = "" if solution.message == "solve succeeded" else f"The solver says: {solution.message}."
             return self._node(sample, x, "ok", note, cost=solution.cost, **details)
         self.window = None
-        x, trouble = self._open_loop(state, sample.t)
+        x, trouble = self._open_loop(state, state.last, sample.t)
         note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble}".strip()
         return self._node(sample, x, solution.status, note, **details)
 
@@ -257,7 +257,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         node = nodes[anchor]
         if abs(node.t - s) <= slack:
             return node.t, node.x, nodes[anchor:] if node.sample.y is not None else nodes[anchor + 1 :]
-        return s, self._flown(state, node.x, node.t, s), nodes[anchor + 1 :]
+        return s, self._open_loop(state, node, s)[0], nodes[anchor + 1 :]
 
     def _edges(self, nodes: list[float]) -> Array:
         """Divide the gaps between the nodes into equal pieces of at most `w_step`."""
@@ -298,15 +298,16 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             x = self._integrator.step(x, self._input(state, start), still, start, stop)
         return x
 
-    def _open_loop(self, state: State, t: float) -> tuple[Array, str]:
-        """Return the open loop at t; if even that fails, the last estimate, and say so."""
+    def _open_loop(self, state: State, node: Node, t: float) -> tuple[Array, str]:
+        """Return the open loop from a node at t; if even that fails, the node's estimate, and say so."""
         try:
-            return self._flown(state, state.last.x, state.last.t, t), ""
+            return self._flown(state, node.x, node.t, t), ""
         except SolverError as error:
-            return state.last.x, f"It fails too ({error}); the last estimate is held."
+            return node.x, f"The open loop fails too, the last estimate is held: {error}"
 
     def _predict(self, state: State, t: float) -> Estimate:
         node = state.nodes[state.node_before(t)]
         if node.t == t:
             return node.estimate
-        return self._said(t, self._flown(state, node.x, node.t, t), "predicted")
+        x, trouble = self._open_loop(state, node, t)
+        return self._said(t, x, "solver failed" if trouble else "predicted", trouble)

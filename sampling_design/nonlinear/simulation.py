@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -91,8 +94,8 @@ class Integrator:
         self.plant, self.scale = plant, plant.signals["states"].scales
         rate = plant.f_casadi(z * self.scale, uw[:m], uw[m:]) / self.scale
         problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
-        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
-        options["disable_internal_warnings"] = True  # what goes wrong is raised, not printed
+        options: dict[str, Any] = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
+        options |= {"disable_internal_warnings": True, "show_eval_warnings": False}  # raised, not printed
         self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
 
     def step(self, x: Array, u: Array, w: Array, start: float, stop: float) -> Array:
@@ -109,9 +112,15 @@ class Integrator:
         except RuntimeError as error:
             raise SolverError(
                 f"the integration fails between t = {start:.6g} and {stop:.6g} {self.plant.time_unit} "
-                f"({str(error).strip().splitlines()[-1]:.120})", status="integration failed",
+                f"({_reason(error)}).", status="integration failed",
             ) from None  # fmt: skip
         return found * self.scale
+
+
+def _reason(error: RuntimeError) -> str:
+    """The integrator's own word for what went wrong."""
+    word = re.search(r'returned "(\w+)"', str(error))
+    return f"the integrator says {word[1]}" if word else "the integrator gives no reason"
 
 
 def require_inside(plant: NonlinearPlant, name: str, x: Array) -> None:

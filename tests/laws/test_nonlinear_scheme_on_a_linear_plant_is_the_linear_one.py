@@ -1,11 +1,12 @@
 """On a linear plant the nonlinear estimator tends to the linear one, at order 2 in the grid of w."""
 
+import casadi
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import from_linear
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 PENDULUM = sd.library.cart_pendulum()
@@ -69,3 +70,25 @@ def test_open_loop_between_samples_agrees_likewise():
         assert found.status == "predicted"
         gaps.append(np.abs((found.x - linear.predict(0.95).x) / PENDULUM.states.scales).max())
     assert gaps[0] / gaps[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_near_an_equilibrium_it_is_that_of_the_linearisation_up_to_third_order():
+    # a pendulum: sin x = x - x^3/6 + ..., so halving the amplitude divides the difference by 8
+    swing = NonlinearPlant(
+        lambda x, u, w: [x[1], -casadi.sin(x[0]) - 0.1 * x[1] + w[0]],
+        lambda x, u, v: [x[0] + v[0]],
+        {"states": 2, "disturbances": 1, "outputs": 1},
+    )
+    linear = from_linear(swing.linearise([0.0, 0.0]))
+    rng = np.random.default_rng(3)
+    y = np.cos(TIMES) + 0.1 * rng.standard_normal(TIMES.size)
+    gaps = []
+    for size in (0.2, 0.1, 0.05):
+        runs = [
+            NonlinearMovingHorizonEstimator(plant, horizon=3.2, eta=0.3, w_step=0.4, tolerance=1e-12).run(
+                (t, [size * value]) for t, value in zip(TIMES, y, strict=True)
+            )
+            for plant in (swing, linear)
+        ]
+        gaps.append(np.abs(runs[0].x - runs[1].x).max())
+    assert np.divide(gaps[:-1], gaps[1:]) == pytest.approx([8.0, 8.0], rel=0.1)

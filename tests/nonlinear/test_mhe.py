@@ -238,6 +238,23 @@ def test_where_even_the_open_loop_fails_the_last_estimate_is_held():
     assert found.status[1] in ("infeasible", "solver failed")
     assert "the last estimate is held" in found.notes[1]
     assert found.x[1] == pytest.approx(found.x[0])
+    lost = scheme.predict(9.0)
+    assert lost.failed
+    assert "the last estimate is held" in lost.note
+    assert lost.x == pytest.approx(found.x[0])
+
+
+def test_a_model_that_turns_nan_under_way_stops_nothing(capfd):
+    # the root is not finite below 0, and a sample of -8 pulls the window there
+    root = NonlinearPlant(
+        lambda x, u, w: [w[0] - x[0] ** 0.5], position, {"states": 1, "disturbances": 1, "outputs": 1}
+    )
+    scheme = NonlinearMovingHorizonEstimator(root, horizon=3.0, prior=[0.5], w_step=0.25)
+    found = scheme.run([(0.0, [0.5]), (0.5, [0.2]), (1.0, [-8.0]), (1.5, [0.1]), (5.0, [0.1]), (9.0, [0.2])])
+    assert "ok" in found.status
+    assert "solver failed" in found.status or "infeasible" in found.status
+    assert np.all(np.isfinite(found.x))
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(

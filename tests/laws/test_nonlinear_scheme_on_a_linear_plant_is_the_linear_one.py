@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant, from_linear
+from sampling_design.nonlinear.model import NonlinearPlant
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 PENDULUM = sd.library.cart_pendulum()

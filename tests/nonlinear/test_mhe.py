@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant
+from sampling_design import Plant, read_measurements, write_estimates
 from sampling_design.errors import ArgumentError, MissingExtraError
 from sampling_design.estimators.estimator import EstimateRecord, Estimator
+from sampling_design.nonlinear import thyroid
+from sampling_design.nonlinear.conversion import from_linear
+from sampling_design.nonlinear.experiment import paper_weights
 from sampling_design.nonlinear.mhe import NOTE, NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant, from_linear
+from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 
@@ -145,6 +148,23 @@ def test_inputs_hold_until_the_next_and_may_change_between_samples():
     found = scheme.update(2.0, truth[3, :1])
     assert found.x == pytest.approx(truth[3], abs=1e-6)
     assert scheme.solves[-1].intervals == 1 + 2 + 2  # the changes of the input are edges
+
+
+def test_files_of_measurements_and_estimates_serve_it_too(tmp_path):
+    path = tmp_path / "blood.csv"
+    path.write_text(
+        "date,T4,T3_p,TSH,u_T4,u_T3\n2026-01-05T08:00,2.1e-8,9.6e-10,4.7,0,0\n2026-01-06T09:30,2.1e-8,,4.8,,\n"
+    )
+    patient = thyroid.thyroid()
+    scheme = NonlinearMovingHorizonEstimator(
+        patient, horizon=5.0, w_step=0.25, prior=thyroid.TRUE_START, **paper_weights()
+    )
+    found = scheme.run(read_measurements(path, patient))
+    assert found.status == ("ok", "ok")
+    assert found.times[1] - found.times[0] == pytest.approx(25.5 / 24)
+    lines = write_estimates(found, tmp_path / "estimates.csv").read_text().splitlines()
+    assert lines[0].startswith("time,status,certified,cost,T4_th,T4_th_radius")
+    assert lines[1].split(",")[5] == ""  # no radius is known
 
 
 def test_a_late_sample_gives_the_result_of_samples_in_order():

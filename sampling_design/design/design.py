@@ -12,7 +12,8 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._units import time_factor
 from sampling_design.design.bounds import UpperBound, first_bound, narrowed
-from sampling_design.design.problem import DesignProblem, pose, resolve
+from sampling_design.design.posing import pose, resolve
+from sampling_design.design.problem import DesignProblem
 from sampling_design.design.relaxation import Relaxation, relax_placed
 from sampling_design.design.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
@@ -125,7 +126,7 @@ def design_schedule(
         resolved,
         used,
         count,
-        rng or np.random.default_rng(0),
+        int((np.random.default_rng(0) if rng is None else rng).integers(2**63)),
         starts,
         branches,
         rtol,
@@ -133,7 +134,22 @@ def design_schedule(
         progress,
         time.perf_counter(),
     )
-    return run.fewest() if resolved.target_sigma is not None else run.one(run.count())
+    return _aimed(run) if resolved.target_sigma is not None else run.one(run.count())
+
+
+def _aimed(run: _Run) -> ScheduleDesign:
+    """The fewest samples for the target; an error's nearest requirement is tried, so that it reaches its target."""
+    try:
+        return run.fewest()
+    except InfeasibleRequirementError as error:
+        if error.obstacle == "target_sigma":
+            raise
+        first = error
+    try:
+        replace(run, requirement=run.requirement.replace(**first.nearest)).fewest()
+    except InfeasibleRequirementError as second:
+        first.nearest |= second.nearest
+    raise first
 
 
 def _check_arguments(plant: object, requirement: object) -> None:
@@ -199,7 +215,7 @@ class _Run:
     requirement: Requirement
     used: dict[str, Any]
     zero_count: ZeroCountBound
-    rng: np.random.Generator
+    seed: int
     starts: int
     branches: int
     rtol: float
@@ -239,7 +255,8 @@ class _Run:
             self.say(low + fraction * (near - low), message)
 
         deadline, enough = self.began + self.seconds, sized.bound.value * (1 - _ENOUGH)
-        found = search(sized.problem, sized.relaxation, self.rng, self.starts, deadline, inner, enough)
+        rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
+        found = search(sized.problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
         bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline)
         time_left = time.perf_counter() <= deadline
         schedule = self.schedule(sized.problem, found)
@@ -279,30 +296,30 @@ class _Run:
         """The fewest samples whose proven sigma reaches the target; counts whose bound falls short are skipped."""
         target = float(self.requirement.target_sigma or 0)
         low, high = self.limits()
-        ruled_out, best = low - 1, None
+        ruled_out, best, last = low - 1, None, None
+        too_few: dict[str, Any] = {}
         for samples in range(low, high + 1):
             try:
-                sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
+                last = sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
             except InfeasibleRequirementError as error:
-                if error.obstacle == "samples":  # too few to see the state at all: go on
-                    ruled_out = samples
-                    continue
-                break
+                if error.obstacle != "samples":
+                    if last is None:
+                        raise
+                    break
+                ruled_out, too_few = samples, error.nearest  # not enough to see the state at all: go on
+                continue
             if sized.bound.value < target:
                 if ruled_out == samples - 1:
                     ruled_out = samples
                 continue
             share = (samples - low) / (high - low + 1)
-            best = self.searched(sized, share, min(1.0, share + 1 / (high - low + 1)))
-            if best.sigma >= target:
-                return replace(best, notes=(*best.notes, _fewest_note(samples, ruled_out, target)))
-        reached = f"{best.sigma:.6g} with {len(best.schedule or ())} samples" if best is not None else "less"
-        raise InfeasibleRequirementError(
-            f"`target_sigma` {target:g} is not reached with up to {high} samples per period; found {reached}. "
-            "Ask for less, allow more samples, or narrow the spacing.",
-            "target_sigma",
-            {} if best is None else {"target_sigma": best.sigma, "samples": len(best.schedule or ())},
-        )
+            found = self.searched(sized, share, min(1.0, share + 1 / (high - low + 1)))
+            if found.sigma >= target:
+                return replace(found, notes=(*found.notes, _fewest_note(samples, ruled_out, target)))
+            best = found if best is None or found.sigma > best.sigma else best
+        if best is None and last is not None:
+            best = self.searched(last, 0.5, 1.0)
+        raise _out_of_reach(target, high, best, too_few)
 
     def limits(self) -> tuple[int, int]:
         """Smallest and largest count to try; below the smallest an average over all windows rules the target out.
@@ -312,11 +329,29 @@ class _Run:
         wanted = self.requirement.samples
         problem = pose(self.designed, self.requirement, 1, check=False)
         exact = wanted.get("exactly")
-        high = min(exact or wanted.get("at_most", MOST_TRIED), max(problem.capacity(), 1))
+        high = exact or min(wanted.get("at_most", MOST_TRIED), max(problem.capacity(), 1))
         mean = problem.window / problem.period * float(problem.rows.least(np.eye(self.designed.n_states))[0])
         needed = int(np.ceil(0.98 * float(self.requirement.target_sigma or 0) ** 2 / mean))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
+
+
+def _out_of_reach(
+    target: float, high: int, best: ScheduleDesign | None, too_few: dict[str, Any]
+) -> InfeasibleRequirementError:
+    """The error of a target that no count reaches; the nearest is what was proven with the best of them."""
+    nearest: dict[str, Any] = {**too_few, "target_sigma": None}  # where not even the most samples see the state
+    reached = "no schedule that sees every state"
+    if best is not None and best.schedule is not None and best.sigma > 0:
+        proven = float(f"{best.sigma * (1 - 5e-5):.5g}")
+        nearest = {"target_sigma": proven, "samples": len(best.schedule)}
+        reached = f"{proven:g} with {len(best.schedule)} samples"
+    return InfeasibleRequirementError(
+        f"`target_sigma` {target:g} is not reached with up to {high} samples per period; found {reached}. "
+        "Ask for less, allow more samples, or narrow the spacing.",
+        "target_sigma",
+        nearest,
+    )
 
 
 def _fewest_note(samples: int, ruled_out: int, target: float) -> str:

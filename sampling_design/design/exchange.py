@@ -16,9 +16,6 @@ Array = npt.NDArray[np.floating[Any]]
 
 _LEADS = 6  # turns of a lap that repair tries
 
-MARGIN = 1e-9
-"""Relative: spacings are kept this much wider than asked, so that rounding cannot break them."""
-
 
 def rounded(problem: DesignProblem, found: Relaxation, offset: float) -> Array | None:
     """Systematic sampling of the cumulated weights from `offset` in [0, 1), repaired; None if no repair is found."""
@@ -41,13 +38,22 @@ def even(problem: DesignProblem, offset: float) -> Array | None:
     return repaired(problem, np.concatenate([problem.fixed, problem.intervals[place, 1] - (ends[place] - marks)]))
 
 
+def packed(problem: DesignProblem) -> Array:
+    """A schedule that fits whenever any does: of the densest packing as many as are asked for, fixed ones first."""
+    times = problem.packing()
+    free = times[~np.isin(times, np.mod(problem.fixed, problem.period))]
+    spare = problem.samples - problem.fixed.size
+    picked = np.floor(np.arange(spare) * (free.size / max(spare, 1))).astype(np.intp)
+    return np.sort(np.concatenate([problem.fixed, free[picked]]))
+
+
 def repaired(problem: DesignProblem, times: Array) -> Array | None:
     """Admissible times near `times` (fixed ones stay): pushed apart in order; None where that does not fit.
 
     From a sample after one of the widest gaps as the first of the lap, later samples move right just enough;
     the turn that moves them least wins.
     """
-    period, gap = problem.period, problem.spacing * (1 + MARGIN)
+    period, gap = problem.period, problem.gap
     t = np.sort(np.mod(times, period))
     best: tuple[float, Array] | None = None
     widest = np.argsort(-np.diff(np.append(t[-1] - period, t)), kind="stable")
@@ -67,7 +73,7 @@ def _pushed(problem: DesignProblem, turn: Array, gap: float) -> Array | None:
     result: list[float] = []
     for wish in turn:
         if np.any(np.abs(fixed - wish) <= 1e-12 * period):
-            if result and wish - result[-1] < gap / (1 + MARGIN) * (1 - 1e-12):
+            if result and wish - result[-1] < problem.spacing * (1 - 1e-12):
                 return None
             result.append(float(wish))
             continue
@@ -100,7 +106,7 @@ def next_open(problem: DesignProblem, t: float) -> float:
 
 def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
     """Admissible times for one more sample: a grid of `count`, and the ends of free stretches where these are few."""
-    period, gap = problem.period, problem.spacing * (1 + MARGIN)
+    period, gap = problem.period, problem.gap
     grid = np.arange(count) * (period / count)
     near = np.concatenate([others - gap, others + gap]) if others.size <= count // 2 else np.zeros(0)
     wished = np.unique(np.mod(np.concatenate([grid, near, problem.intervals[:, 0]]), period))
@@ -108,7 +114,7 @@ def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
     if not others.size:
         return wished
     distance = np.abs((wished[:, None] - others[None, :] + period / 2) % period - period / 2)
-    return wished[distance.min(axis=1) >= problem.spacing * (1 + MARGIN / 2)]
+    return wished[distance.min(axis=1) >= (problem.spacing + gap) / 2]
 
 
 def is_admissible(problem: DesignProblem, times: Array) -> bool:

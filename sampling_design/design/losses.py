@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.design.design import bounded
-from sampling_design.design.problem import repeated
+from sampling_design.design.posing import repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows import WindowSigma

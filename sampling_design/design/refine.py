@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _conic
-from sampling_design.design.exchange import MARGIN, is_admissible
+from sampling_design.design.exchange import is_admissible
 from sampling_design.design.gram import lags
 from sampling_design.design.positions import Positions, positions, window_grams, worst_sigma2
 from sampling_design.design.problem import DesignProblem
@@ -115,7 +115,7 @@ def _slopes(problem: DesignProblem, times: Array, where: Positions, kept: npt.ND
 def _limits(problem: DesignProblem, times: Array, trust: float) -> tuple[Array, Array]:
     """Rows of A, b in A move <= b (moves in units of `trust`): spacing, trust, fixed times, allowed intervals."""
     k, period = times.size, problem.period
-    gap = problem.spacing * (1 + MARGIN)
+    gap = problem.gap
     eye = np.eye(k)
     apart = eye - np.roll(eye, -1, axis=0)  # s_i - s_{i+1} <= distance - gap
     distance = np.diff(np.append(times, times[0] + period))

@@ -12,7 +12,8 @@ import numpy as np
 from sampling_design._record import Record, short
 from sampling_design.design.bounds import UpperBound
 from sampling_design.design.exchange import is_admissible
-from sampling_design.design.problem import DesignProblem, pose
+from sampling_design.design.posing import pose
+from sampling_design.design.problem import DesignProblem
 from sampling_design.design.requirement import Requirement
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.windows import WindowSigma, window_sigma

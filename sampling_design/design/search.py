@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.exchange import even, exchanged, is_admissible, repaired, rounded
+from sampling_design.design.exchange import even, exchanged, is_admissible, packed, repaired, rounded
 from sampling_design.design.positions import worst_sigma2
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.refine import refined
@@ -71,31 +71,52 @@ def search(
             "Widen the allowed times or ask for less spacing.",
             status="no start",
         )
+    run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
     order = np.argsort(-values, kind="stable")[:starts]
-    named = [i for i, (name, _) in enumerate(pool) if name != "random" and i not in order]
-    best, best_value = pool[order[0]][1], float(values[order[0]])
-    trials: list[Trial] = []
+    named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
     chosen = [*order, *named]
     for done, i in enumerate(chosen):
-        if (trials and time.perf_counter() > deadline) or best_value >= enough**2:
+        if run.trials and run.is_over:
             break
-        name, t = pool[i]
-        t, value = refined(problem, t, float(values[i]), deadline=deadline)
-        trials.append(Trial(name, float(np.sqrt(values[i])), float(np.sqrt(value))))
-        if value > best_value:
-            best, best_value = t, value
+        run.refine(pool[i][0], pool[i][1], float(values[i]))
         if progress:
             progress((done + 1) / (len(chosen) + 1), f"refined start {done + 1} of {len(chosen)}")
-    good = best_value >= enough**2
-    complete = good or (len(trials) == len(chosen) and time.perf_counter() <= deadline)
-    if complete and not good:
-        t, value = exchanged(problem, best, best_value, count=_places(problem), rounds=1, deadline=deadline)
-        if value > best_value:
-            t, value = refined(problem, t, value, deadline=deadline)
-            trials.append(Trial("exchange", float(np.sqrt(best_value)), float(np.sqrt(value))))
-            best, best_value = t, value
-    return Found(best, float(np.sqrt(max(best_value, 0.0))), tuple(trials), complete)
+    if len(run.trials) == len(chosen) and not run.is_over:
+        t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
+        if value > run.value:
+            run.refine("exchange", t, value)
+    complete = run.is_best or time.perf_counter() <= deadline
+    return Found(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
+
+
+@dataclass
+class _Refinement:
+    """The best schedule so far, its sigma^2, and the trials that led there."""
+
+    problem: DesignProblem
+    deadline: float
+    enough: float
+    best: Array
+    value: float
+    trials: list[Trial]
+
+    @property
+    def is_best(self) -> bool:
+        """Whether none can be better."""
+        return self.value >= self.enough**2
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is nothing left to gain, or no time."""
+        return self.is_best or time.perf_counter() > self.deadline
+
+    def refine(self, name: str, times: Array, before: float) -> None:
+        """Refine one schedule and keep it if it is the best."""
+        times, after = refined(self.problem, times, before, deadline=self.deadline)
+        self.trials.append(Trial(name, float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        if after > self.value or len(self.trials) == 1:
+            self.best, self.value = times, after
 
 
 def _places(problem: DesignProblem) -> int:
@@ -108,6 +129,7 @@ def _starts(
 ) -> list[tuple[str, Array]]:
     """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
+    found.append(("packed", packed(problem)))
     found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
     size = problem.samples - problem.fixed.size
     lengths = np.diff(problem.intervals, axis=1)[:, 0]

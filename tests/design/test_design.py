@@ -64,6 +64,31 @@ def test_a_target_out_of_reach_names_what_was_found():
     ) as caught:
         design_schedule(oscillator(), requirement, starts=2)
     assert caught.value.obstacle == "target_sigma"
+    again = design_schedule(oscillator(), requirement.replace(**caught.value.nearest), starts=2)
+    assert again.sigma >= caught.value.nearest["target_sigma"] > 1.0  # every bound fell short, yet this one is proven
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"samples": {"at_most": 4}}, {"samples": 3, "spacing": 1.1}, {"samples": 9}, {"samples": 9, "target_sigma": 7.0}],
+)
+def test_the_nearest_target_is_reached_by_the_whole_design(change):
+    asked = Requirement(window=4.0, spacing=0.5, target_sigma=1.6).replace(**change)
+    with pytest.raises(InfeasibleRequirementError, match=r"target_sigma|room for") as caught:
+        design_schedule(oscillator(), asked, starts=2, branches=1)
+    again = design_schedule(oscillator(), asked.replace(**caught.value.nearest), starts=2, branches=1)
+    assert again.schedule is not None
+    assert again.verify()
+
+
+def test_a_blind_target_offers_a_design_without_one():
+    plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
+    asked = Requirement(window=4.0, spacing=0.2, target_sigma=1e3, samples=3)
+    with pytest.raises(InfeasibleRequirementError, match="found no schedule that sees every state") as caught:
+        design_schedule(plant, asked)
+    assert caught.value.nearest == {"samples": 4, "target_sigma": None}
+    again = design_schedule(plant, asked.replace(**caught.value.nearest), starts=1, branches=0)
+    assert len(again.schedule) == 4
 
 
 def test_at_most_takes_what_there_is_room_for_and_at_least_the_fewest():

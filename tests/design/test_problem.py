@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, split_modes
-from sampling_design.design.problem import pose, resolve
+from sampling_design.design.posing import pose, resolve
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -61,12 +61,50 @@ def test_an_impossible_requirement_names_the_obstacle_and_the_nearest_that_works
     assert error.obstacle == obstacle
     assert error.exit_code == 1
     assert error.nearest
-    for key, value in error.nearest.items():  # each change alone works
-        repaired = {**BASE, **changes, key: value}
-        if key == "spacing":
-            repaired[key] = value * (1 - 1e-6)
-        requirement, _ = resolve(split_modes(OSCILLATOR), Requirement(**repaired))
-        assert pose(OSCILLATOR, requirement, requirement.samples["exactly"]).capacity() >= 1
+    for change in (error.nearest, *({key: value} for key, value in error.nearest.items())):  # together and alone
+        design = design_schedule(OSCILLATOR, Requirement(**{**BASE, **changes}).replace(**change), starts=1, branches=0)
+        assert design.schedule is not None
+        assert design.verify()
+
+
+@pytest.mark.parametrize(
+    ("changes", "keys"),
+    [
+        ({"forbidden": [[0.0, 4.0]]}, {"forbidden"}),
+        ({"forbidden": [[0.0, 1.0], [1.2, 3.9]], "samples": 4}, {"samples", "spacing"}),
+        ({"forbidden": [[0.0, 3.9]], "samples": 3}, {"spacing"}),
+        ({"samples": 1, "spacing": 2.5}, {"samples", "spacing"}),
+        ({"fixed": [0.0, 0.3], "spacing": 1.5, "samples": 3}, {"spacing"}),
+        ({"fixed": [0.2, 1.0], "forbidden": [[0.0, 0.5], [1.1, 4.0]], "samples": 2}, {"fixed"}),
+        ({"outputs": {"y1": {"available": [[0.0, 0.3]]}}}, {"spacing"}),
+        ({"spacing": 5.0, "samples": 2}, {"spacing"}),
+    ],
+)
+def test_the_nearest_requirement_works_where_several_constraints_bind(changes, keys):
+    asked = Requirement(**{**BASE, **changes})
+    with pytest.raises(InfeasibleRequirementError, match=r"nearest that works|Remove it or open") as caught:
+        design_schedule(OSCILLATOR, asked)
+    assert keys <= set(caught.value.nearest)
+    design = design_schedule(OSCILLATOR, asked.replace(**caught.value.nearest), starts=1, branches=0)
+    assert design.verify()
+
+
+def test_times_are_opened_no_more_than_needed():
+    asked = Requirement(**BASE, forbidden=[[0.0, 4.0]])
+    with pytest.raises(InfeasibleRequirementError, match="leave no time to sample at all") as caught:
+        design_schedule(OSCILLATOR, asked)
+    ((start, stop),) = caught.value.nearest["forbidden"]
+    assert start == 0.0
+    assert stop == pytest.approx(3.0, rel=2e-3)  # three samples half a time apart need one
+
+
+def test_a_plant_whose_outputs_are_never_there_long_enough_is_offered_longer_hours():
+    plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), np.kron(np.eye(2), [[1.0, 0.0]]))
+    outputs = {"y1": {"available": [[0.0, 0.01]], "cost": 2.0}, "y2": {"available": [[0.0, 0.01]]}}
+    asked = Requirement(window=4.0, spacing=4.0, samples=2, outputs=outputs)
+    with pytest.raises(InfeasibleRequirementError, match="room for 1 samples in the period 4, 2 are asked") as caught:
+        design_schedule(plant, asked)
+    assert design_schedule(plant, asked.replace(**caught.value.nearest), starts=1).schedule is not None
 
 
 def test_the_capacity_is_the_most_by_enumeration():
@@ -103,8 +141,7 @@ def test_an_unseen_mode_is_refused_by_name():
 
 
 def test_a_search_without_a_start_says_so(monkeypatch):
-    monkeypatch.setattr("sampling_design.design.search.repaired", lambda problem, times: None)
-    monkeypatch.setattr("sampling_design.design.exchange.repaired", lambda problem, times: None)
+    monkeypatch.setattr("sampling_design.design.search.is_admissible", lambda problem, times: False)
     with pytest.raises(SolverError, match="No admissible start was found for 3 samples") as caught:
         design_schedule(OSCILLATOR, Requirement(**BASE))
     assert caught.value.status == "no start"

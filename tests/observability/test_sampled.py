@@ -95,3 +95,14 @@ def test_times_that_are_no_numbers_are_refused():
 def test_overflow_is_named():
     with pytest.raises(ArgumentError, match="where unstable modes overflow"):
         observability_matrix(Plant([[1.0]], [[1.0]]), [1.0, 800.0])
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_a_plant_without_states_has_rows_without_columns(outputs):
+    plant = Plant(np.zeros((0, 0)), np.zeros((outputs, 0)))
+    assert observability_matrix(plant, [0.0, 1.0, 3.0]).shape == (3 * outputs, 0)
+    assert observability_matrix(plant, []).shape == (0, 0)
+    assert observability_matrix(plant, Schedule([0.5, 1.0])).shape == (2 * outputs, 0)
+    assert observability_matrix(plant, [0.0], [[True] * outputs]).shape == (outputs, 0)
+    assert sigma_min(plant, [0.0]) == np.inf
+    assert observability_gramian(plant, [0.0]).shape == (0, 0)

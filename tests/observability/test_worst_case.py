@@ -288,3 +288,11 @@ def test_bad_arguments_are_refused_in_words():
         worst_case_sigma(chain(2), SpacedWindows(4.0, 2, 0.5, time_unit="h"))
     with pytest.raises(ArgumentError, match="is too long for this plant"):
         worst_case_sigma(Plant([[100.0]], [[1.0]]), SpacedWindows(40.0, 2, 0.5))
+
+
+def test_a_plant_without_states_is_plain_data_without_infinities():
+    nothing = Plant(np.zeros((0, 0)), np.zeros((1, 0)))
+    found = worst_case_sigma(nothing, SpacedWindows(4.0, 3, 0.5))
+    data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert found.lower == np.inf
+    assert (data["lower"], data["upper"], data["status"]) == (None, None, "no states")

@@ -158,8 +158,8 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def save_picture(record: Any, path: Path) -> Path:
-    """Draw a record into a file; the plotting library loads only now."""
+def save_picture(record: Any, path: Path, **beside: Any) -> Path:
+    """Draw a record into a file, with what the picture shows beside it; the plotting library loads only now."""
     from sampling_design import plotting
 
-    return plotting.save(record, path)
+    return plotting.save(record, path, **beside)

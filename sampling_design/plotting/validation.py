@@ -52,7 +52,7 @@ def _errors(report: ValidationReport, ax: Any) -> Any:
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(f"error: {report.norm}", fontsize="small")
-    ax.legend(loc="lower left", fontsize="x-small", frameon=False, ncols=2)
+    ax.legend(loc="lower left", fontsize="x-small", framealpha=0.85, edgecolor="none", ncols=2)
     return ax
 
 

@@ -191,7 +191,8 @@ class ValidationReport(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         held = sum(f.passed for f in self.findings)
-        worst = min(self.findings, key=lambda f: f.margin, default=None)
+        bounded = [f for f in self.findings if f.sense == "at most"]
+        worst = min(bounded, key=lambda f: f.margin, default=None)
         return [
             ("passed", "yes" if self.passed else "no"),
             ("findings", f"{held} of {len(self.findings)} held"),

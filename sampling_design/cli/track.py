@@ -1,0 +1,282 @@
+"""Commands that meet data and chance: estimate, validate, log."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import sampling_design as sd
+from sampling_design._checks import freeze
+from sampling_design._files import to_json, write_text
+from sampling_design._record import short
+from sampling_design.cli.plan import PlantFile, ScheduleFile, window_length
+from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.errors import ArgumentError, MathematicsError, SolverError
+
+POINTS_PER_GAP = 12
+"""Points of the open-loop prediction between two samples, for the picture."""
+GAPS_IN_HORIZON = 10
+"""Longest gaps in the horizon of an estimator that has no certificate."""
+
+MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
+Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
+WBound = Annotated[str | None, typer.Option(help=f"Bound on the disturbance w(t). {Numbers}")]
+VBound = Annotated[str | None, typer.Option(help=f"Bound on the measurement noise v. {Numbers}")]
+InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
+CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
+Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]
+
+
+def estimate(
+    settings: Settings,
+    plant_file: PlantFile,
+    measurement_file: MeasurementFile,
+    certificate_file: CertificateFile = None,
+    schedule_file: Annotated[
+        Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule that is certified first.")
+    ] = None,
+    prior: Annotated[str | None, typer.Option(help="State before any sample, with commas between; default 0.")] = None,
+    horizon: Annotated[float | None, typer.Option(help="Length of the window; default: the certificate's.")] = None,
+    w_bound: WBound = None,
+    v_bound: VBound = None,
+    initial_error: InitialError = None,
+    eta: Eta = None,
+) -> None:
+    """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
+
+    Without certificate and schedule the gaps seen in the file are certified where that is possible. With -o DIR:
+    estimates.csv, estimates.json and estimates.png.
+
+    Example: sampling-design estimate examples/plants/satellite.toml examples/data/satellite.csv -o out
+    """
+    plant = sd.read_plant(plant_file)
+    bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
+    schedule = None if schedule_file is None else sd.read_schedule(schedule_file)
+    record = sd.read_measurements(measurement_file, plant, origin=None if schedule is None else schedule.origin)
+    if not np.isfinite(record.y).any():
+        raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
+    start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
+    inside = replace(record, times=record.times - start)
+    certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta)
+    settings.notice(words)
+    estimator = _estimator(settings, plant, certificate, inside, horizon, _numbers("--prior", prior), bounds)
+    with settings.progress("estimate") as progress:
+        found, curve = (_moved(each, start) for each in _followed(estimator, inside, progress))
+    data = {**found.to_dict(), "guarantee": words, "horizon": estimator.horizon}
+    _write(settings, data, found, curve, record)
+    settings.show(data, record_table(found), _last(found), f"{words} {found.explain()}")
+    if "bounds disproved" in found.status:
+        raise typer.Exit(1)
+
+
+def _write(settings: Settings, data: dict[str, Any], found: Any, curve: Any, record: Any) -> None:
+    folder = settings.folder()
+    if folder is not None:
+        settings.wrote(sd.write_estimates(found, folder / "estimates.csv"))
+        settings.wrote(write_text(folder / "estimates.json", to_json(data)))
+        settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record))
+
+
+def _moved(record: Any, start: float) -> Any:
+    return replace(record, times=freeze(record.times + start))
+
+
+def _guarantee(
+    settings: Settings, plant: Any, record: Any, certificate_file: Path | None, schedule: Any, eta: float | None
+) -> tuple[Any, str]:
+    """The certificate that the estimates rest on (None if there is none), and words for it."""
+    if certificate_file is not None:
+        return sd.load_certificate(certificate_file, plant), f"Guarantee of {certificate_file}."
+    with settings.progress("certificate") as progress:
+        if schedule is not None:
+            return sd.certify(plant, schedule, eta=eta, progress=progress), "Guarantee for the schedule given."
+        return _from_gaps(settings, plant, record, eta, progress)
+
+
+def _numbers(name: str, text: str | None) -> Any:
+    """None, a number, or a list of numbers."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"`{name}` must be numbers with commas between, got {text!r}.") from None
+    return values if len(values) > 1 or name == "--prior" else values[0]
+
+
+def _bounds(
+    settings: Settings, plant: Any, w_bound: str | None, v_bound: str | None, initial_error: str | None
+) -> dict[str, Any]:
+    """The bounds as given, else the plant's scales with a notice that says so."""
+    found: dict[str, Any] = {}
+    for name, text, signals in (
+        ("w_bound", w_bound, plant.disturbances),
+        ("v_bound", v_bound, plant.outputs),
+        ("initial_error", initial_error, plant.states),
+    ):
+        flag = "--" + name.replace("_", "-")
+        found[name] = _numbers(flag, text)
+        if text is None:
+            found[name] = signals.scales
+            settings.notice(f"{flag} not given: the plant's scales {short(signals.scales)} are used.")
+    return found
+
+
+def _from_gaps(settings: Settings, plant: Any, record: Any, eta: float | None, progress: Any) -> tuple[Any, str]:
+    """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it."""
+    measured = np.isfinite(record.y).any(axis=1)
+    times = np.unique(record.times[measured])
+    if times.size < 2:
+        return None, "No guarantee: one sample is no schedule that could be certified."
+    gaps = np.diff(times)
+    shortest, longest = float(gaps.min()), float(gaps.max())
+    seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
+    if eta is None:
+        eta = 1 / longest  # the best rate of a whole family takes minutes to find
+        settings.notice(f"--eta not given: {short(eta)} per {plant.time_unit}, one over the longest gap, is used.")
+    if np.isfinite(record.y[measured]).all():
+        family = sd.GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
+        try:
+            return sd.certify(plant, family, eta=eta, progress=progress), f"Guarantee for all schedules with {seen}."
+        except (MathematicsError, SolverError):
+            pass  # not every schedule with these gaps can be certified: perhaps this one can
+    order = np.unique(record.times, return_index=True)[1]
+    kept = order[measured[order]]
+    mask = np.isfinite(record.y[kept])
+    try:
+        own = sd.Schedule(record.times[kept], mask, time_unit=plant.time_unit)
+        certificate = sd.certify(plant, own, eta=eta, progress=progress)
+    except (MathematicsError, SolverError) as error:
+        return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
+    return certificate, f"Guarantee for the file's own times only, certified to its last time ({seen})."
+
+
+def _estimator(
+    settings: Settings, plant: Any, certificate: Any, record: Any, horizon: Any, prior: Any, bounds: dict[str, Any]
+) -> Any:
+    if certificate is None and horizon is None:
+        longest = float(np.max(np.diff(np.unique(record.times)), initial=0.0))
+        horizon = GAPS_IN_HORIZON * longest if longest > 0 else 1.0
+        settings.notice(f"--horizon not given: {short(horizon)} {plant.time_unit} is used.")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", sd.GuaranteeWarning)
+        estimator = sd.MovingHorizonEstimator(plant, certificate, horizon=horizon, prior=prior, **bounds)
+    for warning in caught:
+        settings.notice(str(warning.message))
+    return estimator
+
+
+def _followed(estimator: Any, record: Any, progress: Any) -> tuple[Any, Any]:
+    """Estimates at every row, and the same with the open loop between them."""
+    rows, curve, last = [], [estimator.predict(0.0)], 0.0
+    for k, (t, y, u) in enumerate(record):
+        if t > last:
+            curve += [estimator.predict(s) for s in np.linspace(last, t, POINTS_PER_GAP + 1)[1:]]
+        rows.append(estimator.update(t, y, u))
+        if t >= last:
+            curve.append(rows[-1])
+            last = t
+        progress((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
+    return tuple(sd.EstimateRecord.collect(record.plant, each) for each in (rows, curve))
+
+
+def _last(record: Any) -> Any:
+    states, unit = record.plant.states, record.plant.time_unit
+    labels = states.labels()
+    rows = [[labels[i], short(record.x[-1, i]), short(record.radii[-1, i])] for i in range(len(states))]
+    return table(f"Last estimate, at {short(record.times[-1], 9)} {unit}", ["state", "estimate", "radius"], rows)
+
+
+def validate(
+    settings: Settings,
+    plant_file: PlantFile,
+    schedule_file: ScheduleFile,
+    certificate_file: CertificateFile = None,
+    runs: Annotated[int, typer.Option(help="Random trials.")] = 200,
+    duration: Annotated[float | None, typer.Option(help="Length of a trial [plant's time unit].")] = None,
+    w_bound: WBound = None,
+    v_bound: VBound = None,
+    initial_error: InitialError = None,
+    eta: Eta = None,
+    workers: Annotated[int, typer.Option(help="Processes that share the trials.")] = 1,
+) -> None:
+    """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
+
+    Exit code 1 if a promise is broken. With -o DIR: report.md, report.json and validation.png.
+
+    Example: sampling-design validate examples/plants/satellite.toml out/schedule.csv -o out
+    """
+    plant, schedule = sd.read_plant(plant_file), sd.read_schedule(schedule_file)
+    bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
+    with settings.progress("certify") as progress:
+        if certificate_file is None:
+            certificate = sd.certify(plant, schedule, eta=eta, progress=progress)
+        else:
+            certificate = sd.load_certificate(certificate_file, plant)
+    with settings.progress("validate") as progress:
+        report = sd.validate(
+            plant,
+            schedule,
+            certificate,
+            runs=runs,
+            duration=duration,
+            rng=np.random.default_rng(settings.seed),
+            workers=None if workers == 1 else workers,
+            progress=progress,
+            **bounds,
+        )
+    folder = settings.folder()
+    if folder is not None:
+        settings.wrote(write_text(folder / "report.md", report.to_markdown()))
+        settings.wrote(write_text(folder / "report.json", to_json(report.to_dict())))
+        settings.wrote(save_picture(report, folder / "validation.png"))
+    heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
+    findings = table("Findings", heads, report.cells())
+    settings.show(report.to_dict(), record_table(report), findings, *report.skipped, report.explain())
+    if not report.passed:
+        raise typer.Exit(1)
+
+
+def log(
+    settings: Settings,
+    plant_file: PlantFile,
+    schedule_file: ScheduleFile,
+    measurement_file: MeasurementFile,
+    window: Annotated[float | None, typer.Option(help="Window over which sigma is judged [plant's time unit].")] = None,
+) -> None:
+    """Compare planned with actual sample times: what came late, what was missed, and what that costs.
+
+    With -o DIR: log.json and log.png.
+
+    Example: sampling-design log examples/plants/satellite.toml out/schedule.csv examples/data/satellite.csv
+    """
+    plant, schedule = sd.read_plant(plant_file), sd.read_schedule(schedule_file)
+    record = sd.read_measurements(measurement_file, plant, origin=schedule.origin)
+    split = sd.split_modes(plant, settings.decay_rate or 0.0)
+    length = window_length(settings, split, window)
+    taken = np.isfinite(record.y)
+    times, rows = np.unique(record.times[taken.any(axis=1)], return_index=True)
+    with settings.progress("sigma") as progress:
+        result = sd.compare_schedule(
+            plant,
+            schedule,
+            times,
+            length,
+            outputs=taken[taken.any(axis=1)][rows] if times.size else None,
+            retained=split.retained,
+            budget=settings.budget,
+            progress=progress,
+        )
+    folder = settings.folder()
+    if folder is not None:
+        settings.wrote(write_text(folder / "log.json", to_json(result.to_dict())))
+        settings.wrote(save_picture(result, folder / "log.png"))
+    settings.show(result.to_dict(), record_table(result), result.explain())
+
+
+COMMANDS = (estimate, validate, log)

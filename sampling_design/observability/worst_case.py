@@ -226,8 +226,8 @@ def worst_case_sigma(
     found see all directions alike. Remainders are suprema over the grid cells (fourth derivatives,
     bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by
     `bracket.ALLOWANCE` for the exponentials and by a multiple of eps for the sums; it is no interval
-    arithmetic unless `rigorous` asks for it. Sigma counts as zero below n eps |O|. Cost grows exponentially with the number of states,
-    about linearly with k; retain few states.
+    arithmetic unless `rigorous` asks for it. Sigma counts as zero below n eps |O|. Cost grows exponentially
+    with the number of states, about linearly with k; retain few states.
 
     References
     ----------
@@ -271,7 +271,7 @@ def _in_balls(result: WorstCaseSigma, plant: Plant, seconds: float) -> WorstCase
 
     proof = prove_worst_sigma(plant, result.family, result.lower, result.witness, seconds)
     status = result.status
-    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper * (1 - 1e-5):
+    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
         status = proof.status if proof.status != "closed" else "rounding"
     return replace(result, lower=proof.lower, status=status, rigorous=True)
 

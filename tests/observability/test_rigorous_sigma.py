@@ -9,10 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, named_plant, window_sigma
+from sampling_design import (
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    SpacedWindows,
+    named_plant,
+    window_sigma,
+    worst_case_sigma,
+)
 from sampling_design.errors import MissingExtraError
 from sampling_design.observability.pieces import window_pieces
 from sampling_design.observability.rigorous import exact_times, prove_window_sigma
+from sampling_design.observability.rigorous_worst import prove_worst_sigma
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -127,3 +136,82 @@ def test_without_the_extra_the_refusal_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "flint", None)
     with pytest.raises(MissingExtraError, match="python-flint, which is not installed"):
         window_sigma(DOUBLE, PeriodicSchedule([1.0]), 2.0, rigorous=True)
+
+
+CHAIN = Plant([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -0.3]], [[1.0, 0.0, 1.0]])
+FAMILIES = {
+    "double integrator": (DOUBLE, SpacedWindows(4.0, 2, 0.5), 0.09092),
+    "oscillator": (OSCILLATOR, SpacedWindows(4.0, 3, 0.5), 0.34988),
+    "triple integrator": (named_plant("triple_integrator"), SpacedWindows(4.0, 3, 0.5), None),
+    "three states": (CHAIN, SpacedWindows(6.0, 5, 0.5), None),
+    "one schedule only": (OSCILLATOR, SpacedWindows(1.0, 3, 0.5), None),
+    "two outputs": (Plant([[0.0, 1.0], [-1.0, 0.1]], [[1.0, 0.0], [0.3, 1.0]]), SpacedWindows(2.0, 2, 0.3), None),
+}
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_worst_case_is_proven_and_gives_hardly_anything_away(name):
+    plant, family, reference = FAMILIES[name]
+    plain = worst_case_sigma(plant, family)
+    proven = worst_case_sigma(plant, family, rigorous=True)
+    assert proven.rigorous
+    assert proven.closed
+    assert plain.lower * (1 - 2e-6) <= proven.lower <= plain.lower
+    assert "ball arithmetic" in proven.claim.theorem
+    assert "proven in ball arithmetic" in proven.explain()
+    assert "proven in ball arithmetic" in str(proven)
+    assert proven.to_dict()["rigorous"] is True
+    if reference is not None:
+        assert 0.98 * reference < proven.lower < reference * (1 + 1e-4)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_worst_case_above_an_attained_one_is_never_proven(name):
+    plant, family, _ = FAMILIES[name]
+    found = worst_case_sigma(plant, family)
+    attained = sigma_at(plant, found.witness, 0)
+    too_high = prove_worst_sigma(plant, family, float(attained) / (1 - 1e-6) * (1 + 1e-8), found.witness)
+    assert too_high.lower < attained
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10_000))
+def test_no_spaced_schedule_in_fifty_digits_lies_below(seed):
+    """Random schedules, corners of the polytope included, on plants without structure."""
+    rng = np.random.default_rng(seed)
+    n, k = int(rng.integers(2, 4)), 4
+    plant, family = Plant(rng.standard_normal((n, n)), rng.standard_normal((1, n))), SpacedWindows(2.0, k, 0.2)
+    proven = worst_case_sigma(plant, family, rtol=0.1, rigorous=True)
+    for _ in range(5):
+        slacks = np.sort(rng.choice([0.0, 1.0, rng.uniform()], k)) * (2.0 - 0.2 * (k - 1)) * (1 - 1e-12)
+        assert sigma_at(plant, slacks + 0.2 * np.arange(k), 0) >= proven.lower
+
+
+def test_a_dip_between_the_points_of_the_first_grid_is_seen():
+    """A fast oscillator: the samples that see least lie closer together than the first grid."""
+    plant, family = Plant([[0.0, 40.0], [-40.0, 0.0]], [[1.0, 0.0]]), SpacedWindows(3.0, 2, 0.5)
+    proof = prove_worst_sigma(plant, family, 0.05, np.array([0.0, 0.5]))
+    k = round(0.5 * 40 / np.pi) + 1
+    assert sigma_at(plant, [0.0, k * np.pi / 40], 0) < 1e-7
+    assert proof.lower == 0.0
+
+
+def test_a_worst_case_without_time_or_with_too_many_states_stays_open():
+    late = prove_worst_sigma(CHAIN, SpacedWindows(6.0, 5, 0.5), 0.12, np.linspace(0, 6, 5), seconds=-1.0)
+    assert (late.lower, late.status) == (0.0, "budget")
+    nine = Plant(-np.diag(np.arange(1.0, 10.0)), np.ones((1, 9)))
+    large = prove_worst_sigma(nine, SpacedWindows(9.0, 9, 0.5), 0.1, np.arange(9.0))
+    assert (large.lower, large.status) == (0.0, "too many states")
+
+
+def test_a_worst_case_of_zero_or_without_states_is_said_as_before():
+    few = worst_case_sigma(CHAIN, SpacedWindows(4.0, 2, 0.5), rigorous=True)
+    assert (few.lower, few.status, few.closed) == (0.0, "too few samples", True)
+    empty = worst_case_sigma(Plant(np.zeros((0, 0)), np.zeros((1, 0))), SpacedWindows(4.0, 2, 0.5), rigorous=True)
+    assert empty.lower == np.inf
+
+
+def test_a_worst_case_without_the_extra_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flint", None)
+    with pytest.raises(MissingExtraError, match="python-flint, which is not installed"):
+        worst_case_sigma(DOUBLE, SpacedWindows(4.0, 2, 0.5), rigorous=True)

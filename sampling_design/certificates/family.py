@@ -57,6 +57,8 @@ SCAN = 6
 GOLDEN = 4
 """Rates of the first scan, and bisections of the best one's neighbourhood afterwards."""
 TRIED_RATES = 3
+MEMORY_GAIN = 1.1
+"""Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
 NARROWINGS = 5
 """Halvings of the part of a family that is certified where the whole is undecided."""
 ROOM = 1.05
@@ -195,6 +197,25 @@ class Search:
                     tried[rate] = self.horizon(rate, memory)
         return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
 
+    def decide(
+        self, bounds: tuple[float, float], levels: list[int], least: tuple[float, Any], report: Progress
+    ) -> Proposal:
+        """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
+        missed: list[Shortfall] = []
+        for level in levels:
+            report(0.1, f"memory level {level}")
+            found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
+            if isinstance(found, Proposal):
+                chosen = bounds[0] < bounds[1]
+                return self.best_of(self.rates(bounds, level, report), level, found) if chosen else found
+            missed.append(found)
+            if len(missed) > 2 and found.kept < MEMORY_GAIN * missed[-3].kept:
+                break  # two levels more, and no more information kept: memory is not what is missing
+            if level == levels[0]:
+                report(0.3, "search for a schedule without certificate")
+                least = refute(self.plant, self.family, bounds[0], hints=[found.gap])
+        raise _undecided(self, bounds[0], missed, least)
+
     def best_of(self, rates: list[float], memory: int, known: Proposal) -> Proposal:
         """The first of the most promising rates whose proposal is proven and better than `known`, else `known`."""
         for rate in rates[:TRIED_RATES]:
@@ -289,19 +310,8 @@ def certify_family(
         return FamilyCertificate(plant, family, empty, empty, *weights, rate or 1.0, 1.0, 1.0, graph=graph, P=P)
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     least = refute(plant, family, bounds[0], quick=True)
-    search = Search(plant, family, weights, given, budget)
-    missed: list[Shortfall] = []
-    for level in levels:
-        report(0.1, f"memory level {level}")
-        found = search.propose(bounds[0], level)  # what exists at some rate exists at the least
-        if isinstance(found, Proposal):
-            best = found if rate is not None else search.best_of(search.rates(bounds, level, report), level, found)
-            return certified(plant, family, weights, given, best)
-        missed.append(found)
-        if level == levels[0]:
-            report(0.3, "search for a schedule without certificate")
-            least = refute(plant, family, bounds[0], hints=[found.gap])
-    raise _undecided(search, bounds[0], missed, least)
+    found = Search(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
+    return certified(plant, family, weights, given, found)
 
 
 def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, found: Proposal) -> FamilyCertificate:

@@ -75,7 +75,10 @@ def numbers(data: dict[str, Any]) -> SimpleNamespace:
     c = SimpleNamespace(n=len(m["A"]), p=len(m["C"]))
     c.A, c.C = np.array(m["A"], float).reshape(c.n, c.n), np.array(m["C"], float).reshape(c.p, c.n)
     c.G = np.array(m.get("G", np.eye(c.n)), float).reshape(c.n, len(data["Qw"]))
-    for name, size in (("P1", c.n), ("P2", c.n), ("R", c.p), ("Qv", c.p), ("Qw", len(data["Qw"]))):
+    # states in units of powers of two, which changes no digit, so that P2 has a diagonal near 1
+    unit = np.ldexp(1.0, -np.frexp(np.sqrt(np.abs(np.diag(np.array(data["P2"], float).reshape(c.n, c.n)))))[1])
+    c.A, c.C, c.G = c.A * unit / unit[:, None], c.C * unit, c.G / unit[:, None]
+    for name, size in (("P1", unit), ("P2", unit), ("R", c.p), ("Qv", c.p), ("Qw", len(data["Qw"]))):
         setattr(c, name, symmetric(name, data[name], size))
     for name, least in (("eta", 5e-324), ("lam", 5e-324), ("lam_samples", 5e-324), ("margin", 0.0)):
         setattr(c, name, float(data[name]))
@@ -86,7 +89,7 @@ def numbers(data: dict[str, Any]) -> SimpleNamespace:
     if data["witness"] is not None:
         raise Refused("witness", "a family certificate has no witness")
     c.words = [list(word) for word in graph["words"]]
-    c.P = np.stack([c.P2, *(symmetric("P", matrix, c.n) for matrix in graph["P"])])
+    c.P = np.stack([c.P2, *(symmetric("P", matrix, unit) for matrix in graph["P"])])
     c.edges = [edge(item, len(c.words), c.p) for item in graph["edges"]]
     if len(c.P) != len(c.words):
         raise Refused("graph", "the graph must have one matrix per word")
@@ -95,9 +98,11 @@ def numbers(data: dict[str, Any]) -> SimpleNamespace:
     return c
 
 
-def symmetric(name: str, value: Any, size: int) -> Any:
-    """A symmetric positive definite matrix; Qw may be semidefinite."""
-    X = np.array(value, float).reshape(size, size)
+def symmetric(name: str, value: Any, unit: Any) -> Any:
+    """A positive definite matrix in these units of the states (a number: its size); Qw may be semidefinite."""
+    unit = np.ones(unit) if np.ndim(unit) == 0 else unit
+    size = unit.size
+    X = np.array(value, float).reshape(size, size) * unit * unit[:, None]
     if not np.isfinite(X).all() or np.any(np.abs(X - X.T) > 1e-12 * np.abs(X).max(initial=0.0)):
         raise Refused(f"{name} symmetric", f"{name} is not symmetric and finite")
     least = float(np.linalg.eigvalsh(X)[0]) if size else 1.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, psd_root, symmetrise
+from sampling_design._linalg import discounted_flow, symmetrise
 from sampling_design.certificates.gap_graph import GapGraph
 from sampling_design.certificates.window_problem import noise_input, whitened_rows
 from sampling_design.plants.plant import Plant
@@ -75,12 +75,12 @@ def dynamics_of(plant: Plant, weights: Weights, eta: float, root: Array, graph: 
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
-    drive = root.T @ psd_root(noise_input(plant.G, Qw))
+    noise = symmetrise(root.T @ noise_input(plant.G, Qw) @ root)  # no root of it: units of states may differ by 1e9
     rows = {}
     for outputs in {edge.outputs for edge in graph.edges}:
         whitened = whitened_rows(plant.C, R, Qv, np.array([outputs], dtype=bool), 1)[0]
         rows[outputs] = np.linalg.solve(root, whitened.T).T
-    return Dynamics(np.asarray(A, dtype=np.float64), np.asarray(drive @ drive.T, dtype=np.float64), eta, root, rows)
+    return Dynamics(np.asarray(A, dtype=np.float64), np.asarray(noise, dtype=np.float64), eta, root, rows)
 
 
 @dataclass(frozen=True, eq=False)

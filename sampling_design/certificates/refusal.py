@@ -237,6 +237,9 @@ def _words(
             yield _shifted(lap, rng.choice([-1.0, 0.0, 1.0], size) * family.radius)
         return
     low, high = family.min_gap, family.d_max
+    for gap in (low, high):
+        if family.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=family.nominal.time_unit)):
+            yield ends
     laps = sorted({*_aliasing_laps(plant, eta, LONGEST_WORD * high), *(h for h in hints if h)})
     for period in laps:
         for count in range(1, LONGEST_WORD + 1):

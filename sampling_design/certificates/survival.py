@@ -126,7 +126,7 @@ class Survival(Record):
         late = f"every sample is up to {short(self.radius)} {unit} early or late" if self.radius else ""
         thin = f"samples are on time and up to {lost} are lost" if lost else ""
         if not late and not thin:
-            return "No timing error and no loss was found under which the guarantee holds with weights and horizon unchanged."
+            return "With weights and horizon unchanged, no timing error and no loss was found that is harmless."
         return (
             f"With weights and horizon ({short(self.length)} {unit}) unchanged, the guarantee still holds if "
             f"{', or if '.join(part for part in (late, thin) if part)}."

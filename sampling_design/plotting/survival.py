@@ -12,7 +12,7 @@ from sampling_design.plotting import style
 
 
 def draw_survival(result: Survival, ax: Any = None) -> Any:
-    """Draw lambda over the jitter radius (on `ax` alone if given), and below it over the window of each count of losses."""
+    """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
     if ax is not None:
         return _radii(result, ax)
     figure, (top, bottom) = style.new_figure(2)

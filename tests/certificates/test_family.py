@@ -1,0 +1,222 @@
+"""Family certificates: reference values, all families, files, refusals at the door."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
+from sampling_design.certificates import family, files
+from sampling_design.certificates.family_graphs import MOST_NODES, graph_of, in_plant_terms, levels_of_memory
+from sampling_design.certificates.gap_graph import graph_from_dict, unrolled
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+INTEGRATOR = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("plant", "gaps", "together", "separate"),
+    [
+        (OSCILLATOR, (0.9, 1.1), 1.25, 1.19),
+        (OSCILLATOR, (0.5, 1.5), 1.36, 1.33),
+        (OSCILLATOR, (0.5, 2.5), 1.90, 1.43),
+        (OSCILLATOR, (0.3, 3.0), 9.3, 1.68),
+        (INTEGRATOR, (0.5, 1.5), 1.37, 1.26),
+        (INTEGRATOR, (0.1, 4.0), 2.27, 1.79),
+    ],
+)
+def test_reference_values_of_gap_ranges(plant, gaps, together, separate):
+    # P2 apart from the matrix after a sample; R~ = 1/2, Qw = I; the reference lets P2 be as small as it likes
+    found = sd.certify(plant, GapRange(*gaps), eta=0.1, R=[[1.0]], budget=1e4)
+    assert 1.0 < found.lam <= separate + 0.01 < together
+    assert found.verify().passed
+    assert np.allclose(found.Rtilde, 0.5)
+
+
+def test_a_wider_range_has_a_larger_lambda():
+    lams = [sd.certify(OSCILLATOR, GapRange(1 - r, 1 + r), eta=0.4, P2=np.eye(2)).lam for r in (0.0, 0.2, 0.5)]
+    assert lams[0] < lams[1] < lams[2]
+
+
+def test_a_range_of_one_gap_is_nearly_the_exact_certificate():
+    exact = sd.certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4, P2=[[2.0, 0.3], [0.3, 1.0]])
+    found = sd.certify(OSCILLATOR, GapRange(1.0, 1.0), eta=0.4, P2=exact.P2)
+    assert exact.lam <= found.lam * (1 + 1e-3)
+    assert found.lam <= exact.lam * 1.01
+
+
+def test_rate_and_weights_are_chosen_within_the_noise_budget():
+    found = sd.certify(INTEGRATOR, GapRange(0.8, 1.2))
+    assert found.verify().passed
+    assert found.horizon().minimum < 2.0
+    small = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, budget=2.0)
+    large = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, budget=30.0)
+    assert large.lam < small.lam
+    assert small.horizon().C_w < large.horizon().C_w
+
+
+FAMILIES = [
+    SpacedWindows(3.0, 2, 0.5),
+    SpacedWindows(4.0, 3, 0.5),
+    LostSamples(PeriodicSchedule([1.0]), 1, 3),
+    LostSamples(PeriodicSchedule([0.7, 0.4], first=0.2), 2, 4),
+    Jitter(PeriodicSchedule([1.0, 2.0]), 0.2),
+    Jitter(PeriodicSchedule([1.0]), 0.0),
+]
+
+
+@pytest.mark.parametrize("which", FAMILIES, ids=lambda f: type(f).__name__)
+def test_every_kind_of_family_is_certified_saved_and_read(which, tmp_path):
+    found = sd.certify(OSCILLATOR, which, eta=0.2)
+    assert found.verify().passed
+    back = sd.load_certificate(found.save(tmp_path / "family.json"))
+    assert files.certificate_to_dict(back) == files.certificate_to_dict(found)
+    assert json.loads((tmp_path / "family.json").read_text())["claim"] == "family"
+    assert back.family.to_dict() == found.family.to_dict()
+    assert back.verify().passed
+    assert back.horizon().minimum == pytest.approx(np.log(found.lam_proven) / 0.2)
+    assert found.d_max == which.d_max
+
+
+def test_outputs_of_the_nominal_schedule_are_followed():
+    plant = Plant(OSCILLATOR.A, np.eye(2), outputs=sd.Signals(["x", "v"]))
+    mask = np.array([[1, 0], [0, 1]], bool)
+    nominal = PeriodicSchedule([1.0, 1.0], outputs=mask, output_names=("x", "v"))
+    both = sd.certify(plant, Jitter(PeriodicSchedule([1.0, 1.0]), 0.1), eta=0.4, P2=np.eye(2))
+    turns = sd.certify(plant, Jitter(nominal, 0.1), eta=0.4, P2=np.eye(2))
+    swapped = PeriodicSchedule([1.0, 1.0], outputs=mask[:, ::-1], output_names=("v", "x"))
+    other = sd.certify(plant, Jitter(swapped, 0.1), eta=0.4, P2=np.eye(2))
+    assert both.lam < turns.lam == other.lam
+    assert turns.verify().passed
+    thinned = sd.certify(plant, LostSamples(nominal, 1, 4), eta=0.4, P2=np.eye(2))
+    assert thinned.lam > sd.certify(plant, Jitter(nominal, 0.0), eta=0.4, P2=np.eye(2)).lam
+    assert thinned.verify().passed
+
+
+def test_memory_is_grown_on_demand():
+    # gaps up to 3.5 hold pi, but a long gap is followed by a short one
+    which = SpacedWindows(4.0, 2, 0.5)
+    found = sd.certify(OSCILLATOR, which, eta=0.1)
+    assert which.d_max > np.pi
+    assert len(set(found.graph.words)) > 2
+    with pytest.raises(UndecidedError, match=r"undecided at rate 0\.1"):
+        sd.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
+
+
+def test_the_undecided_say_how_far_both_sides_came():
+    with pytest.raises(UndecidedError, match="Certified is: Every schedule whose gaps lie between") as caught:
+        # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate
+        sd.certify_family(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0)
+    details = caught.value.details
+    assert caught.value.exit_code == 3
+    assert details["status"] == "undecided"
+    part = details["certified"]
+    assert 2.0 < part.shortest < part.longest < np.pi
+    assert 0 < details["margin"] < 1e-3
+    assert GapRange(2.0, np.pi - 1e-7).contains(details["word"])
+
+
+def test_a_badly_scaled_plant_keeps_its_lambda():
+    scale = np.array([1e6, 1e-3])
+    plant = Plant(np.diag(scale) @ OSCILLATOR.A @ np.diag(1 / scale), OSCILLATOR.C / scale, G=np.diag(scale),
+                  states=sd.Signals(["x", "v"], scales=scale))  # fmt: skip
+    plain = sd.certify(OSCILLATOR, GapRange(0.5, 1.5), eta=0.4)
+    scaled = sd.certify(plant, GapRange(0.5, 1.5), eta=0.4)
+    assert scaled.lam == pytest.approx(plain.lam, rel=5e-3)
+
+
+def test_a_plant_without_states_needs_nothing():
+    plant = Plant(np.zeros((0, 0)), np.zeros((1, 0)))
+    found = sd.certify(plant, GapRange(0.5, 1.5))
+    assert (found.lam, found.verify().passed) == (1.0, True)
+
+
+def test_unstable_and_several_states():
+    helicopter = sd.library.helicopter_he1()
+    found = sd.certify(helicopter, GapRange(0.2, 0.5), eta=0.3)
+    assert found.verify().passed
+    assert found.lam < 3.0
+
+
+def test_records_say_what_they_prove():
+    found = sd.certify(OSCILLATOR, GapRange(0.5, 1.5), eta=0.4)
+    assert "Every schedule whose gaps lie between 0.5 and 1.5" in found.explain()
+    assert "every schedule of the family" in str(found.claim)
+    assert "edges" in str(found)
+    counted = found.error_bound([0.0, 3.0], [1.0, 0.0], 0.1, 0.1)
+    silent = found.error_bound([0.0, 3.0], [1.0, 0.0], 0.1)
+    assert np.all(counted > silent)
+    # no schedule of the family has more samples in [0, 3] than seven
+    assert found._samples_until(3.0).size == 7
+
+
+def test_what_does_not_fit_is_refused_at_the_door():
+    with pytest.raises(ArgumentError, match="`schedule` must be a Schedule, a PeriodicSchedule or a family"):
+        sd.certify_family(OSCILLATOR, [1.0, 2.0])
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant"):
+        sd.certify_family(np.eye(2), GapRange(0.5, 1.5))
+    with pytest.raises(ArgumentError, match="`family` is in h and the plant in s"):
+        sd.certify(OSCILLATOR, GapRange(0.5, 1.5, time_unit="h"))
+    with pytest.raises(ArgumentError, match="must be a PeriodicSchedule: a finite one has no long run"):
+        sd.certify(OSCILLATOR, Jitter(sd.Schedule([1.0, 2.0]), 0.1))
+    with pytest.raises(ArgumentError, match=r"`budget` must be above 1, got 1\.0"):
+        sd.certify(OSCILLATOR, GapRange(0.5, 1.5), budget=1.0)
+    with pytest.raises(ArgumentError, match="`memory` must be a whole number from 0 to 4 for this family, got 9"):
+        sd.certify_family(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
+    with pytest.raises(sd.errors.InfeasibleRequirementError, match="an endless schedule needs"):
+        sd.certify(OSCILLATOR, SpacedWindows(2.0, 3, 0.9), eta=0.1)
+    large = LostSamples(PeriodicSchedule(np.ones(60)), 2, 8)
+    with pytest.raises(ArgumentError, match=f"the graph of this family has more than {MOST_NODES} nodes"):
+        graph_of(large, levels_of_memory(large) - 1, 1)
+
+
+def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):
+    from sampling_design.certificates import family_checker
+
+    verdict = {"passed": False, "inequality": "x", "time": None, "start": None, "amount": 0.0, "reason": "too tight"}
+    monkeypatch.setattr(family_checker, "check", lambda data: verdict)
+    with pytest.raises(CertificateError, match="the proof of the certificate did not close: too tight"):
+        sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
+
+
+def test_matrices_and_graph_must_fit():
+    found = sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
+    parts = {key: getattr(found, key) for key in ("P1", "P2", "Qw", "R", "Qv", "eta", "lam", "lam_samples", "graph")}
+    with pytest.raises(ArgumentError, match="`P` must hold one matrix per node of the graph, P2 first"):
+        family.FamilyCertificate(OSCILLATOR, found.family, **parts, P=found.P[1:])
+
+
+def test_damaged_graphs_are_refused_by_name(tmp_path):
+    found = sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
+    data = found.to_dict()["graph"]
+    P2 = np.eye(2)
+    with pytest.raises(ArgumentError, match="`graph` must be a table with words, edges and P, got list"):
+        graph_from_dict([], P2)
+    with pytest.raises(ArgumentError, match="`P` is missing in `graph`"):
+        graph_from_dict({key: data[key] for key in ("words", "edges")}, P2)
+    with pytest.raises(ArgumentError, match=r"`graph.P` must hold 6 matrices, one per word, got 5"):
+        graph_from_dict({**data, "P": data["P"][1:]}, P2)
+    with pytest.raises(ArgumentError, match=r"`graph.edges` must be lists"):
+        graph_from_dict({**data, "edges": [[0, 1]]}, P2)
+    with pytest.raises(ArgumentError, match=r"`graph.edges` must join words in a time 0 <= low <= high"):
+        graph_from_dict({**data, "edges": [[0, 9, 0.5, 1.0, [1]]]}, P2)
+    whole = found.to_dict()
+    del whole["graph"]
+    path = tmp_path / "cut.json"
+    path.write_text(json.dumps(whole))
+    with pytest.raises(FileFormatError, match="`graph` is missing in the certificate"):
+        sd.load_certificate(path)
+
+
+def test_graphs_hold_what_their_words_say():
+    which = LostSamples(PeriodicSchedule([1.0]), 1, 3)
+    graph = graph_of(in_plant_terms(OSCILLATOR, which), 1, 1)
+    assert graph.words == ((), (0,), (0, 1), (0, 0, 1))
+    lost = [(e.source, e.target) for e in graph.edges if not any(e.outputs)]
+    assert lost == [(0, 2), (1, 2)]
+    twice = unrolled(graph, 2)
+    assert twice.count == 7
+    assert list(twice.tops) == [1.0] * 7
+    assert {(e.source, e.target) for e in twice.edges if e.source == 2} == {(2, 6)}

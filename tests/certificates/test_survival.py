@@ -1,0 +1,120 @@
+"""Timing errors and losses under which a certificate survives."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import PeriodicSchedule, Plant, plotting
+from sampling_design.errors import ArgumentError
+from tests.oracles.families import largest_lambda
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def planned():
+    return sd.certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.8, P2=[[0.147, -0.037], [-0.037, 0.157]])
+
+
+@pytest.fixture(scope="module")
+def found(planned):
+    return sd.survival(OSCILLATOR, planned, longest=5)
+
+
+def test_what_survives_is_proven_with_the_same_weights(planned, found):
+    assert found.closed
+    assert 0 < found.radius < found.broken < 0.5
+    for certificate in (found.jittered, *found.thinned):
+        assert certificate.verify().passed
+        assert certificate.lam_proven < found.limit == pytest.approx(np.exp(0.8 * planned.horizon().length))
+        for key in ("P2", "Qw", "R", "Qv", "eta"):
+            assert np.array_equal(getattr(certificate, key), getattr(planned, key))
+    assert found.jittered.family.radius == found.radius
+    assert found.tolerated
+    assert all(d < w for d, w in found.tolerated)
+
+
+def test_the_radius_is_nearly_the_largest(planned, found):
+    # schedules that are only a little worse break the horizon: a late sample, then early ones, and so on
+    weights = (planned.Qw, planned.R, planned.Qv)
+    rng, worst = np.random.default_rng(3), 0.0
+    for _ in range(60):
+        shifts = rng.choice([-1.0, 1.0], 6) * found.broken * 1.1
+        times = np.arange(1.0, 7.0) + shifts
+        start = 1.0 - found.broken * 1.1  # just after the earliest possible sample
+        lam = largest_lambda(OSCILLATOR, weights, 0.8, planned.P2, times - min(start, times[0]), starts=1, parts=4)
+        worst = max(worst, lam)
+    assert worst > 0.6 * found.limit
+
+
+def test_losses_agree_with_brute_force(planned, found):
+    weights = (planned.Qw, planned.R, planned.Qv)
+    worst = {}
+    for loss in found.losses:
+        if not np.isfinite(loss.lam):
+            continue
+        top = 0.0
+        for code in range(1 << 7):
+            lost = [(code >> i) & 1 for i in range(7)]
+            if all(sum(lost[i : i + loss.of]) <= loss.most for i in range(7)):
+                times = np.array([i + 1.0 for i in range(7) if not lost[i]])
+                top = max(top, largest_lambda(OSCILLATOR, weights, 0.8, planned.P2, times, starts=1, parts=1))
+        worst[loss] = top
+    assert worst
+    for loss, top in worst.items():
+        assert top <= loss.lam * (1 + 1e-3)
+        assert loss.lam <= top * 1.02
+        assert loss.survives == (top < found.limit)
+
+
+def test_a_longer_horizon_survives_more(planned, found):
+    longer = sd.survival(OSCILLATOR, planned, length=2 * found.length, longest=2)
+    assert longer.limit > found.limit
+    assert longer.radius > found.radius
+
+
+def test_what_was_tried_is_in_order_and_drawn(found, tmp_path):
+    assert [t.amount for t in found.trials] == sorted(t.amount for t in found.trials)
+    assert {t.survives for t in found.trials if t.amount <= found.radius} == {True}
+    assert {t.survives for t in found.trials if t.amount >= found.broken} == {False}
+    top, bottom = plotting.draw(found)
+    assert top.lines[0].get_xdata()[-1] == found.radius
+    assert len([line for line in bottom.lines if len(line.get_xdata()) == 1]) == len(found.losses)
+    assert found.plot(top) is top
+    assert plotting.save(found, tmp_path / "survival.svg").read_bytes().startswith(b"<?xml")
+
+
+def test_it_says_what_may_go_wrong(found):
+    assert "early or late" in found.explain()
+    assert "are lost" in found.explain()
+    assert "losses up to" in str(found)
+
+
+def test_a_design_is_certified_first():
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    found = sd.survival(OSCILLATOR, design, longest=2, budget=2.0)
+    assert found.certificate.schedule.times == pytest.approx(design.schedule.times)
+    assert found.radius >= 0
+
+
+def test_nothing_may_survive():
+    planned = sd.certify(OSCILLATOR, PeriodicSchedule([3.0]), eta=0.3, P2=np.eye(2))
+    found = sd.survival(OSCILLATOR, planned, length=planned.horizon().minimum * 1.001, longest=2)
+    assert (found.radius, found.tolerated, found.jittered) == (0.0, (), None)
+    assert "no timing error and no loss" in found.explain()
+
+
+def test_a_budget_that_runs_out_is_said(planned):
+    found = sd.survival(OSCILLATOR, planned, budget=1e-9)
+    assert not found.closed
+    assert found.radius == 0.0
+    assert "budget ran out" in str(found)
+
+
+def test_what_cannot_be_asked_is_refused(planned):
+    with pytest.raises(ArgumentError, match="must be on a PeriodicSchedule"):
+        sd.survival(OSCILLATOR, sd.certify(OSCILLATOR, sd.Schedule([1.0, 2.0, 3.0]), eta=0.3, P2=np.eye(2)))
+    with pytest.raises(ArgumentError, match="`certificate` certifies another plant"):
+        sd.survival(Plant([[0.0, 1.0], [-2.0, 0.0]], [[1.0, 0.0]]), planned)
+    with pytest.raises(ArgumentError, match="is too short for the planned schedule: it needs M >"):
+        sd.survival(OSCILLATOR, planned, length=0.5)

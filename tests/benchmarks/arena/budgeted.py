@@ -1,0 +1,51 @@
+"""A function to be minimised whose time runs out: it remembers the best it has seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import differential_evolution, shgo
+
+
+class OutOfTime(Exception):
+    """The search has used its seconds."""
+
+
+class Budgeted:
+    """`function`, until `seconds` of processor time are over."""
+
+    def __init__(self, function: Callable[[Any], float], seconds: float):
+        self.function, self.until = function, time.process_time() + seconds
+        self.best, self.calls = np.inf, 0
+
+    def __call__(self, x: Any) -> float:
+        if time.process_time() > self.until:
+            raise OutOfTime
+        value = self.function(x)
+        self.best, self.calls = min(self.best, value), self.calls + 1
+        return value
+
+
+def evolve(function: Callable[[Any], float], dimension: int, seconds: float) -> Budgeted:
+    """Run differential evolution on the unit cube with SciPy's defaults, from new seeds until the time is over."""
+    goal, seed = Budgeted(function, seconds), 0
+    try:
+        while True:
+            differential_evolution(goal, [(0.0, 1.0)] * dimension, seed=seed, tol=1e-8, maxiter=100_000)
+            seed += 1
+    except OutOfTime:
+        return goal
+
+
+def homology(function: Callable[[Any], float], dimension: int, seconds: float) -> Budgeted:
+    """Run SHGO on the unit cube with Sobol points, more with every round until the time is over."""
+    goal, points = Budgeted(function, seconds), 64
+    try:
+        while True:
+            shgo(goal, [(0.0, 1.0)] * dimension, n=points, sampling_method="sobol")
+            points *= 2
+    except OutOfTime:
+        return goal

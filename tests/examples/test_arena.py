@@ -1,0 +1,103 @@
+"""The arena: its small version writes the whole page, says who is missing, and its claims hold."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from tests.benchmarks.arena import page, proving, records, searching, seeing, table, windows
+from tests.benchmarks.arena.budgeted import evolve, homology
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def arena(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arena")
+    command = [sys.executable, "-m", "tests.benchmarks.arena", "--quick", "-o", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return folder
+
+
+def test_quick_arena_writes_every_section_figure_and_version(arena):
+    text = (arena / "arena.md").read_text()
+    titles = ("Rows at given", "The least sigma", "The worst schedule", "The best periodic", "What a schedule proves")
+    for title in (
+        *titles,
+        "One estimation window",
+        "A whole record",
+        "Scaling: states",
+        "Scaling: samples",
+        "Scaling: ret",
+    ):
+        assert f"## {title}" in text
+    for peer in table.PINS:
+        assert f"| {table.named(peer)} |" in text
+    for name in re.findall(r"\(figures/(\w+\.png)\)", text):
+        assert (arena / "figures" / name).stat().st_size > 1000
+    assert page.COMMAND in text
+
+
+def test_a_missing_peer_is_a_row_of_its_own(monkeypatch):
+    for module in ("do_mpc", "filterpy"):
+        monkeypatch.setitem(sys.modules, module, None)
+    one = table.Table("title", "question", ("case", "method", "first", "time", "ours", "off", "error", "bound"))
+    windows.regular(one, quick=True)
+    assert [row[1] for row in one.rows] == ["sampling_design", "do-mpc: not installed"]
+    (whole,) = records.run(quick=True)
+    assert [row[1] for row in whole.rows].count("filterpy: not installed") == 2
+
+
+def test_filters_of_a_dozen_lines_and_the_room_agree():
+    (found,) = records.run(quick=True)
+    error = {row[1]: float(row[3]) for row in found.rows if row[0] == "irregular" and row[3]}
+    plain = error["continuous-discrete Kalman filter, plain"]
+    assert error["sampling_design KalmanFilter, the filters' weights, rate 0.01"] == pytest.approx(plain, rel=0.1)
+    assert all(row[5] in ("100%", "none", None) for row in found.rows), "an ellipsoid lost the truth"
+
+
+def test_a_row_of_the_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="3 cells expected, got 1"):
+        table.Table("title", "question", ("case", "method", "time")).add("alone")
+
+
+def test_rivals_minimise_the_same_window():
+    for box in (None, 1.0):
+        task = windows.problem(2, 5, True, box) if box is None else windows.constrained(2, 5)
+        estimate = windows.ours(task)[1]
+        for parametric in (False, True):
+            x = windows.Rebuilt(task, parametric).solve(task)
+            assert np.abs(x - estimate.x).max() < 1e-5
+
+
+def test_loops_agree_with_the_rooms():
+    plant = sd.named_plant("satellite")
+    times = np.linspace(0.0, 900.0, 7)
+    assert np.allclose(seeing.loop_rows(plant, times), sd.observability_matrix(plant, times), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("search", [evolve, homology])
+def test_a_search_stops_on_time_and_keeps_its_best(search):
+    found = search(lambda x: float((x - 0.3) @ (x - 0.3)), 2, 1.0)
+    assert found.calls > 0
+    assert found.best < 1e-3
+
+
+@pytest.mark.parametrize("name", searching.DESIGNS)
+def test_points_of_the_cube_are_admissible_schedules(name):
+    plant, wish = searching.DESIGNS[name]
+    loss = searching.loss_of_steps(plant, wish, 5)
+    values = [loss(x) for x in np.random.default_rng(0).uniform(size=(10, 5))]
+    assert min(values) < 0
+    assert max(values) <= 0
+
+
+def test_horizons_are_ordered_as_the_theorems_say():
+    (found,) = proving.run(quick=True)
+    paper, exact, sharp, true = (float(row[2].split()[0]) for row in found.rows)
+    assert true <= sharp < exact < paper

@@ -17,8 +17,11 @@ from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floa
 Array = npt.NDArray[np.float64]
 
 
+PROVEN, REFUTED, UNDECIDED = "proven", "refuted", "undecided"
+
+
 class Unproven(Exception):
-    """What stops a proof: verdict ("refuted" or "undecided"), inequality, reason; where known amount, time, start."""
+    """What stops a proof: verdict (REFUTED or UNDECIDED), inequality, reason; where known amount, time, start."""
 
     def __init__(self, verdict: str, inequality: str, reason: str, **where: float) -> None:
         super().__init__(reason)
@@ -31,14 +34,14 @@ def reading() -> Iterator[None]:
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise Unproven("refuted", "form", f"the data are no certificate ({error!r})") from error
+        raise Unproven(REFUTED, "form", f"the data are no certificate ({error!r})") from error
 
 
 def positive_definite(name: str, M: Matrix) -> None:
     """Raise Unproven unless M is certainly positive definite."""
     found = definite(M)
     if not found:
-        verdict, word = ("refuted", "is not") if found is False else ("undecided", "is not certainly")
+        verdict, word = (REFUTED, "is not") if found is False else (UNDECIDED, "is not certainly")
         raise Unproven(verdict, f"{name} > 0", f"{name} {word} positive definite")
 
 
@@ -86,7 +89,7 @@ def positive(name: str, value: Any) -> float:
     """Return a positive finite number of the file."""
     number = float(value)
     if not 0 < number < np.inf:
-        raise Unproven("refuted", f"{name} > 0", f"{name} must be positive and finite, got {value!r}")
+        raise Unproven(REFUTED, f"{name} > 0", f"{name} must be positive and finite, got {value!r}")
     return number
 
 
@@ -113,7 +116,7 @@ class Laps:
         self.seen = mask.astype(bool)
         late = self.gaps if self.periodic else self.gaps[1:]
         if not (all(gap > 0 for gap in late) and first >= 0 and (not self.periodic or first <= self.period)):
-            raise Unproven("refuted", "times", "times must increase strictly, the first within the period")
+            raise Unproven(REFUTED, "times", "times must increase strictly, the first within the period")
 
     def after(self, i: int) -> int:
         """The sample after sample i of the lap."""
@@ -129,7 +132,7 @@ class Frame:
     def __init__(self, weights: Weights, laps: Any, target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
-            raise Unproven("undecided", inequality, f"{inequality}: the left side is not certainly positive definite")
+            raise Unproven(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
         self.weights, self.laps, self.n, self.inequality = weights, laps, weights.n, inequality
         self.L, Lt = L, L.transpose()
         A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from sampling_design.certificates.ball_problem import Unproven
+from sampling_design.certificates.ball_problem import REFUTED, Unproven
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class FileGraph:
         for source, target, low, high, outputs in graph["edges"]:
             edge = FileEdge(int(source), int(target), exact(low), exact(high), tuple(bool(on) for on in outputs))
             if not (0 <= edge.source < len(words) and 0 < edge.target < len(words) and len(edge.outputs) == p):
-                raise Unproven("refuted", "graph", f"[{source}, {target}, {low}, {high}, {outputs}] is no edge")
+                raise Unproven(REFUTED, "graph", f"[{source}, {target}, {low}, {high}, {outputs}] is no edge")
             if not 0 <= edge.low <= edge.high:
-                raise Unproven("refuted", "graph", f"the edge from node {source} to {target} has no interval of times")
+                raise Unproven(REFUTED, "graph", f"the edge from node {source} to {target} has no interval of times")
             edges.append(edge)
         return cls(words, tuple(edges), p)
 
@@ -64,7 +64,7 @@ def exact(value: Any) -> Fraction:
 def require(condition: bool, u: int, what: str) -> None:
     """Raise Unproven if a schedule of the family could leave the graph at node u."""
     if not condition:
-        raise Unproven("refuted", "graph", f"the graph does not hold the family: at node {u}, {what}")
+        raise Unproven(REFUTED, "graph", f"the graph does not hold the family: at node {u}, {what}")
 
 
 def covers(edges: list[tuple[Fraction, Fraction]], low: Fraction, high: Fraction) -> bool:
@@ -116,14 +116,14 @@ class Lap:
     def read(cls, schedule: dict[str, Any], p: int) -> Lap:
         """The nominal schedule in the plain data of a file."""
         if schedule.get("output_names") is not None:
-            raise Unproven("refuted", "times", "the columns of the nominal schedule must be the plant's outputs")
+            raise Unproven(REFUTED, "times", "the columns of the nominal schedule must be the plant's outputs")
         gaps = tuple(exact(gap) for gap in schedule["gaps"])
         first = exact(schedule.get("first", schedule["gaps"][0]))
         seen = schedule.get("outputs") or [[1] * p] * len(gaps)
         outputs = tuple(tuple(bool(on) for on in row) for row in seen)
         sound = all(gap > 0 for gap in gaps) and 0 <= first <= sum(gaps) and len(outputs) == len(gaps)
         if not (sound and all(len(row) == p for row in outputs)):
-            raise Unproven("refuted", "times", "the nominal schedule must have positive gaps and one column per output")
+            raise Unproven(REFUTED, "times", "the nominal schedule must have positive gaps and one column per output")
         return cls(gaps, (max(gaps[0], first), *gaps[1:]), outputs)
 
     def next(self, word: tuple[Any, ...], u: int) -> list[int]:

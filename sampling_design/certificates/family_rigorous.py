@@ -26,7 +26,15 @@ from sampling_design._balls import (
     spectral,
     symmetric,
 )
-from sampling_design.certificates.ball_problem import Frame, Unproven, Weights, positive_definite, reading
+from sampling_design.certificates.ball_problem import (
+    REFUTED,
+    UNDECIDED,
+    Frame,
+    Unproven,
+    Weights,
+    positive_definite,
+    reading,
+)
 from sampling_design.certificates.family_cover import COVERED, FileGraph
 
 Pattern = tuple[bool, ...]
@@ -62,7 +70,7 @@ class Intervals:
             self._refute(Y, at, which)
             self._refute(middle, at + length / 2, which)
             if depth >= HALVINGS or not length > 0:
-                raise Unproven("undecided", self.name, f"{self.name} could not be decided: it is tight or nearly so")
+                raise Unproven(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
             pending += [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
 
     def _bound(self, Y: Matrix, length: Ball, which: int | None) -> Ball:
@@ -78,12 +86,12 @@ class Intervals:
         return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
 
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
-        """Raise Unproven("refuted") if it certainly fails at one time."""
+        """Raise Unproven(REFUTED) if it certainly fails at one time."""
         left = Y if which is None else self.frame.sampled(Y, which)
         if definite(self.frame.identity - left) is False:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
-            raise Unproven("refuted", self.name, reason, amount=amount, time=float(at))
+            raise Unproven(REFUTED, self.name, reason, amount=amount, time=float(at))
 
 
 def _ball(time: Fraction) -> Ball:
@@ -120,12 +128,12 @@ def check_times(data: dict[str, Any], graph: FileGraph, matrices: int) -> None:
     times = data["times"]
     units = {times.get("time_unit"), times.get("schedule", {}).get("time_unit")} - {None}
     if units - {data["plant"]["time_unit"]}:
-        raise Unproven("refuted", "times", f"the family is in {units.pop()}, the plant in {data['plant']['time_unit']}")
+        raise Unproven(REFUTED, "times", f"the family is in {units.pop()}, the plant in {data['plant']['time_unit']}")
     if matrices != len(graph.words):
-        raise Unproven("refuted", "graph", "the graph must have one matrix per word")
+        raise Unproven(REFUTED, "graph", "the graph must have one matrix per word")
     if float(data["lam_samples"]) < float(data["lam"]):
         reason = "a family holds windows from samples to any first gap: lam_samples is at least lam"
-        raise Unproven("refuted", "lam <= lam_samples", reason)
+        raise Unproven(REFUTED, "lam <= lam_samples", reason)
     if data["witness"] is not None:
-        raise Unproven("refuted", "witness", "a family certificate has no witness")
+        raise Unproven(REFUTED, "witness", "a family certificate has no witness")
     COVERED[times["kind"]](graph, times)

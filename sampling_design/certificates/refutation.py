@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._balls import ball, definite, floats, lowered, precision
-from sampling_design.certificates.ball_problem import Frame, Unproven
+from sampling_design.certificates.ball_problem import REFUTED, Frame, Unproven
 
 Array = npt.NDArray[np.float64]
 
@@ -150,7 +150,7 @@ def fails_at(frame: Frame, point: Point) -> bool:
 
 
 def refute(make: Callable[[], Frame], samples_only: bool = False) -> None:
-    """Raise Unproven("refuted") if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
+    """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = Search(frame, samples_only)
     for point in [search.polished(point) for point in search.grid()[:POLISHES]]:
@@ -170,4 +170,4 @@ def _refutation(frame: Frame, point: Point) -> Unproven:
     late = point.r + point.s + sum(gaps[(point.i + j) % laps.N] for j in range(1, point.k))
     amount = 1 / point.value - 1
     reason = f"{frame.inequality} fails by {-amount:.3g} at time {start + late:.6g} in the window from {start:.6g}"
-    return Unproven("refuted", frame.inequality, reason, amount=amount, time=start + late, start=start)
+    return Unproven(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)

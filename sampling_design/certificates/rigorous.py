@@ -13,6 +13,9 @@ from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
 from sampling_design.certificates import files
 from sampling_design.certificates.ball_problem import (
+    PROVEN,
+    REFUTED,
+    UNDECIDED,
     Frame,
     Laps,
     Unproven,
@@ -49,7 +52,7 @@ class RigorousVerification(Verification):
     seconds : float
     """
 
-    verdict: str = "undecided"
+    verdict: str = UNDECIDED
     bits: int = BITS
     seconds: float = 0.0
 
@@ -98,7 +101,7 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
     except Unproven as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
     except OutOfTime:
-        found |= {"verdict": "undecided", "inequality": "budget", "reason": f"{budget:g} s were not enough"}
+        found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": f"{budget:g} s were not enough"}
     except np.linalg.LinAlgError as error:
         found |= {
             "verdict": "undecided",
@@ -111,13 +114,13 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
 def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
     with reading():
         if data["digest"] != files.digest(data):
-            raise Unproven("refuted", "digest", "the digest does not fit the content: something was altered")
+            raise Unproven(REFUTED, "digest", "the digest does not fit the content: something was altered")
         claim = (data["claim"], data["times"]["kind"])
     if claim not in CLAIMS:
-        raise Unproven("undecided", "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
+        raise Unproven(UNDECIDED, "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
     inequality, subject, slack = CLAIMS[claim](data, clock)
     reason = f"{inequality} for {subject}, slack {slack:.3g}"
-    return {"verdict": "proven", "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
+    return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
 
 def targets(data: dict[str, Any]) -> list[tuple[Matrix, str, bool]]:
@@ -127,7 +130,7 @@ def targets(data: dict[str, Any]) -> list[tuple[Matrix, str, bool]]:
         P1, P2 = symmetric(np.reshape(data["P1"], (n, n))), symmetric(np.reshape(data["P2"], (n, n)))
         lam, lam_samples = positive("lam", data["lam"]), positive("lam_samples", data["lam_samples"])
     if not 0 <= margin < float("inf"):
-        raise Unproven("refuted", "margin >= 0", f"margin must be non-negative, got {data['margin']!r}")
+        raise Unproven(REFUTED, "margin >= 0", f"margin must be non-negative, got {data['margin']!r}")
     positive_definite("P1", P1)
     share = P2 * (ball(1.0) - ball(RESOLUTION))
     first = (P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
@@ -173,13 +176,13 @@ def attained(data: dict[str, Any]) -> None:
         start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
         x = frame.L.transpose() * matrix(np.reshape(seen["direction"], (weights.n, 1)))
     if not 0 <= start <= t < float("inf") or not (laps.periodic or t <= float(laps.times[-1]) * (1 + NEAR)):
-        raise Unproven("refuted", "witness", "the witness must have 0 <= start <= t within the schedule")
+        raise Unproven(REFUTED, "witness", "the witness must have 0 <= start <= t within the schedule")
     Y = flown(frame, start, t)
     ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
     if not ratio >= ball(stated) * (1 - ball(REPLAY)):
-        verdict = "refuted" if ratio < ball(stated) * (1 - ball(REPLAY)) else "undecided"
+        verdict = REFUTED if ratio < ball(stated) * (1 - ball(REPLAY)) else UNDECIDED
         reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
-        raise Unproven(verdict, "witness", reason, amount=float(ratio) / stated - 1, time=t, start=start)
+        raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
 def flown(frame: Frame, start: float, t: float) -> Matrix:
@@ -216,7 +219,7 @@ def prove(make: Callable[[], Frame], samples_only: bool, clock: Clock) -> float:
     if not halved:
         refute(make, samples_only)
     why = "it is tight or nearly so" if catches else "no bound that holds over all laps was found"
-    raise Unproven("undecided", frame.inequality, f"{frame.inequality} could not be decided: {why}")
+    raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
 
 
 def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:

@@ -12,8 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
-from sampling_design.certificates.ball_problem import noise
-from sampling_design.certificates.rigorous import verify_rigorously
+from sampling_design import _balls as balls
+from sampling_design._ball_flow import Clock
+from sampling_design.certificates.ball_problem import Frame, Laps, Unproven, Weights, noise
+from sampling_design.certificates.ball_proof import Windows, settled
+from sampling_design.certificates.rigorous import _decided, assumption_7, attained, targets, verify_rigorously
 from sampling_design.errors import CertificateError, MissingExtraError
 from tests.certificates.test_checker import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
@@ -262,8 +265,82 @@ def test_the_verdict_is_that_of_the_file(made, tmp_path):
 
 def test_a_channel_without_drive_and_weight_does_not_exist():
     G, Qw = np.array([[1.0, 0.0], [0.5, 0.0]]), np.diag([2.0, 0.0])
-    from sampling_design import _balls as balls
-
     with balls.precision():
         assert np.allclose(balls.floats(noise(G, Qw)), np.outer([1.0, 0.5], [1.0, 0.5]) / 2)
         assert np.allclose(balls.floats(noise(np.zeros((2, 2)), np.zeros((2, 2)))), 0)
+
+
+@pytest.mark.parametrize(
+    ("run", "message"),
+    [
+        (lambda data: targets(data | {"margin": -0.1}), "margin must be non-negative, got -0.1"),
+        (lambda data: targets(data | {"lam": np.inf}), "lam must be positive and finite, got inf"),
+        (lambda data: Weights(data | {"Qv": [[-1.0]]}), "Qv is not positive definite"),
+        (
+            lambda data: Laps(data["times"] | {"first": 5.0}, 1),
+            "times must increase strictly, the first within the period",
+        ),
+        (lambda data: targets(data | {"P2": None}), "the data are no certificate"),
+        (
+            lambda data: Frame(Weights(data), Laps(data["times"], 1), -Weights(data).P2, "0 < -1"),
+            "the left side is not",
+        ),
+        (
+            lambda data: attained(data | {"witness": data["witness"] | {"t": -1.0}}),
+            "the witness must have 0 <= start <= t within the schedule",
+        ),
+    ],
+)
+def test_what_stops_a_proof_says_why(run, message, made):
+    with balls.precision(), pytest.raises(Unproven, match=message):
+        run(made("oscillator").to_dict())
+
+
+def test_an_inequality_that_is_exactly_tight_is_undecided():
+    """Y keeps its value, for growth and discount cancel in the last bit: P1 = P2 holds, with nothing to spare."""
+    held = Certificate.from_matrices(
+        Plant([[-0.05]], [[1.0]], G=[[0.0]]),
+        PeriodicSchedule([1.0]),
+        P1=[[1.0]],
+        P2=[[1.0]],
+        Qw=[[1.0]],
+        R=[[2.0]],
+        Qv=[[2.0]],
+        eta=0.1,
+    ).to_dict()
+    assert verify_rigorously(held).verdict == "undecided"
+    with balls.precision(), pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
+        assumption_7(held, Clock(60.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"digest": "0"}, "the digest does not fit the content: something was altered"),
+        ({"claim": "wishful"}, "no proof in balls is known for 'wishful' on times 'periodic'"),
+    ],
+)
+def test_files_that_are_not_understood_stop_the_proof(change, message, made):
+    data = made("oscillator").to_dict() | change
+    data = data if "digest" in change else redigested(data)
+    with balls.precision(), pytest.raises(Unproven, match=message):
+        _decided(data, Clock(60.0))
+
+
+def test_a_recursion_that_grows_has_no_family():
+    made_up = Certificate.from_matrices(
+        OSCILLATOR,
+        PeriodicSchedule([np.pi]),
+        P1=1e-9 * np.eye(2),
+        P2=np.eye(2),
+        Qw=np.eye(2),
+        R=[[2.0]],
+        Qv=[[2.0]],
+        eta=0.4,
+    ).to_dict()
+    with balls.precision():
+        weights = Weights(made_up)
+        frame = Frame(weights, Laps(made_up["times"], 1), weights.P2, "aliased")
+        flows = Windows(frame, Clock(60.0)).flows
+        with pytest.raises(ArithmeticError, match="the recursion does not settle"):
+            settled(frame, flows, 1e-2)

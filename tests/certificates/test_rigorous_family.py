@@ -18,8 +18,12 @@ from sampling_design import (
     SpacedWindows,
     certify,
 )
+from sampling_design import _balls as balls
+from sampling_design._ball_flow import Clock
+from sampling_design.certificates.ball_problem import Unproven, Weights
 from sampling_design.certificates.family import certify_family
-from sampling_design.certificates.family_cover import covers
+from sampling_design.certificates.family_cover import FileGraph, Lap, covers
+from sampling_design.certificates.family_rigorous import Intervals, check_times
 from sampling_design.certificates.rigorous import verify_rigorously
 from tests.certificates.test_checker import redigested
 from tests.oracles import riccati as oracle
@@ -194,3 +198,50 @@ def test_coverage_by_closed_intervals():
     assert not covers([(F(1, 10**20), F(2))], F(0), F(2))
     assert not covers([], F(0), F(0))
     assert not covers([(F(3), F(4))], F(0), F(2))
+
+
+@pytest.mark.parametrize(
+    ("edges", "message"),
+    [
+        ([[0, 0, 0.0, 1.5, [1]]], r"\[0, 0, 0.0, 1.5, \[1\]\] is no edge"),
+        ([[0, 1, 1.5, 0.0, [1]]], "the edge from node 0 to 1 has no interval of times"),
+    ],
+)
+def test_what_is_no_edge_is_named(edges, message):
+    with pytest.raises(Unproven, match=message):
+        FileGraph.read({"words": [[], []], "edges": edges}, 1)
+
+
+def test_what_does_not_belong_together_is_named(made):
+    data = made("oscillator, gap range").to_dict()
+    graph = FileGraph.read(data["graph"], 1)
+    for change, matrices, message in [
+        ({}, 5, "the graph must have one matrix per word"),
+        ({"lam_samples": 1.0}, len(graph.words), "a family holds windows from samples to any first gap"),
+        ({"witness": {}}, len(graph.words), "a family certificate has no witness"),
+        ({"times": data["times"] | {"time_unit": "h"}}, len(graph.words), "the family is in h, the plant in s"),
+        (
+            {"times": data["times"] | {"longest": 9.0}},
+            len(graph.words),
+            "the graph does not hold the family: at node 0",
+        ),
+    ]:
+        with pytest.raises(Unproven, match=message):
+            check_times(data | change, graph, matrices)
+
+
+def test_a_nominal_schedule_that_is_none_is_named(made):
+    schedule = made("jitter").to_dict()["times"]["schedule"]
+    with pytest.raises(Unproven, match="the nominal schedule must have positive gaps and one column per output"):
+        Lap.read(schedule | {"first": 7.0}, 1)
+    with pytest.raises(Unproven, match="the columns of the nominal schedule must be the plant's outputs"):
+        Lap.read(schedule | {"output_names": ["y"]}, 1)
+
+
+def test_an_interval_that_is_exactly_tight_is_undecided(made):
+    data = made("oscillator, gap range").to_dict()
+    with balls.precision():
+        weights = Weights(data)
+        tight = Intervals(weights, weights.P2, [], "P2 <= P2", Clock(60.0))
+        with pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
+            tight.prove(weights.P2, None, Fraction(0), Fraction(0))

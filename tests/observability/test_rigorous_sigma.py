@@ -18,10 +18,13 @@ from sampling_design import (
     window_sigma,
     worst_case_sigma,
 )
+from sampling_design._ball_flow import Clock, OutOfTime
+from sampling_design._balls import precision
 from sampling_design.errors import MissingExtraError
+from sampling_design.observability import rigorous_worst
 from sampling_design.observability.pieces import window_pieces
 from sampling_design.observability.rigorous import exact_times, prove_window_sigma
-from sampling_design.observability.rigorous_worst import prove_worst_sigma
+from sampling_design.observability.rigorous_worst import WorstCase, prove_worst_sigma
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -170,7 +173,7 @@ def test_a_worst_case_above_an_attained_one_is_never_proven(name):
     plant, family, _ = FAMILIES[name]
     found = worst_case_sigma(plant, family)
     attained = sigma_at(plant, found.witness, 0)
-    too_high = prove_worst_sigma(plant, family, float(attained) / (1 - 1e-6) * (1 + 1e-8), found.witness)
+    too_high = prove_worst_sigma(plant, family, float(attained) / (1 - 1e-6) * (1 + 1e-5), found.witness)
     assert too_high.lower < attained
 
 
@@ -215,3 +218,10 @@ def test_a_worst_case_without_the_extra_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "flint", None)
     with pytest.raises(MissingExtraError, match="python-flint, which is not installed"):
         worst_case_sigma(DOUBLE, SpacedWindows(4.0, 2, 0.5), rigorous=True)
+
+
+def test_too_many_open_cells_end_the_attempt(monkeypatch):
+    monkeypatch.setattr(rigorous_worst, "MOST_CELLS", 1)
+    found = worst_case_sigma(CHAIN, SpacedWindows(6.0, 5, 0.5))
+    with precision(), pytest.raises(OutOfTime, match="too many cells are open"):
+        WorstCase(CHAIN, SpacedWindows(6.0, 5, 0.5), np.eye(3), Clock(60.0)).proves(found.lower**2)

@@ -158,7 +158,7 @@ def api_index(rooms: list[str]) -> str:
     for room in rooms:
         names = ", ".join(f"{{py:obj}}`~sampling_design.{n}`" for n in names_of(room))
         lines.append(f"| [{room}]({room}.md) | {ROOMS[room].lower()} | {names} |")
-    return "\n".join([*lines, "", "```{toctree}", ":hidden:", *rooms, "```", ""])
+    return "\n".join([*lines, "", "```{toctree}", ":hidden:", *(f"{r} <{r}>" for r in rooms), "```", ""])
 
 
 def names_of(room: str) -> list[str]:
@@ -278,7 +278,7 @@ def floors_picture(package: Path) -> str:
     boxes.append(
         f'<rect x="60" y="{ground - 22}" width="{width - 120}" height="44" rx="8" fill="#f4f4f4" stroke="#888"/>'
         f'<text x="{width / 2:.0f}" y="{ground + 5}" text-anchor="middle" font-size="13">ground: errors, evidence, '
-        f"checks, records, files, units, linear algebra, the one door to the conic solver</text>"
+        f"checks, records, files, units, linear algebra, balls, the one door to the conic solver</text>"
     )
     style = 'font-family="Helvetica, Arial, sans-serif" font-size="15"'
     tip = (

@@ -1,0 +1,79 @@
+"""Pages that are made from the package say everything that the package has."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+import sampling_design
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def pages():
+    spec = importlib.util.spec_from_file_location("make_pages", DOCS / "make_pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_item_has_a_row_with_its_theory(pages):
+    items = pages.read_items(DOCS)
+    page = pages.items_page(items)
+    assert all(f"[{i['label']}](#{i['theory']})" in page for i in items)
+    assert page.count("**(printed formula)**") >= 34
+
+
+def test_every_public_class_and_function_has_its_place(pages):
+    text = "\n".join(pages.room_page(room) for room in pages.ROOMS)
+    callables = [n for n in sampling_design.__all__ if callable(getattr(sampling_design, n))]
+    missing = [n for n in callables if not re.search(rf"auto\w+:: sampling_design\.{n}$", text, re.MULTILINE)]
+    assert [n for n in missing if getattr(sampling_design, n).__module__ != "sampling_design.errors"] == []
+
+
+def test_every_command_is_explained(pages):
+    from typer.main import get_command
+
+    from sampling_design.cli.app import app
+
+    page = pages.command_page()
+    for name, command in get_command(app).commands.items():
+        section = page.split(f"## `sampling-design {name}`", 1)[1].split("\n## ", 1)[0]
+        assert all(max(p.opts, key=len) in section for p in command.params if p.param_type_name == "option")
+
+
+def test_imports_are_counted_and_go_down(pages):
+    level = {room: k for k, rooms in enumerate(pages.FLOORS) for room in rooms}
+    found = pages.imports_between(ROOT / "sampling_design")
+    assert found["observability", "plants"] > 3
+    assert all(level[here] > level[other] for here, other in found)
+    assert pages.floors_picture(ROOT / "sampling_design").count("<path") == len(found) + 1  # and the arrow's tip
+
+
+def test_a_page_is_written_once(pages, tmp_path):
+    path = tmp_path / "deep" / "page.md"
+    pages.write(path, "a")
+    before = path.stat().st_mtime_ns
+    pages.write(path, "a")
+    assert path.stat().st_mtime_ns == before
+    pages.write(path, "b")
+    assert path.read_text() == "b"
+
+
+def test_examples_to_copy_stand_in_their_own_block(pages):
+    lines = pages.command_help("Do it.\n\nExample: sampling-design\ninfo x.toml")
+    assert lines == ["Do it.", "", "```sh", "sampling-design info x.toml", "```", ""]
+
+
+def test_every_page_is_in_a_table_of_contents():
+    listed = re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text(), re.MULTILINE)
+    listed += [f"theory/{n}" for n in re.findall(r"^(\w+)$", (DOCS / "theory" / "index.md").read_text(), re.MULTILINE)]
+    written = {str(p.relative_to(DOCS).with_suffix("")) for p in [*DOCS.glob("*.md"), *DOCS.glob("theory/*.md")]}
+    spec = importlib.util.spec_from_file_location("make_pages", DOCS / "make_pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    by_people = {p for p in written if "/" in p or p in module.WRITTEN}
+    assert sorted(by_people - set(listed) - {"index"}) == []

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, psd_root, symmetrise
+from sampling_design._linalg import discounted_flow, symmetrise
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -126,7 +126,7 @@ def window_problem(
     """Return the recursion of `plant` on `schedule` (already in the plant's terms) for given weights."""
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
-    drive = root.T @ psd_root(noise_input(plant.G, Qw)) if plant.n_states else np.zeros((0, 0))
+    noise = symmetrise(root.T @ noise_input(plant.G, Qw) @ root)  # no root first: units of states may differ by 1e9
     rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
     rows = np.swapaxes(np.linalg.solve(root, np.swapaxes(rows, 1, 2)), 1, 2)
     times = np.array(schedule.times)
@@ -138,4 +138,4 @@ def window_problem(
     else:
         gaps = np.diff(times, prepend=0.0)
         reach, period = gaps.copy(), None
-    return WindowProblem(np.asarray(A, dtype=np.float64), drive @ drive.T, rows, eta, root, gaps, reach, times, period)
+    return WindowProblem(np.asarray(A, dtype=np.float64), noise, rows, eta, root, gaps, reach, times, period)

@@ -132,3 +132,14 @@ def test_singular_weights_are_accepted_only_where_nothing_drives():
         noise_input(np.eye(2), np.diag([1.0, 0.0]))
     with pytest.raises(ArgumentError, match="`Qw` must be positive definite, got least eigenvalue -1"):
         noise_input(np.eye(2), np.diag([1.0, -1.0]))
+
+
+@pytest.mark.parametrize("scale", [(2.0**10, 2.0**-10), (2.0**20, 2.0**-10), (2.0**30, 2.0**-20)])
+def test_units_of_the_states_change_nothing(scale):
+    # G Qw^-1 G' has eigenvalues whose ratio is below eps there: none of them may be lost
+    D, A, C = np.diag(scale), np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
+    there = Plant(D @ A @ np.linalg.inv(D), C @ np.linalg.inv(D), G=D)
+    schedule = PeriodicSchedule([1.0, 0.7])
+    here = certify(Plant(A, C), schedule, eta=0.4, P2=np.eye(2), Qw=np.eye(2))
+    moved = certify(there, schedule, eta=0.4, P2=np.linalg.inv(D @ D), Qw=np.eye(2))
+    assert moved.lam == pytest.approx(here.lam, rel=1e-12)

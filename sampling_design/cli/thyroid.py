@@ -32,7 +32,7 @@ def thyroid(
     """Repeat the paper's Section VI: hormone concentrations from rare blood samples, against sampling every 2 hours.
 
     With -o DIR every run is saved in DIR/runs.jsonl as it ends; the same command goes on where it stopped, so
-    --budget has no part in it. DIR also gets report.md, thyroid.json and the paper's figures 1 to 3.
+    --budget has no part in it. DIR also gets the page thyroid.md with the paper's figures 1 to 3, and thyroid.json.
 
     Example: sampling-design thyroid --runs 50 -o out
     """
@@ -48,11 +48,15 @@ def thyroid(
         )
     if folder is not None and path is not None:
         settings.wrote(path)
-        settings.wrote(write_text(folder / "report.md", report.to_markdown()))
         settings.wrote(write_text(folder / "thyroid.json", to_json(report.to_dict())))
         shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed)
+        page = report.to_markdown() + f"\nFigures 1 to 3 of the paper, from run 0 ({cases[0]}):\n"
+        (folder / "figures").mkdir(exist_ok=True)
         for number in (1, 2, 3):
-            settings.wrote(save_picture(shown.figure(number), folder / f"figure{number}.png"))
+            name = f"figures/thyroid_figure{number}.png"
+            settings.wrote(save_picture(shown.figure(number), folder / name))
+            page += f"\n![{shown.figure(number).explain()}]({name})\n"
+        settings.wrote(write_text(folder / "thyroid.md", page))
     open_points = "Not said in the paper, and what is done instead:\n" + "\n".join(
         f"  {point}: {choice}" for point, choice in OPEN_POINTS
     )

@@ -84,8 +84,8 @@ class DetectabilityEvidence(Record):
     def _rows(self) -> list[tuple[str, str]]:
         left = f", {self.left_out} more left out" if self.left_out else ""
         return [
-            ("worst ratio", f"{short(self.ratio)} (evidence, not proof)"),
-            ("pairs", f"{self.pairs}{left}"),
+            ("worst ratio", f"{short(self.ratio)} ({self._word()})"),
+            ("pairs", f"{self.pairs}{left} (evidence, not proof)"),
             ("at", f"pair {self.witness.pair}, K_{self.witness.start}, t = {short(self.witness.t)} {self.time_unit}"),
             ("median ratio", short(np.median(self.ratios))),
             ("lambda, at least", short(self.least_lambda)),
@@ -96,11 +96,17 @@ class DetectabilityEvidence(Record):
 
     def explain(self) -> str:
         """Say what was seen and that it proves nothing."""
-        word = "held" if self.holds else "failed"
-        return (
-            f"Inequality (16) {word} along {self.pairs} random pairs; its right side was at least {short(self.ratio)} "
-            "times the left. This is evidence, not proof: other pairs and times in between were not looked at."
+        text = f"Inequality (16) {self._word()} along {self.pairs} random pairs; its right side was at least "
+        text += f"{short(self.ratio)} times the left. "
+        if self.holds:
+            return text + "This is evidence, not proof: other pairs and times in between were not looked at."
+        return text + (
+            f"So it does not hold with these weights and this P1; any P1 that it holds with has lambda_max(P2, P1) of "
+            f"at least {short(self.least_lambda)}."
         )
+
+    def _word(self) -> str:
+        return "held" if self.holds else "failed"
 
 
 def check_detectability(

@@ -17,7 +17,11 @@ PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}
 
 OPEN_POINTS = (
     ("the model", "not printed; put together from public code, what is reconstructed is marked in `PARAMETERS`"),
-    ("unit of time of w", "not said; every reading is reported, none is preferred"),
+    (
+        "unit of time of w",
+        "not said; none is preferred; per_day_slow also slows the thyroid's store of T4 (alpha_th = 3e-5 per l, beta_th "
+        "likewise, same equilibrium), without which w per day moves nothing",
+    ),
     ("length of a run", "not said; 20 days"),
     ("instants", "not said; gaps of 12 to 36 h, uniform on a 2 h grid, the first sample at t = 0"),
     ("distribution of the noise", "only bounds are printed; uniform, independent, w constant over 2 h"),
@@ -107,7 +111,7 @@ class ThyroidReport(Record):
         command = f"sampling-design thyroid --runs {self.runs} --days {short(self.days)} --seed {self.seed} {readings}"
         parts = [
             "# The paper's Section VI: hormone concentrations from rare blood samples",
-            f"Written by `{command} -o DIR`, as DIR/report.md.",
+            f"Written by `{command} -o DIR`, as DIR/thyroid.md.",
             f"{self.runs} runs of {short(self.days)} days per reading of w, seed {self.seed}; "
             "RMSE in scaled states, mean over the runs and, in brackets, standard deviation between them.",
             _table(

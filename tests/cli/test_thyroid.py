@@ -8,9 +8,12 @@ def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
     assert result.code == 0
     assert "what is done instead" in result.out
     assert "ratio 1.014" in result.out
-    assert {p.name for p in tmp_path.iterdir()} == {
-        "runs.jsonl", "report.md", "thyroid.json", "figure1.png", "figure2.png", "figure3.png",
-    }  # fmt: skip
+    assert {p.name for p in tmp_path.iterdir()} == {"runs.jsonl", "thyroid.md", "thyroid.json", "figures"}
+    page = (tmp_path / "thyroid.md").read_text()
+    for number in (1, 2, 3):
+        name = f"figures/thyroid_figure{number}.png"
+        assert f"]({name})" in page
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     data = json.loads((tmp_path / "thyroid.json").read_text())
     assert data["cases"]["per_day"]["standard"]["problems"] == 4
     again = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path, "--json")

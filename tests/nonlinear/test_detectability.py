@@ -51,7 +51,7 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
     assert found.ratio == pytest.approx(np.exp(-2.2 * 3.0), rel=1e-6)
     assert found.least_lambda == pytest.approx(1 / found.ratio)
     assert found.least_horizon() == pytest.approx(2 * np.log(2 / found.ratio) / 0.2)
-    assert "failed" in found.explain()
+    assert "does not hold with these weights" in found.explain()
     assert "evidence, not proof" in str(found)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -76,13 +77,29 @@ class Weights:
 
 
 def noise(G: Array, Qw: Array) -> Matrix:
-    """Return G Qw^-1 G'; a channel that neither drives the plant nor is weighted does not exist."""
-    live = np.any(G != 0, axis=0) | np.any(Qw != 0, axis=0) | np.any(Qw != 0, axis=1)
-    if not live.any():
-        return matrix(np.zeros((G.shape[0], G.shape[0])))
-    weight, input_ = symmetric(Qw[np.ix_(live, live)]), matrix(G[:, live])
-    positive_definite("Qw", weight)
-    return input_ * weight.solve(input_.transpose())
+    """Return G Qw^-1 G', in rational numbers; Qw may be singular where it does not drive the plant."""
+    q, n = Qw.shape[0], G.shape[0]
+    form = [[(Fraction(Qw[i, j]) + Fraction(Qw[j, i])) / 2 for j in range(q)] for i in range(q)]
+    drive = [[Fraction(x) for x in column] for column in G.T.tolist()]
+    found = [[Fraction(0)] * n for _ in range(n)]
+    for k in range(q):
+        pivot = form[k][k]
+        if pivot < 0 or (pivot == 0 and any(form[k][k + 1 :])):
+            raise Unproven(REFUTED, "Qw > 0", "Qw is not positive definite, not even semidefinite")
+        if pivot == 0:
+            if any(drive[k]):
+                raise Unproven(REFUTED, "Qw > 0", "Qw is singular in a direction that drives the plant")
+            continue
+        for a in range(n):
+            for b in range(n):
+                found[a][b] += drive[k][a] * drive[k][b] / pivot
+        for i in range(k + 1, q):
+            share = form[i][k] / pivot
+            form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
+            drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
+    if not n:
+        return matrix(np.zeros((0, 0)))
+    return flint().arb_mat([[flint().arb(x.numerator) / x.denominator for x in row] for row in found])
 
 
 def positive(name: str, value: Any) -> float:

@@ -11,7 +11,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
+from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock
 from sampling_design.certificates.ball_problem import Frame, Laps, Unproven, Weights, noise
@@ -263,11 +263,35 @@ def test_the_verdict_is_that_of_the_file(made, tmp_path):
     assert verify_rigorously(json.loads(path.read_text())).verdict == "proven"
 
 
-def test_a_channel_without_drive_and_weight_does_not_exist():
-    G, Qw = np.array([[1.0, 0.0], [0.5, 0.0]]), np.diag([2.0, 0.0])
+def test_noise_is_eliminated_exactly():
+    rng = np.random.default_rng(4)
+    G, root = rng.standard_normal((3, 4)), rng.standard_normal((4, 4))
+    Qw = root @ root.T
     with balls.precision():
-        assert np.allclose(balls.floats(noise(G, Qw)), np.outer([1.0, 0.5], [1.0, 0.5]) / 2)
-        assert np.allclose(balls.floats(noise(np.zeros((2, 2)), np.zeros((2, 2)))), 0)
+        assert np.allclose(balls.floats(noise(G, Qw)), G @ np.linalg.solve(Qw, G.T), rtol=1e-9)
+        assert noise(np.zeros((0, 0)), np.zeros((0, 0))).nrows() == 0
+
+
+def test_a_channel_that_does_not_drive_may_be_without_weight():
+    """Qw = 2 u u' for u = (1, 1), and a plant that is driven along u only: x'Qw x is |2 w|^2/2 there."""
+    Qw = np.array([[2.0, 2.0], [2.0, 2.0]])
+    with balls.precision():
+        assert np.allclose(balls.floats(noise(np.array([[1.0, 1.0], [3.0, 3.0]]), Qw)), [[0.5, 1.5], [1.5, 4.5]])
+        assert np.allclose(balls.floats(noise(np.array([[1.0, 0.0]]), np.diag([2.0, 0.0]))), [[0.5]])
+        with pytest.raises(Unproven, match="Qw is singular in a direction that drives the plant"):
+            noise(np.array([[1.0, 1.0 + 2.0**-50]]), Qw)
+        for indefinite in ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]]):
+            with pytest.raises(Unproven, match="Qw is not positive definite, not even semidefinite"):
+                noise(np.zeros((1, 2)), np.array(indefinite))
+
+
+@pytest.mark.parametrize("plant", [OSCILLATOR, DOUBLE, FOUR], ids=["oscillator", "double integrator", "four states"])
+def test_the_papers_own_constants_are_proven(plant):
+    assert certify_from_proof(plant, PeriodicSchedule([1.0])).verify(rigorous=True).verdict == "proven"
+
+
+def test_chosen_weights_are_proven():
+    assert certify(DOUBLE, PeriodicSchedule([1.0]), eta=0.4).verify(rigorous=True).verdict == "proven"
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,8 @@ OPEN_POINTS = (
     ("the model", "not printed; put together from public code, what is reconstructed is marked in `PARAMETERS`"),
     (
         "unit of time of w",
-        "not said; none is preferred; per_day_slow also slows the thyroid's store of T4 (alpha_th = 3e-5 per l, beta_th "
-        "likewise, same equilibrium), without which w per day moves nothing",
+        "not said; none is preferred; per_day_slow also slows the thyroid's store of T4 (alpha_th = 3e-5 per l, "
+        "beta_th likewise, same equilibrium), without which w per day moves nothing",
     ),
     ("length of a run", "not said; 20 days"),
     ("instants", "not said; gaps of 12 to 36 h, uniform on a 2 h grid, the first sample at t = 0"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -53,13 +53,16 @@ class ScheduleWatch:
         """Time and row of the sample due after `before` (at or after it where `first`); None past the end."""
         slack = self._slack(before)
         limit = before - slack if first else before + slack
+        side: Literal["left", "right"] = (
+            "left" if first else "right"
+        )  # at time 0 the slack is 0: `before` is not due again
         lap = self.schedule.times
         if isinstance(self.schedule, Schedule):
-            k = int(np.searchsorted(lap, limit))
+            k = int(np.searchsorted(lap, limit, side))
             return (float(lap[k]), k) if k < lap.size else None
         period = self.schedule.period
         laps = max(0.0, np.floor((limit - lap[0]) / period))
-        k = int(np.searchsorted(lap + laps * period, limit))
+        k = int(np.searchsorted(lap + laps * period, limit, side))
         return (float(lap[k] + laps * period), k) if k < lap.size else (float(lap[0] + (laps + 1) * period), 0)
 
     def _family_fits(self, times: Array, first: bool) -> bool:

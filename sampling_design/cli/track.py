@@ -230,6 +230,12 @@ def validate(
             progress=progress,
             **bounds,
         )
+    _report(settings, report)
+    if not report.passed:
+        raise typer.Exit(1)
+
+
+def _report(settings: Settings, report: Any) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))
@@ -238,8 +244,6 @@ def validate(
     heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
     findings = table("Findings", heads, report.cells())
     settings.show(report.to_dict(), record_table(report), findings, *report.skipped, report.explain())
-    if not report.passed:
-        raise typer.Exit(1)
 
 
 def log(

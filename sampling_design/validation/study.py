@@ -70,7 +70,7 @@ class Study:
         if taken:
             raise ArgumentError(f"`{taken[0]}` is chosen by the scenarios, it cannot be given.")
         self.plant, self.schedule, self.certificate, self.bounds = plant, schedule, certificate, bounds
-        self.options = options
+        self.options, self.duration = options, duration
         self.skipped: list[str] = []
         self.findings: list[Finding] = []
         self.courses: list[Course] = []
@@ -223,7 +223,7 @@ class Study:
         if self.promise is None or {"cost", "carried_weight", "horizon"} & set(self.options):
             return
         estimator = self.estimator(cost="paper")
-        line = self._timeline(None, float(estimator.horizon))
+        line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
         promise = promise_of(self.certificate, float(estimator.horizon), "paper")
         seen = monte_carlo(found, self.bounds, promise, promise.root, seeds[:PAPER_RUNS], workers, tell)

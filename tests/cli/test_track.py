@@ -1,0 +1,217 @@
+"""estimate, validate and log on example plants and files, with right and with wrong input."""
+
+import csv
+import json
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLANTS, DATA = EXAMPLES / "plants", EXAMPLES / "data"
+OSCILLATOR = PLANTS / "oscillator.toml"
+TIMES = [0.9, 2.1, 3.0, 4.3, 5.1, 6.2]
+
+
+def plant(name):
+    return PLANTS / f"{name}.toml"
+
+
+@pytest.fixture(scope="module")
+def schedule(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "schedule.csv"
+    return sd.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), path)
+
+
+def write_readings(path, times=TIMES, start=0.0, value=np.cos):
+    lines = ["# readings", "time,position,force_per_mass"]
+    lines += [f"{float(t + start)!r},{float(value(t))!r},0" for t in times]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def rows_of(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_example_files_are_what_their_script_makes():
+    made = runpy.run_path(str(DATA / "make_measurements.py"))
+    for name, make in made["RECORDS"].items():
+        stored = sd.read_measurements(DATA / f"{name}.csv", sd.read_plant(plant(name)))
+        fresh = make().measurements
+        for key in ("times", "y", "u"):
+            assert getattr(stored, key) == pytest.approx(getattr(fresh, key), rel=1e-9, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("name", ["satellite", "three_compartment"])
+def test_estimate_on_an_example_file_holds_the_truth(shell, tmp_path, name):
+    made = runpy.run_path(str(DATA / "make_measurements.py"))
+    truth, bounds = made["RECORDS"][name](), made["BOUNDS"][name]
+    eta = {"satellite": "0.0007", "three_compartment": "0.005"}[name]
+    flags = [f"--{key.replace('_', '-')}={','.join(map(str, value))}" for key, value in bounds.items()]
+    result = shell("estimate", plant(name), DATA / f"{name}.csv", "--eta", eta, *flags, "-o", tmp_path)
+    assert result.code == 0, result.err
+    assert {p.name for p in tmp_path.iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
+    assert "Guarantee for all schedules with gaps from" in result.err
+    assert "--initial-error not given: the plant's scales" in result.err
+    assert "--w-bound" not in result.err
+    assert (tmp_path / "estimates.png").read_bytes().startswith(b"\x89PNG")
+    rows = rows_of(tmp_path / "estimates.csv")
+    found = {float(r["time"]): r for r in rows}
+    names = truth.measurements.plant.states.names
+    for t, x in zip(truth.times[truth.at], truth.truth, strict=True):
+        row = found[float(t)]
+        assert row["certified"] == "1"
+        for state, value in zip(names, x, strict=True):
+            assert abs(float(row[state]) - value) <= float(row[f"{state}_radius"])
+    data = json.loads((tmp_path / "estimates.json").read_text())
+    assert data["on_schedule"] == [True] * len(rows)
+    assert data["times"] == [float(r["time"]) for r in rows]
+
+
+def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path, schedule):
+    readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])
+    quiet = ("--json", "--quiet", "--initial-error", "2")
+    by_schedule = shell("estimate", OSCILLATOR, readings, "--schedule", schedule, *quiet)
+    assert by_schedule.err == ""
+    one = json.loads(by_schedule.out)
+    assert one["certified"] == [True] * 5
+    assert shell("certify", OSCILLATOR, schedule, "--certificate", tmp_path / "c.json").code == 0
+    two = json.loads(shell("estimate", OSCILLATOR, readings, "--certificate", tmp_path / "c.json", *quiet).out)
+    assert two["x"] == one["x"]
+    assert one["guarantee"] == "Guarantee for the schedule given."
+    assert two["guarantee"].startswith("Guarantee of ")
+
+
+def test_times_of_a_file_without_a_schedule_need_not_begin_near_zero(shell, tmp_path):
+    here = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "a.csv"), "--json").out)
+    there = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "b.csv", start=1024.0), "--json").out)
+    assert there["times"] == pytest.approx(np.array(TIMES) + 1024.0)
+    assert np.array(there["x"]) == pytest.approx(np.array(here["x"]), abs=1e-8)
+    assert there["on_schedule"] == [True] * len(TIMES)
+
+
+def test_gaps_that_no_schedule_family_survives_are_certified_for_the_file_alone(shell, tmp_path):
+    readings = write_readings(tmp_path / "y.csv", [0.5, 1.4, 4.9, 5.6, 6.5, 9.0])  # 0.7 to 3.5 holds pi
+    result = shell("estimate", OSCILLATOR, readings, "--json", "--initial-error", "2")
+    data = json.loads(result.out)
+    assert "certified to its last time" in data["guarantee"]
+    assert data["on_schedule"] == [True] * 6
+
+
+def test_without_any_guarantee_it_says_so_in_plain_words(shell, tmp_path):
+    one = write_readings(tmp_path / "one.csv", [1.0])
+    data = json.loads(shell("estimate", OSCILLATOR, one, "--json").out)
+    assert data["guarantee"].startswith("No guarantee: one sample")
+    blind = write_readings(tmp_path / "blind.csv", np.pi * np.arange(1, 5), value=lambda t: 1.0)
+    result = shell("estimate", OSCILLATOR, blind, "--v-bound", "3", "--initial-error", "5")
+    assert result.code == 0
+    assert "--eta not given" in result.err
+    assert "estimates" in result.out
+
+
+def test_a_short_horizon_is_marked(shell, tmp_path, schedule):
+    readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2])
+    result = shell("estimate", OSCILLATOR, readings, "--schedule", schedule, "--horizon", "0.1", "--json")
+    assert "No a-priori claim: the horizon 0.1 must exceed" in result.err
+    assert json.loads(result.out)["on_schedule"] == [False] * 3
+
+
+def test_noise_bounds_that_the_data_disprove_are_a_no(shell, tmp_path, schedule):
+    readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4], value=lambda t: 50.0 * (-1) ** int(t))
+    result = shell("estimate", OSCILLATOR, readings, "--schedule", schedule, "--v-bound", "0.01", "--w-bound", "0.01")
+    assert result.code == 1
+    assert "bounds disproved" in result.out
+
+
+def test_a_prior_is_used(shell, tmp_path, schedule):
+    readings = write_readings(tmp_path / "y.csv", [1.0])
+    base = ("estimate", OSCILLATOR, readings, "--schedule", schedule, "--json")
+    plain, moved = (json.loads(shell(*base, *more).out) for more in ((), ("--prior", "1,0")))
+    assert abs(moved["x"][0][0] - np.cos(1.0)) < abs(plain["x"][0][0] - np.cos(1.0))
+
+
+def test_validate_writes_report_and_picture(shell, tmp_path, schedule):
+    result = shell("validate", OSCILLATOR, schedule, "--runs", 10, "--seed", 5, "--duration", 15, "-o", tmp_path)
+    assert result.code == 0, result.err
+    assert {p.name for p in tmp_path.iterdir()} == {"report.md", "report.json", "validation.png"}
+    assert "inequality (16)" in result.out
+    assert "promises held" in result.out
+    data = json.loads((tmp_path / "report.json").read_text())
+    assert data["passed"] is True
+    assert data["settings"]["seed"] == "5"
+    assert (tmp_path / "report.md").read_text().startswith("# Validation of oscillator")
+    again = json.loads(
+        shell(
+            "validate", OSCILLATOR, schedule, "--runs", 10, "--seed", 5, "--duration", 15, "--workers", 2, "--json"
+        ).out
+    )
+    assert again == data
+
+
+def test_validate_without_a_certificate_is_a_no(shell, tmp_path):
+    (tmp_path / "blind.csv").write_text(
+        "# sampling-design schedule; time_unit=s; period=3.141592653589793\ntime\n0.5\n"
+    )
+    result = shell("validate", OSCILLATOR, tmp_path / "blind.csv")
+    assert result.code == 1
+    assert "no certificate" in result.err
+
+
+def test_validate_with_a_false_certificate_fails_with_exit_code_1(shell, tmp_path, schedule):
+    made = sd.certify(sd.read_plant(OSCILLATOR), sd.read_schedule(schedule), eta=0.5)
+    parts = {key: getattr(made, key) for key in ("P2", "Qw", "R", "Qv")}
+    false = sd.Certificate.from_matrices(made.plant, made.schedule, P1=1.5 * made.P1, **parts, eta=made.eta)
+    false.save(tmp_path / "false.json")
+    flags = ("--certificate", tmp_path / "false.json", "--runs", 5, "--duration", 12)
+    result = shell("validate", OSCILLATOR, schedule, *flags)
+    assert result.code == 1
+    assert "BROKEN" in result.out
+
+
+def test_log_says_what_deviations_cost(shell, tmp_path):
+    plan = sd.PeriodicSchedule([5554.0 / 12], first=0.0, time_unit="s")
+    sd.write_schedule(plan, tmp_path / "plan.csv")
+    flags = ("--window", 5554, "-o", tmp_path / "out")
+    result = shell("log", plant("satellite"), tmp_path / "plan.csv", DATA / "satellite.csv", *flags)
+    assert result.code == 0, result.err
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"log.json", "log.png"}
+    data = json.loads((tmp_path / "out" / "log.json").read_text())
+    assert len(data["missed"]) == 3
+    assert 0 < data["largest_deviation"] <= 120.0
+    assert 0 < data["kept"] < 1
+    assert "3 of 25 planned samples were missed" in result.out.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("estimate", OSCILLATOR, "nowhere.csv"), "no such file"),
+        (("estimate", OSCILLATOR, DATA / "satellite.csv"), "column 'position' is missing"),
+        (("estimate", OSCILLATOR, "READINGS", "--w-bound", "1,x"), "`--w-bound` must be numbers with commas between"),
+        (("estimate", OSCILLATOR, "READINGS", "--prior", "1,2,3"), "`prior` must have 2 entries"),
+        (("estimate", OSCILLATOR, "READINGS", "--v-bound", "-1"), "`v_bound` must not be negative"),
+        (("estimate", OSCILLATOR, "EMPTY"), "holds no measurement"),
+        (("validate", OSCILLATOR, "nowhere.csv"), "no such file"),
+        (("validate", OSCILLATOR, "SCHEDULE", "--runs", "0"), "`runs` must be a whole number"),
+        (("log", OSCILLATOR, "SCHEDULE", "EMPTY", "--window", "3"), "`times` must hold at least one sample"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(shell, tmp_path, schedule, arguments, words):
+    (tmp_path / "empty.csv").write_text("time,position,force_per_mass\n0,,1\n")
+    files = {"READINGS": write_readings(tmp_path / "y.csv"), "EMPTY": tmp_path / "empty.csv", "SCHEDULE": schedule}
+    result = shell(*(files.get(part, part) for part in arguments))
+    assert result.code == 2
+    assert words in result.err
+    assert "Traceback" not in result.err
+    assert result.err.strip().splitlines()[-1].startswith("sampling-design: ")
+
+
+def test_every_command_teaches_by_an_example(shell):
+    for command in ("estimate", "validate", "log"):
+        text = shell(command, "--help").out
+        assert "Example: sampling-design" in text

@@ -1,0 +1,62 @@
+"""Inequality (16): the worst pair comes near to equality, and a certificate that claims more is caught."""
+
+import numpy as np
+import pytest
+
+from sampling_design.certificates.certificate import Certificate
+from sampling_design.validation.pairs import Pairs, random_pairs, sides, worst_pair
+from sampling_design.validation.timeline import build_timeline
+from tests.oracles.validation import step
+from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
+
+MATRICES = ("P1", "P2", "Qw", "R", "Qv")
+
+
+def boasting(made, factor):
+    parts = {key: getattr(made, key) for key in MATRICES}
+    parts["P1"] = factor * parts["P1"]
+    return Certificate.from_matrices(made.plant, made.schedule, **parts, eta=made.eta)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_worst_pair_nearly_reaches_equality_and_never_exceeds_it(name):
+    line = build_timeline(PLANTS[name], SCHEDULES[name], 12.0, 3.7)
+    worst = worst_pair(line, certificate(name), 6.0)
+    assert 0.9 < worst.ratio <= 1.0
+    drawn = random_pairs(line, certificate(name), 6.0, np.random.default_rng(0), 100)
+    assert 0.0 < drawn.ratio < worst.ratio
+    assert worst_pair(line, boasting(certificate(name), 1.15), 6.0).ratio > 1.0
+
+
+def test_a_finite_schedule_is_looked_at_up_to_its_end():
+    line = build_timeline(PLANTS["oscillator"], FINITE, FINITE.times[-1], 3.0)
+    worst = worst_pair(line, certificate("oscillator", finite=True), 20.0)
+    assert 0.8 < worst.ratio <= 1.0
+    assert worst.time <= FINITE.times[-1]
+
+
+def test_both_sides_agree_with_plain_sums():
+    name, start, stop = "two outputs", 3, 40
+    plant, made = PLANTS[name], certificate(name)
+    line = build_timeline(plant, SCHEDULES[name], 12.0, 3.7)
+    rng = np.random.default_rng(5)
+    chi, w = rng.normal(size=3), rng.normal(size=(line.cells, 3))
+    v = rng.normal(size=(line.samples.size, 2))
+    found = sides(line, made, start, stop, Pairs(chi[None], w[None], v[None]))
+    x, best = chi, 0.0
+    terms = [(line.times[start], chi @ made.P2 @ chi)]
+    for c in range(start, stop):
+        h = line.lengths[c]
+        F, moved = step(plant.A, plant.G, w[c], h)
+        x = F @ x + moved
+        terms.append((line.times[c + 1], (1 - np.exp(-made.eta * h)) / made.eta * (w[c] @ made.Qw @ w[c])))
+        looks = [False, True] if c + 1 in line.samples else [False]
+        for sampled in looks:
+            if sampled:
+                j = int(np.flatnonzero(line.samples == c + 1)[0])
+                noise = v[j] * line.masks[j]
+                y = plant.C @ x * line.masks[j] + noise
+                terms.append((line.times[c + 1], y @ made.R @ y + noise @ made.Qv @ noise))
+            right = sum(np.exp(-made.eta * (line.times[c + 1] - t)) * value for t, value in terms)
+            best = max(best, x @ made.P1 @ x / right)
+    assert found.ratio == pytest.approx(best, rel=1e-10)

@@ -1,0 +1,158 @@
+"""The report: what it holds, what it refuses, and that a false promise is found out."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule, validate
+from sampling_design._files import to_json
+from sampling_design.certificates.certificate import Certificate
+from sampling_design.validation import monte_carlo
+from sampling_design.validation.error_map import Inputs
+from sampling_design.validation.report import Finding, ValidationReport
+from sampling_design.validation.study import CHOSEN_HERE, SCENARIOS
+from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
+
+SHORT = {"runs": 8, "duration": 12.0}
+
+
+def judged(name, **options):
+    return validate(PLANTS[name], SCHEDULES[name], certificate(name), **{**SHORT, **options})
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_report_is_complete_and_says_the_same_in_every_form(name):
+    report = judged(name)
+    assert report.passed
+    assert bool(report)
+    assert {f.scenario for f in report.findings} >= {"random pairs", "worst pair", "random noise", "worst energy"}
+    data = json.loads(to_json(report.to_dict()))
+    assert data["passed"] is True
+    assert [f["claim"] for f in data["findings"]] == [f.claim for f in report.findings]
+    assert data["settings"]["seed"] == "0"
+    assert set(data["settings"]["versions"]) == {"sampling-design", "numpy", "python"}
+    text = report.to_markdown()
+    assert text.count("| held |") == len(report.findings)
+    assert all(f"- {key}:" in text for key in report.settings)
+    assert "promises held" in report.explain()
+    assert "least margin" in str(report)
+    assert np.all(report.courses[0].largest <= report.bound * (1 + 1e-9))
+
+
+def test_seeds_repeat_a_report_and_change_it():
+    again = [judged("oscillator", scenarios=["random"], rng=np.random.default_rng(s)).to_dict() for s in (3, 3, 4)]
+    assert again[0] == again[1]
+    assert again[0]["findings"] != again[2]["findings"]
+    assert again[2]["settings"]["seed"] == "4"
+
+
+def test_without_steering_an_unstable_truth_would_drown_the_errors():
+    report = judged("unstable", duration=150.0, scenarios=["estimator"])  # e^45 by the end
+    found = {f.claim: f for f in report.findings}
+    assert found["difference to the linear error map"].observed < 1e-9
+    assert found["share of proven estimates"].observed == 1.0
+    assert np.max(np.abs(report.example.errors)) < 20.0
+
+
+def test_constraints_are_active_in_one_scenario_and_not_in_the_other():
+    report = judged("oscillator", scenarios=["constraints"], duration=20.0)
+    assert report.passed, report.explain()
+    notes = [f.note for f in report.findings if f.claim == "a-priori bound"]
+    share = float(notes[0].split(" in ")[1].split(" %")[0])
+    assert share > 5.0
+
+
+def test_a_finite_schedule_is_judged_to_its_last_time():
+    report = validate(PLANTS["oscillator"], FINITE, certificate("oscillator", finite=True), runs=5, duration=99.0)
+    assert report.passed, report.explain()
+    assert report.settings["duration"] == FINITE.times[-1]
+    assert ["ends within three horizons" in text for text in report.skipped] == [True]
+    assert "## Not checked" in report.to_markdown()
+
+
+def test_a_carried_weight_keeps_the_full_rate():
+    report = judged("two outputs", carried_weight=True, horizon=1.0, scenarios=["random", "worst"])
+    assert report.passed, report.explain()
+    sources = {f.source for f in report.findings if f.claim == "a-priori bound"}
+    assert sources == {"carried weight, full rate"}
+
+
+def test_the_papers_own_cost_can_be_studied():
+    report = judged("oscillator", cost="paper", scenarios=["random", "paper"])
+    assert {f.source for f in report.findings if f.claim == "a-priori bound"} == {"Theorem 9"}
+
+
+def test_off_the_certificates_schedule_only_ellipsoids_are_judged():
+    other = PeriodicSchedule([0.8, 1.35])
+    report = validate(PLANTS["oscillator"], other, certificate("oscillator"), **SHORT)
+    assert report.passed, report.explain()
+    assert "off the certificate's schedule" in report.skipped[0]
+    assert not [f for f in report.findings if f.claim in ("a-priori bound", "inequality (16)")]
+    assert report.bound is None
+
+
+def test_a_certificate_that_claims_too_much_is_found_out():
+    made = certificate("oscillator")
+    parts = {key: getattr(made, key) for key in ("P2", "Qw", "R", "Qv")}
+    false = Certificate.from_matrices(made.plant, made.schedule, P1=1.5 * made.P1, **parts, eta=made.eta)
+    report = validate(made.plant, made.schedule, false, scenarios=["pairs"], **SHORT)
+    assert not report.passed
+    assert not report
+    broken = {f.scenario for f in report.findings if not f.passed}
+    assert "worst pair" in broken
+    assert "BROKEN" in report.to_markdown()
+    assert "was broken under worst pair" in report.explain()
+
+
+def test_noise_beyond_what_the_estimator_is_told_is_found_out(monkeypatch):
+    """The ellipsoid is judged in earnest: with noise three times the bound some truth leaves it."""
+    honest = monte_carlo.draw_inputs
+    monkeypatch.setattr(monte_carlo, "draw_inputs", lambda *given: Inputs(*(3 * part for part in honest(*given))))
+    report = judged("oscillator", scenarios=["random"], runs=60)
+    broken = [f.claim for f in report.findings if not f.passed]
+    assert "online ellipsoid" in broken
+    assert "a-priori bound" not in broken  # that promise is about the noise that really occurred
+
+
+def test_findings_know_their_margin():
+    most = Finding("a", "b", 2.0, 1.5)
+    assert (most.margin, most.passed) == (0.25, True)
+    least = Finding("a", "b", 1.0, 0.9, "at least")
+    assert (round(least.margin, 12), least.passed) == (-0.1, False)
+    assert Finding("a", "b", 0.0, 0.0).passed
+    assert Finding("a", "b", 1.0, 1.0 + 1e-9).passed
+    assert not Finding("a", "b", 1.0, 1.0 + 1e-7).passed
+    assert "was broken" in least.explain()
+    assert "at least 1" in str(least)
+    empty = ValidationReport(PLANTS["oscillator"], (), np.zeros(1), None, "none")
+    assert "least margin  -" in str(empty)
+
+
+def test_progress_goes_from_nothing_to_one():
+    heard = []
+    judged("oscillator", scenarios=["pairs", "random"], progress=lambda f, m: heard.append((f, m)))
+    fractions = [f for f, _ in heard]
+    assert fractions == sorted(fractions)
+    assert heard[0] == (0.0, "pairs: begun")
+    assert heard[-1] == (1.0, "done")
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ArgumentError, match="`scenarios` must be among pairs, random"):
+        judged("oscillator", scenarios=["chaos"])
+    with pytest.raises(ArgumentError, match="`runs` must be a whole number of at least 1"):
+        judged("oscillator", runs=0)
+    with pytest.raises(ArgumentError, match="`horizon` must be given where there is no certificate"):
+        validate(PLANTS["oscillator"], SCHEDULES["oscillator"])
+    with pytest.raises(ArgumentError, match="`schedule` holds no sample in"):
+        judged("oscillator", duration=0.1)
+    with pytest.raises(ArgumentError, match="belongs to another plant"):
+        validate(PLANTS["unstable"], SCHEDULES["unstable"], certificate("oscillator"))
+    for name in CHOSEN_HERE:
+        with pytest.raises(ArgumentError, match="is chosen by the scenarios, it cannot be given"):
+            judged("oscillator", **{name: 0.0})
+    with pytest.raises(ArgumentError, match="`schedule` must be a Schedule"):
+        validate(PLANTS["oscillator"], [1.0, 2.0], certificate("oscillator"), duration=3.0)
+    assert isinstance(FINITE, Schedule)
+    assert len(SCENARIOS) == 8

@@ -1,0 +1,104 @@
+"""The worst case is attained when it is run forward, agrees with brute force, and no trial exceeds it."""
+
+import numpy as np
+import pytest
+
+from sampling_design import MovingHorizonEstimator
+from sampling_design.validation.error_map import Inputs, build_error_map
+from sampling_design.validation.promise import promise_of
+from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.timeline import build_timeline
+from sampling_design.validation.worst_disturbance import sensitivity, worst_energy, worst_push
+from tests.oracles.validation import promised
+from tests.validation.plants import PLANTS, SCHEDULES, certificate
+
+CASES = [("oscillator", "certificate"), ("unstable", "certificate"), ("two outputs", "certificate")]
+CASES += [("oscillator", "paper"), ("unstable", "carried")]
+
+
+def built(name, kind, duration=6.0):
+    plant, bounds = PLANTS[name], Bounds.of(PLANTS[name], 0.4, 0.3, 1.5)
+    options = {"carried_weight": True} if kind == "carried" else {"cost": kind}
+    noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
+    mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
+    line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon)
+    cost = "paper" if kind == "paper" else "certificate"
+    return (
+        bounds,
+        line,
+        build_error_map(line, mhe, bounds),
+        promise_of(certificate(name), mhe.horizon, cost, kind == "carried"),
+    )
+
+
+def unit_inputs(line):
+    """One run for each single input."""
+    n, q, p = line.plant.n_states, line.plant.n_disturbances, line.plant.n_outputs
+    sizes = n, line.cells * q, line.samples.size * p
+    whole = np.eye(sum(sizes))
+    e0, w, v = np.split(whole, np.cumsum(sizes)[:2], axis=1)
+    return Inputs(e0, w.reshape(-1, line.cells, q), v.reshape(-1, line.samples.size, p))
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_sensitivity_is_the_response_to_each_single_input(name, kind):
+    _, line, found, _ = built(name, kind)
+    response = found.apply(unit_inputs(line)).e
+    for row in (0, found.rows.samples[0], found.rows.samples[-1], found.rows.samples[-1] - 1, found.rows.at.size - 1):
+        parts = sensitivity(found, int(row))
+        mine = np.concatenate([parts.e0, *parts.w, *parts.v], axis=1)
+        assert mine == pytest.approx(response[:, row].T, abs=1e-11)
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_worst_energy_is_the_largest_eigenvalue_and_is_attained(name, kind):
+    _, line, found, promise = built(name, kind)
+    worst = worst_energy(found, promise)
+    errors = found.apply(worst.inputs)
+    ratios = promise.size(errors.e) / promise.along(line, found.rows, worst.inputs)
+    assert worst.ratio == pytest.approx(ratios[0, worst.row], rel=1e-9)
+    assert ratios.max() <= worst.ratio * (1 + 1e-9)
+    assert worst.ratio <= 1.0
+    units = unit_inputs(line)
+    response = found.apply(units).e[:, worst.row] @ promise.root.T
+    weights = promise.along(line, found.rows, units)[:, worst.row]
+    free = weights > 0
+    # with several outputs or disturbances the weights here are diagonal, so that single inputs do not interact
+    full = (response[free] / weights[free, None]).T @ response[free]
+    assert worst.ratio == pytest.approx(np.linalg.eigvalsh(full)[-1], rel=1e-9)
+
+
+def test_the_promise_agrees_with_plain_quadrature():
+    bounds, line, found, promise = built("two outputs", "certificate")
+    inputs = draw_inputs(line, bounds, np.random.SeedSequence(4).spawn(2))
+    mine = promise.along(line, found.rows, inputs)
+    samples = line.times[line.samples]
+    for row in (0, 7, found.rows.samples[1], found.rows.samples[-1]):
+        t = found.rows.times[row]
+        heard = samples if found.rows.after[row] else samples[samples < t]
+        shape = promise.prior, promise.w, promise.v, promise.rate, promise.gain
+        noise = inputs.e0[1], inputs.w[1], inputs.v[1][: heard.size]
+        assert mine[1, row] == pytest.approx(promised(line.times, heard, *shape, *noise, t), rel=1e-6)
+    largest = promise.at_most(
+        line,
+        found.rows,
+        (
+            bounds.e0**2 * np.linalg.eigvalsh(promise.prior)[-1],
+            bounds.w**2 * np.linalg.eigvalsh(promise.w)[-1],
+            np.full(samples.size, bounds.v**2 * np.linalg.eigvalsh(promise.v)[-1]),
+        ),
+    )
+    assert np.all(mine <= largest * (1 + 1e-12))
+
+
+def test_worst_push_reaches_the_support_of_the_bounds():
+    bounds, _, found, promise = built("unstable", "certificate")
+    inputs = worst_push(found, bounds, promise.root)
+    errors = found.apply(inputs).e
+    row = int(found.rows.samples[-1])
+    parts, axis = sensitivity(found, row), promise.root[0]
+    reach = sum(
+        float(b) * np.sum(np.linalg.norm(np.swapaxes(E, -1, -2) @ axis, axis=-1))
+        for b, E in zip((bounds.e0, bounds.w, bounds.v), parts, strict=True)
+    )
+    assert errors[0, row] @ axis == pytest.approx(reach, rel=1e-12)

@@ -16,7 +16,7 @@ def least_horizon(certificate: Any, cost: str) -> float:
 
     The paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1 of the paper's cost, the sharper one 2 lam e^{-eta M} < 1.
     """
-    lam, eta = float(certificate.lam), float(certificate.eta)
+    lam, eta = _lam(certificate), float(certificate.eta)
     if cost == "certificate":
         return max(0.0, math.log(lam) / eta)
     return min(2 * math.log(2 * _lam_samples(certificate)) / eta, math.log(2 * lam) / eta)
@@ -24,15 +24,20 @@ def least_horizon(certificate: Any, cost: str) -> float:
 
 def default_horizon(certificate: Any, cost: str, d_max: float) -> float:
     """Return max(d_max, ln(4 lam)/eta), for the paper's cost max(d_max, 2 ln(4 lam_samples)/eta)."""
-    lam, eta = float(certificate.lam), float(certificate.eta)
+    lam, eta = _lam(certificate), float(certificate.eta)
     if cost == "certificate":
         return max(d_max, math.log(4 * lam) / eta)
     return max(d_max, 2 * math.log(4 * _lam_samples(certificate)) / eta)
 
 
+def _lam(certificate: Any) -> float:
+    """The upper bound of lambda that is proven, not the value that is attained."""
+    return float(getattr(certificate, "lam_proven", certificate.lam))
+
+
 def _lam_samples(certificate: Any) -> float:
-    found = getattr(certificate, "lam_samples", None)
-    return float(certificate.lam if found is None else found)
+    found = getattr(certificate, "lam_samples_proven", getattr(certificate, "lam_samples", None))
+    return _lam(certificate) if found is None else float(found)
 
 
 def longest_gap(schedule: Any) -> float:

@@ -38,7 +38,7 @@ def stand_in(**changes):
 def test_a_certificate_brings_weights_horizon_and_claim():
     certificate = certify(PLANT, PeriodicSchedule([1.0]))
     mhe = MovingHorizonEstimator(PLANT, certificate, **BOUNDS)
-    expected = max(1.0, math.log(4 * certificate.lam) / certificate.eta)
+    expected = max(1.0, math.log(4 * certificate.lam_proven) / certificate.eta)
     assert mhe.horizon == pytest.approx(expected, rel=1e-12)
     assert np.array_equal(mhe.weights.prior, certificate.P2)
     x = np.array([0.5, -0.5])
@@ -366,3 +366,14 @@ def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch
     assert estimate.certified
     assert np.allclose(estimate.x, PLANT.transition(0.5) @ first.x)
     assert estimate.radius > first.radius
+
+
+def test_the_least_horizon_is_that_of_the_proven_lambda():
+    from sampling_design import PeriodicSchedule, certify
+    from sampling_design.estimators.guarantee import default_horizon, least_horizon
+
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    certificate = certify(plant, PeriodicSchedule([1.0]), eta=0.4)
+    assert least_horizon(certificate, "certificate") == pytest.approx(certificate.horizon().minimum, rel=1e-12)
+    for cost, theorem in (("certificate", "sharp"), ("paper", "paper")):
+        assert default_horizon(certificate, cost, 1.0) == pytest.approx(certificate.horizon(theorem).length, rel=1e-12)

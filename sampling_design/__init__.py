@@ -35,6 +35,7 @@ _FRONT_DOOR = {
     "certificates.refusal": ("Counterexample", "find_counterexample"),
     "certificates.existence": ("certificate_exists", "smallest_repair"),
     "certificates.four_horizons": ("four_horizons", "FourHorizons"),
+    "certificates.bound_weights": ("weights_from_bounds",),
     "certificates.information": ("information_curve", "InformationCurve"),
     "certificates.horizon": ("Horizon",),
     "certificates.tradeoff": ("tradeoff_curve", "TradeoffCurve"),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import matrix_balance
 
 from sampling_design._linalg import expm_batch, smallest_singular
 from sampling_design._record import Record, short
@@ -191,8 +192,10 @@ def _least_seen(split: ModalSplit, schedule: PeriodicSchedule) -> tuple[complex,
     rows = part.C @ expm_batch(part.A, schedule.times - schedule.times[0])
     if schedule.outputs is not None:
         rows = rows * schedule.outputs[:, :, None]
-    stacked = rows.reshape(-1, part.n_states)
-    lap = expm_batch(part.A, period)[0]
+    # in units of the states that balance A: those of the plant may differ by any power of ten
+    _, (units, _) = matrix_balance(part.A, permute=False, separate=True)
+    stacked = rows.reshape(-1, part.n_states) * units
+    lap = expm_batch(part.A, period)[0] * units / units[:, None]
     # each state counts as large as what the outputs show of it: rows and flow are compared in that scale
     size = np.linalg.norm(stacked) or 1.0
     values = np.unique([np.exp(c.value * period) for c in split.retained_clusters])
@@ -204,7 +207,8 @@ def _least_seen(split: ModalSplit, schedule: PeriodicSchedule) -> tuple[complex,
     )
     singular = smallest_singular(pencils)
     worst = int(np.argmin(singular))
-    direction = np.linalg.svd(pencils[worst])[2][-1].conj()
+    direction = units * np.linalg.svd(pencils[worst])[2][-1].conj()
+    direction /= np.linalg.norm(direction)
     return complex(np.concatenate([values, values.conj()])[worst]), float(singular[worst]), direction
 
 
@@ -225,8 +229,8 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     name = format_eigenvalue(main, grain=1e-12 * abs(main))
     distinct = [v for v in partners if abs(v - main) > ALIAS_TOLERANCE * max(abs(main), 1e-300)]
     if not distinct:
-        rate = f" It decays at {short(-2 * main.real)} only, so eta must stay below that" if main.real < 0 else ""
-        return f"the eigenvalue {name} is seen by no sample of the lap.{rate}"
+        rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if main.real < 0 else ""
+        return f"the eigenvalue {name} is seen by no sample of the lap{rate}"
     turns = round(abs((main - distinct[0]).imag) * schedule.period / (2 * np.pi))
     every = np.abs((main - distinct[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))

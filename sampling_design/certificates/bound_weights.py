@@ -1,0 +1,74 @@
+"""Weights that follow from what is known about noise and prior, for radii instead of the shortest horizon."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+
+def weights_from_bounds(plant: Plant, eta: float, w_bound: Any, v_bound: Any, initial_error: Any) -> dict[str, Array]:
+    """Return the weights with which prior, disturbance and each sample's noise cost at most one.
+
+        |e0|^2_P2 <= 1,    int e^{-eta s} |w|^2_Qw ds <= 1,    |v|^2_R~ <= 1
+
+    Parameters
+    ----------
+    plant : Plant
+    eta : float [1/time]
+        Discount rate that the certificate will have.
+    w_bound, v_bound, initial_error : float or array
+        A number bounds the Euclidean norm, a vector bounds each entry. Positive.
+
+    Returns
+    -------
+    dict
+        P2, Qw, R and Qv, to be passed on as `certify(plant, schedule, eta=eta, **weights)`.
+
+    Raises
+    ------
+    ArgumentError
+        If a bound is not positive or has another length.
+
+    Notes
+    -----
+    *Claim.* None by itself; the certificate that is made with the weights proves what it says. The default weights of
+    `certify` are chosen for the shortest horizon and give ellipsoids that can be wide in states that the
+    outputs see late; these balance the three terms of the online radius.
+
+    References
+    ----------
+    The paper, Assumption 7 (any positive definite weights) and Remark 8.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> weights = weights_from_bounds(plant, 0.5, w_bound=0.1, v_bound=[0.2], initial_error=[1.0, 2.0])
+    >>> weights["P2"].tolist(), round(float(weights["Qw"][0, 0]), 9)
+    ([[0.5, 0.0], [0.0, 0.125]], 50.0)
+    """
+    rate = _checks.positive("eta", eta)
+    noise = 2.0 * _unit_ball("v_bound", v_bound, plant.n_outputs)
+    return {
+        "P2": _unit_ball("initial_error", initial_error, plant.n_states),
+        "Qw": rate * _unit_ball("w_bound", w_bound, plant.n_disturbances),
+        "R": noise,
+        "Qv": noise.copy(),
+    }
+
+
+def _unit_ball(name: str, bound: Any, size: int) -> Array:
+    """Q with |z|^2_Q <= 1 wherever the bound holds."""
+    if np.ndim(bound) == 0:
+        return np.eye(size) / _checks.positive(name, bound) ** 2
+    entries = _checks.vector(name, bound, size)
+    if np.any(entries <= 0):
+        raise ArgumentError(f"`{name}` must be positive in every entry, got {entries.tolist()}.")
+    return np.diag(1.0 / (size * entries**2))

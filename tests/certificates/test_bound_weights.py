@@ -1,0 +1,62 @@
+"""Weights from bounds: each term of the online radius is at most one, and the radii get smaller."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    GapRange,
+    MovingHorizonEstimator,
+    Plant,
+    certify,
+    read_measurements,
+    read_plant,
+    weights_from_bounds,
+)
+from sampling_design.errors import ArgumentError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+
+
+def test_everything_within_the_bounds_costs_at_most_one():
+    rng = np.random.default_rng(0)
+    w, v, e0 = np.array([0.1, 0.3]), np.array([0.2]), np.array([1.0, 2.0])
+    weights = weights_from_bounds(PLANT, 0.5, w, v, e0)
+    corner = np.sign(rng.standard_normal((50, 2)))
+    assert np.einsum("ki,ij,kj->k", corner * e0, weights["P2"], corner * e0) == pytest.approx(1.0)
+    # int e^{-eta s} ds = 1/eta
+    assert np.einsum("ki,ij,kj->k", corner * w, weights["Qw"], corner * w) / 0.5 == pytest.approx(1.0)
+    together = np.linalg.solve(weights["R"] + weights["Qv"], weights["R"] @ weights["Qv"])
+    assert float(v @ together @ v) == pytest.approx(1.0)
+
+
+def test_a_number_bounds_the_norm():
+    weights = weights_from_bounds(PLANT, 1.0, 0.5, 0.5, 2.0)
+    assert weights["P2"].tolist() == [[0.25, 0.0], [0.0, 0.25]]
+
+
+def test_radii_are_far_smaller_than_with_the_shortest_horizon():
+    plant = read_plant(EXAMPLES / "plants" / "three_compartment.toml")
+    record = read_measurements(EXAMPLES / "data" / "three_compartment.csv", plant)
+    bounds = {
+        "w_bound": plant.disturbances.scales,
+        "v_bound": plant.outputs.scales,
+        "initial_error": plant.states.scales,
+    }
+    family, eta = GapRange(40.0, 190.0, time_unit="min"), 0.005
+    radii = []
+    for weights in ({}, weights_from_bounds(plant, eta, **bounds)):
+        certificate = certify(plant, family, eta=eta, **weights)
+        found = MovingHorizonEstimator(plant, certificate, **bounds).run(record)
+        assert found.certified.all()
+        radii.append(found.radii[-1])
+    assert np.all(radii[1] < 0.5 * radii[0])
+
+
+def test_bounds_that_are_none_are_refused():
+    with pytest.raises(ArgumentError, match="`w_bound` must be positive in every entry"):
+        weights_from_bounds(PLANT, 1.0, [0.0, 1.0], 1.0, 1.0)
+    with pytest.raises(ArgumentError, match="`initial_error` must have 2 entries"):
+        weights_from_bounds(PLANT, 1.0, 1.0, 1.0, [1.0])

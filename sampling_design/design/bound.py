@@ -77,12 +77,22 @@ def peaks(g: Profile) -> Array:
     return np.maximum(np.append(right[-1], right), np.append(left, left[0]))
 
 
-def roofs(g: Profile, mask: npt.NDArray[np.bool_]) -> Array:
-    """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end."""
-    total = [np.sum(part * mask, axis=1) for part in (np.roll(g.right, 1, axis=0), g.left, g.right)]
-    after = np.sum(np.roll(g.left, -1, axis=0) * mask, axis=1)
-    ends = np.maximum(np.maximum(total[0], total[1]), np.maximum(total[2], after))
-    return np.asarray(ends + np.diff(g.edges) ** 2 / 8 * np.sum(g.bend * mask, axis=1))
+def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) -> Array:
+    """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
+
+    With `prices` per output each measurement costs that much, and the best choice of outputs counts.
+    """
+    rest = (np.diff(g.edges) ** 2 / 8)[:, None] * g.bend
+    sides = (np.roll(g.right, 1, axis=0), g.left, g.right, np.roll(g.left, -1, axis=0))
+    return np.max([best_choice(side + rest, mask, prices) for side in sides], axis=0)
+
+
+def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None) -> Array:
+    """Most that a sample can bring by the outputs (last axis) that are there, at least one, less their prices."""
+    if prices is None:
+        return np.asarray(np.sum(values * mask, axis=-1))
+    net = np.where(mask, values - prices, -np.inf)
+    return np.asarray(np.where(np.any(net > 0, axis=-1), np.sum(np.maximum(net, 0.0), axis=-1), np.max(net, axis=-1)))
 
 
 def jump_times(problem: DesignProblem, starts: Array) -> Array:
@@ -225,26 +235,31 @@ def _before(layer: Array, apart: int) -> Array:
     return shifted
 
 
-def placed_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
-    """Bound sigma of every schedule that meets the requirement, forbidden and fixed times included."""
+def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float = 0.0) -> float:
+    """Bound sigma of every schedule that meets the requirement, forbidden and fixed times included.
+
+    A schedule that costs at most L has sum g <= price L + sum (g - price cost), for any price >= 0.
+    """
+    prices = problem.costs * price if price > 0 and problem.costs is not None else None
+    spent = 0.0 if prices is None else price * problem.cost_limit
     arcs = _arcs(problem)
     grid = np.concatenate([a.edges for a in arcs])
     edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
-    values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
+    values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask, prices), -np.inf)
     if not problem.fixed.size:
         cycle = arcs[0]
         sums = cell_values(cycle, edges, values)
         total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
-        return rooted(total)
-    fixed = value_at(problem, starts, Z, problem.fixed) * problem.mask(problem.fixed)
+        return rooted(spent + total)
+    fixed = best_choice(value_at(problem, starts, Z, problem.fixed), problem.mask(problem.fixed), prices)
     spare = problem.samples - problem.fixed.size
     best = np.append(0.0, np.full(spare, -np.inf))
     turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
     for arc in arcs:
         if arc.stop > arc.start:
             best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
-    return rooted(float(fixed.sum() + best[spare]))
+    return rooted(spent + float(fixed.sum() + best[spare]))
 
 
 def _arcs(problem: DesignProblem) -> list[Cells]:

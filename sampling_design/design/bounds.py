@@ -36,7 +36,8 @@ class BoundPart:
 
     `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
     windows that start at `starts`; `tilt` (k-1,) only for the method "averaged". "placed" bounds all
-    schedules, whatever their gaps, and is the only method that knows forbidden and several fixed times.
+    schedules, whatever their gaps, and is the only method that knows forbidden and several fixed times;
+    `price` is its multiplier of the cost limit.
     """
 
     method: Method
@@ -46,17 +47,19 @@ class BoundPart:
     weights: Array
     tilt: Array
     value: float = np.inf
+    price: float = 0.0
 
     def value_for(self, problem: DesignProblem) -> float:
         """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
         total = float(np.trace(self.weights, axis1=1, axis2=2).sum())
         least = float(np.linalg.eigvalsh(self.weights).min(initial=0.0))
-        if not total > 0 or least < -1e-12 * total or not np.all(np.isfinite(self.tilt)):
+        sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
+        if not total > 0 or least < -1e-12 * total or not sound:
             return np.inf
         R = problem.rows.R
         Z = R @ (self.weights / total) @ R.T
         if self.method == "placed":
-            return placed_bound(problem, self.starts, Z)
+            return placed_bound(problem, self.starts, Z, self.price)
         if not applies(problem):
             return np.inf
         if self.method == "averaged":
@@ -68,7 +71,14 @@ class BoundPart:
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
         plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "tilt")}
-        return {"method": self.method, "low": self.low, "high": self.high, "value": self.value, **plain}
+        return {
+            "method": self.method,
+            "low": self.low,
+            "high": self.high,
+            "value": self.value,
+            "price": self.price,
+            **plain,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +178,22 @@ def placed_part(problem: DesignProblem, found: Relaxation) -> BoundPart:
         _part(problem, "placed", spread, np.concatenate([found.Z] * _SPREAD)),
         _part(problem, "placed", spread, np.concatenate(carried)),
     ]
-    return min(parts, key=lambda p: p.value)
+    best = min(parts, key=lambda p: p.value)
+    return _priced(problem, best, found.price) if problem.is_costly else best
+
+
+def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
+    """The same multipliers with the price of cost that makes the bound least; it is convex in the price."""
+    from scipy.optimize import minimize_scalar
+
+    def value(price: float) -> float:
+        return replace(part, price=price).value_for(problem)
+
+    unit = guess if guess > 0 else part.value**2 / problem.cost_limit
+    found = minimize_scalar(lambda s: value(unit * s), bounds=(0.0, 2.5), method="bounded", options={"maxiter": 10})
+    tried = [(value(price), price) for price in (0.0, unit, unit * float(found.x))]
+    best, price = min(tried)
+    return replace(part, price=price, value=best)
 
 
 def averaged_part(problem: DesignProblem, low: float, high: float) -> BoundPart:
@@ -212,7 +237,8 @@ def narrowed(
     rtol: float = 2e-3,
 ) -> UpperBound:
     """Branch on the largest gap until the bound is within `rtol` of `target`, `steps` are done or time is up."""
-    if not applies(problem) or bound.value <= target * (1 + rtol):
+    priced = any(part.price > 0 for part in bound.parts)  # branches know no price: they would only lose
+    if not applies(problem) or priced or bound.value <= target * (1 + rtol):
         return bound
     low, high = gap_range(problem)
     cuts = [low, *(c * low for c in _FIRST_CUTS if c * low < 0.95 * high), high]

@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._units import time_factor
 from sampling_design.design.bounds import UpperBound, first_bound, narrowed
+from sampling_design.design.costs import affordable, relax_costly
 from sampling_design.design.posing import pose, resolve
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.relaxation import Relaxation, relax_placed
@@ -202,7 +204,8 @@ def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: floa
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
     problem = pose(plant, requirement, samples)
     left = deadline - time.perf_counter()
-    placed = relax_placed(problem, seconds=max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None)
+    seconds = max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None
+    placed = (relax_costly if problem.is_costly else relax_placed)(problem, seconds=seconds)
     return Sized(problem, placed, first_bound(problem, placed, deadline), (placed.record,))
 
 
@@ -257,9 +260,12 @@ class _Run:
         deadline, enough = self.began + self.seconds, sized.bound.value * (1 - _ENOUGH)
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
         found = search(sized.problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
+        chosen = sized.problem.mask(found.times)
+        if sized.problem.is_costly:
+            found, chosen = affordable(sized.problem, found, sized.relaxation, deadline)
         bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline)
         time_left = time.perf_counter() <= deadline
-        schedule = self.schedule(sized.problem, found)
+        schedule = self.schedule(sized.problem, found, chosen)
         self.say(near, "proving sigma over all window positions")
         proof = prove(self.split, schedule, self.requirement, self.rtol)
         sigma = stated(proof, self.requirement)
@@ -281,9 +287,8 @@ class _Run:
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
 
-    def schedule(self, problem: DesignProblem, found: Found) -> PeriodicSchedule:
-        """The found times as a schedule; outputs are listed only where some are not always available."""
-        mask = problem.mask(found.times)
+    def schedule(self, problem: DesignProblem, found: Found, mask: npt.NDArray[np.bool_]) -> PeriodicSchedule:
+        """The found times as a schedule; outputs are listed only where a sample leaves some out."""
         return PeriodicSchedule.from_times(
             found.times,
             problem.period,

@@ -50,7 +50,7 @@ def changed(problem: DesignProblem, change: dict[str, Any]) -> DesignProblem:
 
 def obstacle(problem: DesignProblem) -> Obstacle | None:
     """The first constraint that no schedule meets."""
-    return _fixed(problem) or _room(problem) or _too_few(problem)
+    return _fixed(problem) or _room(problem) or _too_few(problem) or _too_dear(problem)
 
 
 def _completed(problem: DesignProblem, change: dict[str, Any]) -> dict[str, Any] | None:
@@ -67,7 +67,7 @@ def _completed(problem: DesignProblem, change: dict[str, Any]) -> dict[str, Any]
 
 
 def _said(key: str, value: Any) -> str:
-    if key in ("samples", "spacing"):
+    if key in ("samples", "spacing", "cost_limit"):
         return f"{key} {value:g}"
     if key == "fixed":
         return f"fixed {[round(float(t), 6) for t in value]}"
@@ -129,6 +129,19 @@ def _too_few(problem: DesignProblem) -> Obstacle | None:
         f"{problem.plant.n_states} states with {problem.plant.n_outputs} outputs need at least {least}."
     )
     return Obstacle("samples", words, ({"samples": needed},))
+
+
+def _too_dear(problem: DesignProblem) -> Obstacle | None:
+    if problem.costs is None:
+        return None
+    least = float(problem.costs.min())
+    cheapest = least * problem.samples
+    if cheapest <= problem.cost_limit * (1 + SLACK):
+        return None
+    affordable = int(problem.cost_limit / least * (1 + SLACK))
+    words = f"`cost_limit` {problem.cost_limit:g} is less than {problem.samples} of the cheapest measurements cost."
+    fewer: tuple[dict[str, Any], ...] = ({"samples": affordable},) if affordable else ()
+    return Obstacle("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
 
 
 def _widest_spacing(problem: DesignProblem) -> float:

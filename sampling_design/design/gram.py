@@ -22,6 +22,7 @@ Array = npt.NDArray[np.floating[Any]]
 
 _NODES = 2049
 _FLOOR = 1e-15  # eigenvalues of a scaled Gram matrix below this times the largest count as unseen
+_NOTHING = 1e-100  # stands for the size of an empty window: squares of its inverse stay numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,7 @@ class ScaledRows:
         """
         values, vectors = np.linalg.eigh(grams)
         top = values[..., -1:]
-        floored = np.maximum(values, _FLOOR * np.maximum(top, 1e-300))
+        floored = np.maximum(values, _FLOOR * np.maximum(top, _NOTHING))
         half = vectors / np.sqrt(floored)[..., None, :]
         inner = np.swapaxes(half, -1, -2) @ self.N @ half
         largest, direction = np.linalg.eigh(inner)
@@ -121,7 +122,7 @@ class ScaledRows:
     def least_seen(self, grams: Array, count: int) -> Array:
         """The `count` directions z of each Gram matrix that it sees least against z'S'Sz, (..., n, count)."""
         values, vectors = np.linalg.eigh(grams)
-        floored = np.maximum(values, _FLOOR * np.maximum(values[..., -1:], 1e-300))
+        floored = np.maximum(values, _FLOOR * np.maximum(values[..., -1:], _NOTHING))
         half = vectors / np.sqrt(floored)[..., None, :]
         _, direction = np.linalg.eigh(np.swapaxes(half, -1, -2) @ self.N @ half)
         z = half @ direction[..., -count:]

@@ -86,7 +86,14 @@ def repeated(requirement: Requirement, laps: int) -> Requirement:
         for name, a in requirement.outputs.items()
     }
     fixed = (requirement.fixed + period * np.arange(laps)[:, None]).ravel()
-    changes = {"period": laps * period, "forbidden": tiled(requirement.forbidden), "fixed": fixed, "outputs": outputs}
+    changes: dict[str, Any] = {
+        "period": laps * period,
+        "forbidden": tiled(requirement.forbidden),
+        "fixed": fixed,
+        "outputs": outputs,
+    }
+    if requirement.cost_limit is not None:
+        changes["cost_limit"] = laps * requirement.cost_limit
     return requirement.replace(**changes)
 
 
@@ -126,6 +133,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     names = plant.outputs.names
     _checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
     access = [requirement.outputs.get(name) for name in names]
+    prices = np.array([0.0 if a is None else a.cost for a in access])
     problem = DesignProblem(
         plant,
         _known(requirement.window),
@@ -135,6 +143,8 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
         requirement.forbidden,
         requirement.fixed,
         tuple(None if a is None else a.available for a in access),
+        prices,
+        np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
     if check:
         try:

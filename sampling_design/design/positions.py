@@ -65,9 +65,9 @@ def positions(problem: DesignProblem, times: Array, inner: int = 1) -> Positions
 def window_grams(problem: DesignProblem, times: Array, where: Positions, used: Mask | None = None) -> Array:
     """Scaled Gram matrices (B, q, n, n) of the schedules `times` (B, k) in their windows.
 
-    `used` (B, k, p) says which outputs each sample measures; default all that are available then.
+    `used` (B, k, p) says which outputs each sample measures; default what the problem says.
     """
-    mask = problem.mask(times) if used is None else used
+    mask = problem.measured(times) if used is None else used
     left = np.array([c == "left" for c in where.closed])
     return SlidingSums(problem.rows, times, mask, problem.period).at(where.at, left)
 

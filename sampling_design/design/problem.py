@@ -31,6 +31,9 @@ class DesignProblem:
     forbidden: Array
     fixed: Array
     available: tuple[Array | None, ...]  # per output
+    costs: Array | None = None  # of one measurement, per output
+    cost_limit: float = np.inf  # of one period
+    chosen: Mask | None = None  # (k, p): what each sample measures, where that is decided
 
     @cached_property
     def rows(self) -> ScaledRows:
@@ -40,7 +43,17 @@ class DesignProblem:
     @property
     def is_shift_invariant(self) -> bool:
         """Whether a schedule may be moved in time without breaking anything."""
-        return not self.forbidden.size and not self.fixed.size and all(a is None for a in self.available)
+        bare = not self.forbidden.size and not self.fixed.size and self.chosen is None
+        return bare and all(a is None for a in self.available)
+
+    @property
+    def is_costly(self) -> bool:
+        """Whether the cost limit bars that every sample measures every output."""
+        return self.costs is not None and bool(self.samples * self.costs.sum() > self.cost_limit)
+
+    def measured(self, times: Array) -> Mask:
+        """What the samples at `times` (..., k), sorted, measure: all that is available, or what was chosen of it."""
+        return self.mask(times) if self.chosen is None else self.mask(times) & self.chosen
 
     @cached_property
     def breakpoints(self) -> Array:

@@ -97,7 +97,7 @@ def _slopes(problem: DesignProblem, times: Array, where: Positions, kept: npt.ND
     """
     rows, k, n = problem.rows, times.size, problem.plant.n_states
     result = np.zeros((kept.size, k, V.shape[-1], V.shape[-1]))
-    mask = problem.mask(times)
+    mask = problem.measured(times)
     for place, m in enumerate(kept):
         r, inside = lags(times, where.at[0, m], problem.window, problem.period, where.closed[m])
         c = rows.rows(r) * (inside[..., None] & mask[:, None, :])[..., None]

@@ -33,6 +33,7 @@ class Relaxation:
     Z: Array
     value: float
     record: SolverRecord
+    price: float = 0.0
 
 
 def grid_size(problem: DesignProblem) -> int:
@@ -57,6 +58,17 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
 
     Cut short after `seconds`; multipliers of any quality prove a bound.
     """
+    times, mask, starts, linear = relaxation_grid(problem, points)
+    grams = grams_at(problem, times, starts, mask)
+    constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
+    spare = float(problem.samples - problem.fixed.size)
+    return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+
+
+def relaxation_grid(
+    problem: DesignProblem, points: int | None = None
+) -> tuple[Array, npt.NDArray[np.bool_], Array, tuple[Array, Array]]:
+    """Grid times for free samples, what is available there, window starts, and the spacing's rows and limits."""
     N = grid_size(problem) if points is None else points
     P = problem.period
     step, tiny = P / N, 1e-9 * P
@@ -72,12 +84,9 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
     times, mask = times[free], mask[free]
     count = _start_count(problem)
     starts = np.arange(count) * (P / count)
-    grams = grams_at(problem, times, starts, mask)
-    constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
     ahead = np.mod(times[None, :] - times[:, None] + tiny, P)
     linear = ((ahead < problem.spacing).astype(float), np.full(times.size, max(1.0, step / problem.spacing)))
-    spare = float(problem.samples - problem.fixed.size)
-    return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+    return times, mask, starts, linear
 
 
 def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:

@@ -78,6 +78,9 @@ class Requirement(Record):
         Times within the period that must be sampled.
     outputs : dict of str to OutputAccess or dict, optional
         Availability and cost per output name.
+    cost_limit : float, optional
+        Most that the measurements of one period may cost together; the design then chooses which outputs
+        each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
     scaled : bool
@@ -111,12 +114,13 @@ class Requirement(Record):
     forbidden: Array = None  # type: ignore[assignment]
     fixed: Array = None  # type: ignore[assignment]
     outputs: Mapping[str, OutputAccess] = None  # type: ignore[assignment]
+    cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
     scaled: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         own: dict[str, Any] = {}
-        for key in ("window", "period", "spacing", "target_sigma"):
+        for key in ("window", "period", "spacing", "target_sigma", "cost_limit"):
             value = getattr(self, key)
             own[key] = None if value is None else _checks.positive(key, value)
         own["samples"] = _counts(self.samples)
@@ -158,7 +162,7 @@ class Requirement(Record):
     def to_dict(self) -> dict[str, Any]:
         """Plain data, the tree of the requirement file; entries that were not given are left out."""
         data: dict[str, Any] = {"format": FORMAT}
-        for key in ("window", "period", "spacing", "target_sigma", "time_unit"):
+        for key in ("window", "period", "spacing", "target_sigma", "cost_limit", "time_unit"):
             if getattr(self, key) is not None:
                 data[key] = getattr(self, key)
         if self.samples:
@@ -190,6 +194,8 @@ class Requirement(Record):
         rows += [
             (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
         ]
+        if self.cost_limit is not None:
+            rows.append(("cost limit", f"{short(self.cost_limit)} a period"))
         return rows
 
     def explain(self) -> str:
@@ -205,6 +211,8 @@ class Requirement(Record):
             parts.append(f"none in {_spans(self.forbidden, '')}")
         if self.fixed.size:
             parts.append(f"always at {short(self.fixed)}")
+        if self.cost_limit is not None:
+            parts.append(f"cost at most {short(self.cost_limit)} a period")
         return ", ".join(parts) + "."
 
 

@@ -137,7 +137,7 @@ class ScheduleDesign(Record):
         """
         if self.schedule is None:
             return self.split.retained.n_states == 0
-        if self.bound is None or not is_admissible(self.problem, self.schedule.times):
+        if self.bound is None or not is_admissible(self.problem, self.schedule.times) or not self._is_affordable():
             return False
         proof = prove(self.split, self.schedule, self.requirement, rtol)
         sigma = stated(proof, self.requirement)
@@ -145,6 +145,14 @@ class ScheduleDesign(Record):
         return bool(sigma.upper >= self.sigma * (1 - 1e-6) and sigma.lower >= self.sigma * (1 - 1e-6)) and bool(
             bound <= self.upper_bound * (1 + 1e-6)
         )
+
+    def _is_affordable(self) -> bool:
+        """Whether the schedule measures only what is available, within the cost limit."""
+        assert self.schedule is not None
+        there = self.problem.mask(self.schedule.times)
+        used = there if self.schedule.outputs is None else self.schedule.outputs
+        complete = self.schedule.outputs is not None or bool(there.all())
+        return complete and not bool(np.any(used & ~there)) and self.cost <= self.problem.cost_limit * (1 + 1e-9)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data with everything that a re-check needs."""
@@ -189,7 +197,8 @@ class ScheduleDesign(Record):
         if self.sigma_scaled is not None and not self.requirement.scaled:
             rows.insert(2, ("sigma, scaled", f"{short(self.sigma_scaled)} proven"))
         if self.cost:
-            rows.append(("cost of a lap", short(self.cost)))
+            limit = self.requirement.cost_limit
+            rows.append(("cost of a lap", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
         return rows
 
     def explain(self) -> str:

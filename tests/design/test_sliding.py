@@ -66,3 +66,8 @@ def test_a_batch_is_its_schedules_one_by_one():
     times = np.array([random_schedule(rng, 4.0, 0.05, 9) for _ in range(60)])
     together = worst_sigma2(problem, times)
     assert np.allclose(together, [worst_sigma2(problem, t[None])[0] for t in times], rtol=1e-9)
+
+
+def test_a_window_without_samples_sees_nothing():
+    problem = posed("fast growth and fast decay", 1.0, 4.0, 2)
+    assert worst_sigma2(problem, np.array([[0.0, 0.5], [0.0, 2.0]])).tolist() == [0.0, 0.0]

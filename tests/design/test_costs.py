@@ -1,0 +1,123 @@
+"""A limit on cost: what is measured fits it, and no affordable schedule exceeds the bound."""
+
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from sampling_design import Plant, Requirement, design_schedule, read_requirement, sample_losses, write_requirement
+from sampling_design.design.bound import best_choice
+from sampling_design.errors import InfeasibleRequirementError
+from tests.oracles.design import is_allowed, window_sigma_scan
+
+A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
+C = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+PLANT = Plant(A, C)
+COSTS = np.array([2.0, 1.0])
+OUTPUTS = {"y1": {"cost": 2.0}, "y2": {"cost": 1.0}}
+
+
+def asked(**more):
+    return Requirement(**{"window": 4.0, "spacing": 0.3, "samples": 4, "outputs": OUTPUTS, **more})
+
+
+def best_affordable(points, count, limit, forbidden=(), fixed=()):
+    """Every choice of outputs on every schedule of a grid."""
+    grid, best = np.arange(points) * 4.0 / points, 0.0
+    for chosen in combinations(grid, count):
+        if not is_allowed(np.array(chosen), 4.0, 0.3, forbidden, fixed):
+            continue
+        for rows in product(((True, False), (False, True), (True, True)), repeat=count):
+            mask = np.array(rows)
+            if limit - 1 < (mask * COSTS).sum() <= limit:  # more outputs never see less
+                best = max(best, window_sigma_scan(A, C, chosen, 4.0, 4.0, places=0, mask=mask))
+    return best
+
+
+@pytest.mark.parametrize(
+    ("limit", "more"), [(7.0, {}), (9.0, {}), (9.0, {"forbidden": [[1.1, 1.9]]}), (7.0, {"fixed": [0.0]})]
+)
+def test_no_affordable_schedule_exceeds_the_bound_and_few_exceed_the_design(limit, more):
+    design = design_schedule(PLANT, asked(cost_limit=limit, **more), starts=3)
+    best = best_affordable(7, 4, limit, **more)
+    assert 0 < best <= design.upper_bound
+    assert design.sigma_attained >= best * (1 - 1e-6)
+    assert design.cost <= limit
+    assert design.upper_bound < design_schedule(PLANT, asked(**more), starts=1).upper_bound
+    assert design.verify()
+
+
+def test_a_limit_that_does_not_bind_changes_nothing():
+    free, rich = design_schedule(PLANT, asked(), starts=2), design_schedule(PLANT, asked(cost_limit=12.0), starts=2)
+    assert rich.sigma == free.sigma
+    assert rich.schedule.outputs is None
+    assert rich.cost == 12.0
+
+
+def test_more_money_never_sees_less():
+    sigmas = [design_schedule(PLANT, asked(cost_limit=c), starts=1, branches=0).upper_bound for c in (7.0, 9.0, 12.0)]
+    assert sigmas == sorted(sigmas)
+
+
+def test_a_design_over_its_limit_or_with_a_false_price_does_not_verify():
+    design = design_schedule(PLANT, asked(cost_limit=9.0), starts=2)
+    assert not replace(design, requirement=design.requirement.replace(cost_limit=8.0)).verify()
+    part = design.bound.parts[0]
+    assert part.price > 0
+    assert replace(part, price=-part.price).value_for(design.problem) == np.inf
+    assert replace(part, price=0.5 * part.price).value_for(design.problem) >= design.upper_bound
+    assert "of 9" in str(design)
+
+
+def test_the_best_choice_is_the_best_by_enumeration():
+    rng = np.random.default_rng(2)
+    values, prices = rng.random((30, 3)), rng.random(3)
+    mask = rng.random((30, 3)) < 0.7
+    sets = [np.array(s, dtype=bool) for s in product((0, 1), repeat=3) if any(s)]
+    for v, m, found in zip(values, mask, best_choice(values, mask, prices), strict=True):
+        assert found == pytest.approx(max([sum((v - prices)[s]) for s in sets if not np.any(s & ~m)], default=-np.inf))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
+        (
+            {
+                "cost_limit": 5.0,
+                "spacing": 0.9,
+                "outputs": {
+                    "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
+                    "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
+                },
+            },
+            "`cost_limit` 5 is not kept by any schedule that was found",
+        ),
+    ],
+)
+def test_a_limit_that_is_too_low_names_one_that_works(changes, words):
+    requirement = asked(**changes)
+    with pytest.raises(InfeasibleRequirementError, match=words) as caught:
+        design_schedule(PLANT, requirement, starts=1, branches=0)
+    assert caught.value.obstacle == "cost_limit"
+    for change in (caught.value.nearest, {"cost_limit": caught.value.nearest["cost_limit"]}):
+        assert design_schedule(PLANT, requirement.replace(**change), starts=1, branches=0).verify()
+
+
+def test_the_limit_is_kept_in_files_and_words(tmp_path):
+    requirement = asked(cost_limit=7.5)
+    again = read_requirement(write_requirement(requirement, tmp_path / "r.toml"))
+    assert again.cost_limit == 7.5
+    assert "cost at most 7.5 a period" in again.explain()
+    assert "cost limit" in str(again)
+
+
+def test_losses_of_a_design_that_chooses_outputs():
+    design = design_schedule(PLANT, asked(samples=5, cost_limit=11.0), starts=2)
+    losses = sample_losses(design, every_lap=True)
+    times, mask = design.schedule.times, design.schedule.outputs
+    for i in range(5):
+        scan = window_sigma_scan(A, C, np.delete(times, i), 4.0, 4.0, mask=np.delete(mask, i, axis=0))
+        assert losses.lower[i] == pytest.approx(scan, rel=5e-3)
+        assert losses.lower[i] <= losses.bound[i]

@@ -189,13 +189,13 @@ def _least_seen(split: ModalSplit, schedule: PeriodicSchedule) -> tuple[complex,
     """The lap's eigenvalue mu with the least pencil singular value, that value, and its right singular vector."""
     part = split.retained
     period = schedule.period
-    rows = part.C @ expm_batch(part.A, schedule.times - schedule.times[0])
+    # in units of the states that balance A: those of the plant may differ by any power of ten
+    A, (units, _) = matrix_balance(part.A, permute=False, separate=True)
+    rows = (part.C * units) @ expm_batch(A, schedule.times - schedule.times[0])
     if schedule.outputs is not None:
         rows = rows * schedule.outputs[:, :, None]
-    # in units of the states that balance A: those of the plant may differ by any power of ten
-    _, (units, _) = matrix_balance(part.A, permute=False, separate=True)
-    stacked = rows.reshape(-1, part.n_states) * units
-    lap = expm_batch(part.A, period)[0] * units / units[:, None]
+    stacked = rows.reshape(-1, part.n_states)
+    lap = expm_batch(A, period)[0]
     # each state counts as large as what the outputs show of it: rows and flow are compared in that scale
     size = np.linalg.norm(stacked) or 1.0
     values = np.unique([np.exp(c.value * period) for c in split.retained_clusters])

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import matrix_balance
 
 from sampling_design._linalg import expm_batch
 from sampling_design._record import Record, short
@@ -61,7 +62,7 @@ class Counterexample(Record):
     direction : tuple of complex
         v, of unit length, just after the last sample of a lap.
     residual : float
-        The largest of |Mv - mu v|/|M| and |C_i e^{A tau_i} v|/|C_i e^{A tau_i}|.
+        The largest of |Mv - mu v|/|M| and |C_i e^{A tau_i} v|/|C_i e^{A tau_i}|, in units that balance A.
     reason : str
     """
 
@@ -79,7 +80,11 @@ class Counterexample(Record):
         """Whether the three equations hold, computed anew."""
         mu, v = self.multiplier, np.array(self.direction)
         grows = abs(mu) >= np.exp(-self.eta * self.schedule.period / 2) * (1 - RESIDUAL)
-        return bool(grows and abs(np.linalg.norm(v) - 1) < RESIDUAL and _residual(*_lifted(self), mu, v) <= RESIDUAL)
+        if not grows or abs(np.linalg.norm(v) - 1) > RESIDUAL:
+            return False
+        M, rows, units = _lifted(self.plant, self.schedule)
+        z = v / units
+        return _residual(M, rows, mu, z / np.linalg.norm(z)) <= RESIDUAL
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -95,47 +100,42 @@ class Counterexample(Record):
         return f"The schedule with the gaps {short(self.schedule.gaps)} belongs to the family, and {self.reason}."
 
 
-def _lifted(found: Any) -> tuple[Array, Array]:
-    """Monodromy matrix of a lap that begins just after its last sample, and the rows of the lap's samples."""
-    plant, schedule = found.plant, found.schedule
-    A, times = np.asarray(plant.A), np.cumsum(schedule.gaps)
-    rows = plant.C @ expm_batch(A, times)
+def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Array]:
+    """Monodromy matrix of a lap that begins just after its last sample, rows of its samples, units that balance A.
+
+    Both are in these units, x = units z, so that the units of the plant do not decide what counts as small.
+    """
+    A, (units, _) = matrix_balance(plant.A, permute=False, separate=True)
+    flows = expm_batch(A, np.cumsum(schedule.gaps))
+    rows = (plant.C * units) @ flows
     if schedule.outputs is not None:
         rows = rows * schedule.outputs[:, :, None]
-    return expm_batch(A, [times[-1]])[0], rows.reshape(-1, plant.n_states)
+    return flows[-1], rows.reshape(-1, plant.n_states), np.asarray(units, dtype=np.float64)
 
 
-def _residual(M: Array, rows: Array, mu: complex, v: Complex) -> float:
+def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
     sizes = np.linalg.norm(rows, axis=1)
-    seen = np.abs(rows @ v)[sizes > 0] / sizes[sizes > 0]
-    return float(max(np.linalg.norm(M @ v - mu * v) / np.linalg.norm(M), seen.max(initial=0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Word:
-    """What `_lifted` needs."""
-
-    plant: Plant
-    schedule: PeriodicSchedule
+    seen = np.abs(rows @ z)[sizes > 0] / sizes[sizes > 0]
+    return float(max(np.linalg.norm(M @ z - mu * z) / np.linalg.norm(M), seen.max(initial=0.0)))
 
 
 def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
     """Return the counterexample that a failed existence test stands for, if its equations hold to `RESIDUAL`."""
-    M, rows = _lifted(_Word(plant, schedule))
+    M, rows, units = _lifted(plant, schedule)
     values = np.linalg.eigvals(np.asarray(plant.A))
     modes = [found.eigenvalue, *found.partners] if found.eigenvalue is not None else list(values)
     sizes = np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
     best: tuple[float, complex, Complex] | None = None
     for mu in {complex(np.exp(value * schedule.period)) for value in modes}:
         pencil = np.vstack([(M - mu * np.eye(len(M))) / np.linalg.norm(M), rows / sizes])
-        v = np.linalg.svd(pencil)[2][-1].conj()
-        residual = _residual(M, rows, mu, v)
+        z = np.linalg.svd(pencil)[2][-1].conj()
+        residual = _residual(M, rows, mu, z)
         if best is None or residual < best[0]:
-            best = (residual, mu, v)
+            best = (residual, mu, z)
     if best is None or best[0] > RESIDUAL:
         return None
-    residual, mu, v = best
-    direction = tuple(complex(x) for x in v)
+    residual, mu, z = best
+    direction = tuple(complex(x) for x in units * z / np.linalg.norm(units * z))
     main = found.eigenvalue if found.eigenvalue is not None else complex(values[0])
     return Counterexample(plant, schedule, eta, main, found.partners, mu, direction, residual, found.reason)
 

@@ -58,6 +58,16 @@ def test_lambda_grows_without_bound_along_a_counterexample():
     assert lams[1] > 10 * lams[0]
 
 
+def test_units_of_the_states_neither_make_nor_hide_a_counterexample():
+    scale = np.array([2.0**30, 2.0**-20])
+    D = np.diag(scale)
+    there = Plant(D @ OSCILLATOR.A @ np.linalg.inv(D), OSCILLATOR.C / scale, G=D)
+    found = refusal_of(there, GapRange(3.0, 3.3))
+    assert found.schedule.gaps == pytest.approx([np.pi])
+    assert found.verify()
+    assert sd.find_counterexample(there, GapRange(0.5, 1.5), 0.1)[0] is None
+
+
 def test_a_false_counterexample_is_not_believed():
     found = refusal_of(OSCILLATOR, GapRange(3.0, 3.3))
     from dataclasses import replace

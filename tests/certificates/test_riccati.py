@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, certify
+from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, certify
 from sampling_design.certificates.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
 from sampling_design.certificates.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, SolverError
@@ -138,7 +138,7 @@ def test_singular_weights_are_accepted_only_where_nothing_drives():
 def test_units_of_the_states_change_nothing(scale):
     # G Qw^-1 G' has eigenvalues whose ratio is below eps there: none of them may be lost
     D, A, C = np.diag(scale), np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
-    there = Plant(D @ A @ np.linalg.inv(D), C @ np.linalg.inv(D), G=D)
+    there = Plant(D @ A @ np.linalg.inv(D), C @ np.linalg.inv(D), G=D, states=Signals(["x", "v"], scales=scale))
     schedule = PeriodicSchedule([1.0, 0.7])
     here = certify(Plant(A, C), schedule, eta=0.4, P2=np.eye(2), Qw=np.eye(2))
     moved = certify(there, schedule, eta=0.4, P2=np.linalg.inv(D @ D), Qw=np.eye(2))

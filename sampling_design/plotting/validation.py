@@ -48,7 +48,8 @@ def _errors(report: ValidationReport, ax: Any) -> Any:
     ax.set_yscale("log")
     if top > 0:
         ax.set_ylim(bottom=FLOOR * top, top=3 * top)
-    verdict = "all promises held" if report.passed else f"{sum(not f.passed for f in report.findings)} promises broken"
+    broken = sum(not f.passed for f in report.findings)
+    verdict = "all promises held" if report.passed else f"{broken} promise{'s' * (broken != 1)} broken"
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(f"error: {report.norm}", fontsize="small")

@@ -208,4 +208,4 @@ class ValidationReport(Record):
         if not broken:
             return f"All {len(self.findings)} promises held."
         first = broken[0]
-        return f"{len(broken)} of {len(self.findings)} promises were broken, first: {first.explain()}"
+        return f"{len(broken)} of {len(self.findings)} promises {'was' if len(broken) == 1 else 'were'} broken: {first.explain()}"

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.cli import track
+from sampling_design.cli.settings import Settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS, DATA = EXAMPLES / "plants", EXAMPLES / "data"
@@ -209,6 +211,15 @@ def test_bad_input_is_one_sentence_and_exit_code_2(shell, tmp_path, schedule, ar
     assert words in result.err
     assert "Traceback" not in result.err
     assert result.err.strip().splitlines()[-1].startswith("sampling-design: ")
+
+
+def test_refusals_carry_their_sentence(tmp_path):
+    (tmp_path / "empty.csv").write_text("time,position,force_per_mass\n0,,1\n")
+    with pytest.raises(sd.ArgumentError, match="`MEASUREMENTS` .* holds no measurement"):
+        track.estimate(Settings(quiet=True), OSCILLATOR, tmp_path / "empty.csv")
+    readings = write_readings(tmp_path / "y.csv")
+    with pytest.raises(sd.ArgumentError, match="`--w-bound` must be numbers with commas between"):
+        track.estimate(Settings(quiet=True), OSCILLATOR, readings, w_bound="one")
 
 
 def test_every_command_teaches_by_an_example(shell):

@@ -23,7 +23,7 @@ def test_the_error_grows_at_period_pi():
     assert [f.claim for f in broken] == ["error does not grow"]
     assert broken[0].observed == pytest.approx(2.0, rel=0.1)  # linear growth doubles from one half to the next
     assert "no certificate" in report.skipped[0]
-    assert "were broken" in report.explain()
+    assert "promises was broken" in report.explain()
 
 
 def test_and_not_beside_it():

@@ -7,6 +7,7 @@ in a kernel of its own (plainly, cell after cell, where no kernel is installed) 
 
 from __future__ import annotations
 
+import ast
 import io
 import json
 import os
@@ -57,8 +58,18 @@ def run_plainly(path: Path) -> int:
     names: dict[str, Any] = {"__name__": "__notebook__"}
     for number, cell in enumerate(json.loads(path.read_text())["cells"]):
         if cell["cell_type"] == "code":
-            exec(compile("".join(cell["source"]), f"{path.name}, cell {number}", "exec"), names)
+            value = run_cell("".join(cell["source"]), f"{path.name}, cell {number}", names)
+            if hasattr(value, "savefig"):
+                shown.append(value.savefig(io.BytesIO(), format="png"))
     return len(shown)
+
+
+def run_cell(source: str, where: str, names: dict[str, Any]) -> Any:
+    """Run a cell and return the value of its last line, if that is an expression."""
+    body = ast.parse(source).body
+    last = body.pop() if body and isinstance(body[-1], ast.Expr) else None
+    exec(compile(ast.Module(body, []), where, "exec"), names)
+    return None if last is None else eval(compile(ast.Expression(last.value), where, "eval"), names)
 
 
 def main(verb: str, *names: str) -> None:

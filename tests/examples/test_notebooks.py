@@ -72,5 +72,5 @@ def test_notebook_runs(path):
     assert run("run", path) >= 2, "a lecture shows at least two pictures"
 
 
-def test_sliders_are_optional():
-    assert run("plain", LECTURES[0]) >= 3
+def test_sliders_and_kernels_are_optional():
+    assert run("plain", LECTURES[0]) >= 4

@@ -15,7 +15,7 @@ from .table import PINS, Table, named
 COMMAND = "pip install -e . -r tests/benchmarks/arena/peers.txt && python -m tests.benchmarks.arena"
 SETTINGS = {
     "scipy": "`expm` in a loop; `differential_evolution` with its defaults, new seeds until the time is over; "
-    "`shgo` with Sobol points, doubled until the time is over",
+    "`shgo` with its defaults, then with Sobol points, doubled until the time is over",
     "control": "`OptimalEstimationProblem`, continuous time, `gaussian_likelihood_cost`, sample times as `timepts`",
     "do-mpc": "`MHE` on a continuous model with process and measurement noise; collocation and IPOPT by default",
     "casadi": "only under do-mpc",

@@ -86,6 +86,7 @@ def samples(quick: bool) -> Table:
             else None,
         ]
         row(table, curves, count, work)
+    table.notes.append("Empty cells were left out for their time: both grow in proportion to the samples.")
     table.figures["arena_samples"] = drawn(curves, "samples")
     return table
 

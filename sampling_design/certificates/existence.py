@@ -190,7 +190,8 @@ def _least_seen(split: ModalSplit, schedule: PeriodicSchedule) -> tuple[complex,
     part = split.retained
     period = schedule.period
     # in units of the states that balance A: those of the plant may differ by any power of ten
-    A, (units, _) = matrix_balance(part.A, permute=False, separate=True)
+    balanced, (units, _) = matrix_balance(part.A, permute=False, separate=True)
+    A: Array = np.asarray(balanced, dtype=np.float64)
     rows = (part.C * units) @ expm_batch(A, schedule.times - schedule.times[0])
     if schedule.outputs is not None:
         rows = rows * schedule.outputs[:, :, None]

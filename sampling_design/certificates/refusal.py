@@ -105,8 +105,8 @@ def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Arr
 
     Both are in these units, x = units z, so that the units of the plant do not decide what counts as small.
     """
-    A, (units, _) = matrix_balance(plant.A, permute=False, separate=True)
-    flows = expm_batch(A, np.cumsum(schedule.gaps))
+    balanced, (units, _) = matrix_balance(plant.A, permute=False, separate=True)
+    flows = expm_batch(np.asarray(balanced, dtype=np.float64), np.cumsum(schedule.gaps))
     rows = (plant.C * units) @ flows
     if schedule.outputs is not None:
         rows = rows * schedule.outputs[:, :, None]

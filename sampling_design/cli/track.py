@@ -62,7 +62,7 @@ def estimate(
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
     start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
     inside = replace(record, times=record.times - start)
-    certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta)
+    certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta, bounds)
     settings.notice(words)
     estimator = _estimator(settings, plant, certificate, inside, horizon, _numbers("--prior", prior), bounds)
     with settings.progress("estimate") as progress:
@@ -87,15 +87,38 @@ def _moved(record: Any, start: float) -> Any:
 
 
 def _guarantee(
-    settings: Settings, plant: Any, record: Any, certificate_file: Path | None, schedule: Any, eta: float | None
+    settings: Settings,
+    plant: Any,
+    record: Any,
+    certificate_file: Path | None,
+    schedule: Any,
+    eta: float | None,
+    bounds: dict[str, Any],
 ) -> tuple[Any, str]:
     """The certificate that the estimates rest on (None if there is none), and words for it."""
     if certificate_file is not None:
         return sd.load_certificate(certificate_file, plant), f"Guarantee of {certificate_file}."
     with settings.progress("certificate") as progress:
-        if schedule is not None:
-            return sd.certify(plant, schedule, eta=eta, progress=progress), "Guarantee for the schedule given."
-        return _from_gaps(settings, plant, record, eta, progress)
+        if schedule is None:
+            return _from_gaps(settings, plant, record, eta, bounds, progress)
+        rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
+        certificate = sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))
+        return certificate, "Guarantee for the schedule given."
+
+
+def _rate(settings: Settings, plant: Any, eta: float | None, longest: float) -> float:
+    """The rate that was asked for, else one over the longest gap, with a notice."""
+    if eta is None:  # the best rate of a whole family takes minutes to find
+        eta = 1 / longest
+        settings.notice(f"--eta not given: {short(eta)} per {plant.time_unit}, one over the longest gap, is used.")
+    return eta
+
+
+def _weights(plant: Any, eta: float, bounds: dict[str, Any]) -> dict[str, Any]:
+    """Weights that follow the bounds, for narrow radii; a bound of zero is weighed by the plant's scales."""
+    signals = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
+    used = {key: value if np.all(np.asarray(value) > 0) else signals[key].scales for key, value in bounds.items()}
+    return sd.weights_from_bounds(plant, eta, **used)
 
 
 def _numbers(name: str, text: str | None) -> Any:
@@ -127,7 +150,9 @@ def _bounds(
     return found
 
 
-def _from_gaps(settings: Settings, plant: Any, record: Any, eta: float | None, progress: Any) -> tuple[Any, str]:
+def _from_gaps(
+    settings: Settings, plant: Any, record: Any, eta: float | None, bounds: dict[str, Any], progress: Any
+) -> tuple[Any, str]:
     """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it."""
     measured = np.isfinite(record.y).any(axis=1)
     times = np.unique(record.times[measured])
@@ -136,13 +161,12 @@ def _from_gaps(settings: Settings, plant: Any, record: Any, eta: float | None, p
     gaps = np.diff(times)
     shortest, longest = float(gaps.min()), float(gaps.max())
     seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
-    if eta is None:
-        eta = 1 / longest  # the best rate of a whole family takes minutes to find
-        settings.notice(f"--eta not given: {short(eta)} per {plant.time_unit}, one over the longest gap, is used.")
+    rate = _rate(settings, plant, eta, longest)
+    chosen = {"eta": rate, "progress": progress, **_weights(plant, rate, bounds)}
     if np.isfinite(record.y[measured]).all():
         family = sd.GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
-            return sd.certify(plant, family, eta=eta, progress=progress), f"Guarantee for all schedules with {seen}."
+            return sd.certify(plant, family, **chosen), f"Guarantee for all schedules with {seen}."
         except (MathematicsError, SolverError):
             pass  # not every schedule with these gaps can be certified: perhaps this one can
     order = np.unique(record.times, return_index=True)[1]
@@ -150,7 +174,7 @@ def _from_gaps(settings: Settings, plant: Any, record: Any, eta: float | None, p
     mask = np.isfinite(record.y[kept])
     try:
         own = sd.Schedule(record.times[kept], mask, time_unit=plant.time_unit)
-        certificate = sd.certify(plant, own, eta=eta, progress=progress)
+        certificate = sd.certify(plant, own, **chosen)
     except (MathematicsError, SolverError) as error:
         return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
     return certificate, f"Guarantee for the file's own times only, certified to its last time ({seen})."

@@ -82,9 +82,13 @@ def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path
     assert by_schedule.err == ""
     one = json.loads(by_schedule.out)
     assert one["certified"] == [True] * 5
-    assert shell("certify", OSCILLATOR, schedule, "--certificate", tmp_path / "c.json").code == 0
+    oscillator, eta = sd.read_plant(OSCILLATOR), 1 / 1.2  # one over the longest gap, weights that follow the bounds
+    bounds = {"w_bound": oscillator.disturbances.scales, "v_bound": oscillator.outputs.scales, "initial_error": 2.0}
+    weights = sd.weights_from_bounds(oscillator, eta, **bounds)
+    sd.certify(oscillator, sd.read_schedule(schedule), eta=eta, **weights).save(tmp_path / "c.json")
     two = json.loads(shell("estimate", OSCILLATOR, readings, "--certificate", tmp_path / "c.json", *quiet).out)
     assert two["x"] == one["x"]
+    assert two["radii"] == one["radii"]
     assert one["guarantee"] == "Guarantee for the schedule given."
     assert two["guarantee"].startswith("Guarantee of ")
 
@@ -215,7 +219,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(shell, tmp_path, schedule, ar
 
 def test_refusals_carry_their_sentence(tmp_path):
     (tmp_path / "empty.csv").write_text("time,position,force_per_mass\n0,,1\n")
-    with pytest.raises(sd.ArgumentError, match="`MEASUREMENTS` .* holds no measurement"):
+    with pytest.raises(sd.ArgumentError, match=r"`MEASUREMENTS` .* holds no measurement"):
         track.estimate(Settings(quiet=True), OSCILLATOR, tmp_path / "empty.csv")
     readings = write_readings(tmp_path / "y.csv")
     with pytest.raises(sd.ArgumentError, match="`--w-bound` must be numbers with commas between"):

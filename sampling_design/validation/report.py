@@ -207,5 +207,5 @@ class ValidationReport(Record):
         broken = [f for f in self.findings if not f.passed]
         if not broken:
             return f"All {len(self.findings)} promises held."
-        first = broken[0]
-        return f"{len(broken)} of {len(self.findings)} promises {'was' if len(broken) == 1 else 'were'} broken: {first.explain()}"
+        count = f"{len(broken)} of {len(self.findings)} promises {'was' if len(broken) == 1 else 'were'} broken"
+        return f"{count}: {broken[0].explain()}"

@@ -88,8 +88,8 @@ def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path
     weights = sd.weights_from_bounds(oscillator, eta, **bounds)
     sd.certify(oscillator, planned, eta=eta, **weights).save(tmp_path / "c.json")
     two = json.loads(shell("estimate", OSCILLATOR, readings, "--certificate", tmp_path / "c.json", *quiet).out)
-    assert np.array(two["x"]) == pytest.approx(np.array(one["x"]), rel=1e-9, abs=1e-12)  # the file holds rounded times
-    assert two["radii"] == one["radii"]
+    for key in ("x", "radii"):  # the rate that the command takes is 1/1.2 up to the rounding of the file's times
+        assert np.array(two[key]) == pytest.approx(np.array(one[key]), rel=1e-9)
     assert one["guarantee"] == "Guarantee for the schedule given."
     assert two["guarantee"].startswith("Guarantee of ")
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, validate
+from sampling_design import ArgumentError, GapRange, PeriodicSchedule, Plant, Schedule, certify, validate
 from sampling_design._files import to_json
 from sampling_design.certificates.certificate import Certificate
 from sampling_design.validation import monte_carlo
@@ -90,6 +90,17 @@ def test_off_the_certificates_schedule_only_ellipsoids_are_judged():
     assert "off the certificate's schedule" in report.skipped[0]
     assert not [f for f in report.findings if f.claim in ("a-priori bound", "inequality (16)")]
     assert report.bound is None
+
+
+@pytest.mark.parametrize("G", [np.eye(2), np.zeros((2, 0)), np.zeros((2, 1))], ids=["noisy", "none", "zero"])
+def test_any_member_of_a_certified_family_keeps_its_promises(G):
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=G)
+    made = certify(plant, GapRange(0.5, 1.5), eta=0.3)
+    report = validate(plant, PeriodicSchedule([0.6, 1.4, 0.9]), made, **SHORT)
+    assert report.passed, report.explain()
+    assert report.bound is not None
+    stranger = validate(plant, PeriodicSchedule([0.6, 1.7, 0.9]), made, scenarios=["random"], **SHORT)
+    assert stranger.bound is None
 
 
 def test_a_certificate_that_claims_too_much_is_found_out():

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._ball_flow import Clock
 from sampling_design._balls import ball, definite, floats, lowered, precision
 from sampling_design.certificates.ball_problem import REFUTED, Frame, Unproven
 
@@ -45,8 +46,8 @@ class Point:
 class Search:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
-    def __init__(self, frame: Frame, samples_only: bool) -> None:
-        self.frame, self.laps, self.samples_only = frame, frame.laps, samples_only
+    def __init__(self, frame: Frame, samples_only: bool, clock: Clock) -> None:
+        self.frame, self.laps, self.samples_only, self.clock = frame, frame.laps, samples_only, clock
         self.gaps = [float(gap) for gap in self.laps.gaps]
         self.reach = [float(gap) for gap in self.laps.reach]
 
@@ -81,6 +82,7 @@ class Search:
         laps, found, before, parts = self.laps, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
         for k in range(1, LAPS * laps.N + 1):
             at = (i + k - 1) % laps.N
+            self.clock.check()
             Y, after = self.sampled(Y, at), laps.after(at)
             if not laps.periodic and at + 1 == laps.N:
                 break
@@ -101,6 +103,7 @@ class Search:
 
     def value(self, i: int, r: float, k: int, s: float) -> float:
         """Largest eigenvalue of Y at a point."""
+        self.clock.check()
         Y = self.step(floats(self.frame.start), r)
         for j in range(k):
             Y = self.sampled(Y, (i + j) % self.laps.N)
@@ -149,10 +152,10 @@ def fails_at(frame: Frame, point: Point) -> bool:
     return definite(frame.identity - Y) is False
 
 
-def refute(make: Callable[[], Frame], samples_only: bool = False) -> None:
+def refute(make: Callable[[], Frame], clock: Clock, samples_only: bool = False) -> None:
     """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
-    search = Search(frame, samples_only)
+    search = Search(frame, samples_only, clock)
     for point in [search.polished(point) for point in search.grid()[:POLISHES]]:
         for bits in BITS if point.value > 1 - DOUBT else ():
             with precision(bits):

@@ -211,13 +211,13 @@ def prove(make: Callable[[], Frame], samples_only: bool, clock: Clock) -> float:
     def failed(depth: int) -> None:
         if depth >= PATIENCE and not halved:
             halved.append(depth)
-            refute(make)
+            refute(make, clock)
 
     catches = windows.family is not None or not frame.laps.periodic
     if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
         return 1.0 - windows.reached
     if not halved:
-        refute(make, samples_only)
+        refute(make, clock, samples_only)
     why = "it is tight or nearly so" if catches else "no bound that holds over all laps was found"
     raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
 

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
 from sampling_design import _balls as balls
-from sampling_design._ball_flow import Clock
+from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design.certificates.ball_problem import Frame, Laps, Unproven, Weights, noise
 from sampling_design.certificates.ball_proof import Windows, settled
+from sampling_design.certificates.refutation import refute
 from sampling_design.certificates.rigorous import _decided, assumption_7, attained, targets, verify_rigorously
 from sampling_design.errors import CertificateError, MissingExtraError
 from tests.certificates.test_checker import redigested, scaled, verdict_by_scan
@@ -368,3 +369,17 @@ def test_a_recursion_that_grows_has_no_family():
         flows = Windows(frame, Clock(60.0)).flows
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
             settled(frame, flows, 1e-2)
+
+
+def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
+    data = made("oscillator").to_dict()
+    with balls.precision():
+        weights = Weights(data)
+
+        def make():
+            return Frame(weights, Laps(data["times"], 1), weights.P2, "out of reach")
+
+        with pytest.raises(OutOfTime, match="the budget ran out"):
+            refute(make, Clock(-1.0))
+        with pytest.raises(Unproven, match="out of reach fails by"):
+            refute(make, Clock(60.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -103,6 +103,24 @@ class Survival(Record):
     def tolerated(self) -> tuple[tuple[int, int], ...]:
         """(d, w): at most d of any w consecutive samples may be lost, w the least for each d."""
         return tuple((c.family.most, c.family.of) for c in self.thinned)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the certificates; a lambda that does not exist is None."""
+
+        def plain(entry: Trial | Losses) -> dict[str, Any]:
+            data = asdict(entry)
+            return {**data, "lam": data["lam"] if np.isfinite(data["lam"]) else None}
+
+        return {
+            "horizon": self.length,
+            "limit": self.limit,
+            "radius": self.radius,
+            "broken": self.broken,
+            "tolerated": [list(pair) for pair in self.tolerated],
+            "trials": [plain(trial) for trial in self.trials],
+            "losses": [plain(loss) for loss in self.losses],
+            "closed": self.closed,
+        }
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit

@@ -22,6 +22,7 @@ def worst_case(
     count: Annotated[int, typer.Option(help="At least so many samples in every window.")],
     spacing: Annotated[float, typer.Option(help="Least time between two samples.")],
     rtol: Annotated[float, typer.Option(help="Relative width of the bracket.")] = 0.01,
+    rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
 ) -> None:
     """Bracket the least sigma over every schedule with COUNT samples, SPACING apart, in each WINDOW.
 
@@ -33,7 +34,9 @@ def worst_case(
         return
     family = sd.SpacedWindows(window, count, spacing)
     with settings.progress("worst case") as progress:
-        result = sd.worst_case_sigma(retained, family, rtol, budget=settings.budget, progress=progress)
+        result = sd.worst_case_sigma(
+            retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
+        )
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "worst_case.json", to_json(result.to_dict())))
@@ -126,4 +129,28 @@ def _counts(text: str) -> list[int]:
     return found
 
 
-COMMANDS = (worst_case, pareto, losses)
+def survive(
+    settings: Settings,
+    plant_file: PlantFile,
+    certificate_file: Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")],
+    horizon: Annotated[float | None, typer.Option(help="Horizon to be kept; default: the certificate's.")] = None,
+    longest: Annotated[int, typer.Option(help="Losses are counted among this many samples.")] = 8,
+) -> None:
+    """Say how late samples may come, and how many may be lost, before a certificate no longer holds.
+
+    Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json -o out
+    """
+    plant = sd.read_plant(plant_file)
+    certificate = sd.load_certificate(certificate_file, plant)
+    with settings.progress("survive") as progress:
+        result = sd.survival(
+            plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress
+        )
+    folder = settings.folder()
+    if folder is not None:
+        settings.wrote(write_text(folder / "survival.json", to_json(result.to_dict())))
+        settings.wrote(save_picture(result, folder / "survival.png"))
+    settings.show(result.to_dict(), record_table(result), result.explain())
+
+
+COMMANDS = (worst_case, pareto, losses, survive)

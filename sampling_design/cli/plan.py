@@ -138,6 +138,7 @@ def sigma(
     plant_file: PlantFile,
     schedule_file: ScheduleFile,
     window: Annotated[float | None, typer.Option(help="Window length [plant's time unit].")] = None,
+    rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
 ) -> None:
     """Prove how well a schedule sees the plant: the least sigma over every real window position.
 
@@ -151,7 +152,9 @@ def sigma(
         return
     length = window_length(settings, split, window)
     with settings.progress("sigma") as progress:
-        result = sd.window_sigma(split.retained, schedule, length, budget=settings.budget, progress=progress)
+        result = sd.window_sigma(
+            split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous
+        )
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "sigma.json", to_json(result.to_dict())))

@@ -41,7 +41,7 @@ def certify(
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
-    With -o DIR: certificate.json, constants.md, constants.tex and, for one schedule, horizons.png.
+    With -o DIR: certificate.json, constants.md, constants.tex and horizons.png (family.png for a family).
 
     Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5 -o out
     """
@@ -91,6 +91,8 @@ def _files(settings: Settings, certificate: Any, horizons: Any) -> None:
         markdown.append(horizons.to_markdown())
         latex.append(horizons.to_latex())
         settings.wrote(save_picture(horizons, folder / "horizons.png"))
+    else:
+        settings.wrote(save_picture(certificate, folder / "family.png"))
     settings.wrote(write_text(folder / "constants.md", "\n".join(markdown)))
     settings.wrote(write_text(folder / "constants.tex", "\n".join(latex)))
 

@@ -22,6 +22,7 @@ _PICTURES = {
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),
     "Certificate": ("certificates", "draw_certificate"),
+    "FamilyCertificate": ("certificates", "draw_family_certificate"),
     "InformationCurve": ("certificates", "draw_information"),
     "Survival": ("survival", "draw_survival"),
     "FourHorizons": ("certificates", "draw_four_horizons"),

@@ -6,10 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from sampling_design._linalg import discounted_flow
 from sampling_design._record import short
 from sampling_design.certificates.certificate import Certificate
+from sampling_design.certificates.family_certificate import FamilyCertificate
 from sampling_design.certificates.four_horizons import FourHorizons
 from sampling_design.certificates.information import InformationCurve, information_curve
+from sampling_design.certificates.window_problem import noise_input
 from sampling_design.plotting import style
 
 _COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)
@@ -34,6 +37,27 @@ def draw_information(curve: InformationCurve, ax: Any = None) -> Any:
     ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
     ax.set_ylabel("least information relative to P1")
     ax.legend(loc="upper right", fontsize="small", frameon=False)
+    return ax
+
+
+def draw_family_certificate(certificate: FamilyCertificate, ax: Any = None) -> Any:
+    """Draw lambda_max(P2, Phi_s(P_u)) over the time s since a sample, one curve per node of the family's graph."""
+    ax = style.new_axes(ax)
+    plant, eta = certificate.plant, certificate.eta
+    root = np.linalg.cholesky(certificate.P2)
+    for node, (P, top) in enumerate(zip(certificate.P, certificate.graph.tops, strict=True)):
+        s = np.linspace(0.0, top, 80)
+        F, W = discounted_flow(plant.A, noise_input(plant.G, certificate.Qw), s, eta)
+        Y = np.exp(eta * s)[:, None, None] * (F @ np.linalg.solve(P, np.swapaxes(F, 1, 2))) + W
+        lam = np.linalg.eigvalsh(root.T @ Y @ root)[:, -1]
+        colour, width = (style.TRUTH, 1.6) if node == 0 else (style.MEASURED, 0.9)
+        ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label="window's start" if node == 0 else None)
+    ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {short(certificate.lam, 5)}")
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel(style.time_label(plant.time_unit, "time since the last sample"))
+    ax.set_ylabel("prior weight over information kept")
+    ax.set_title(certificate.family.explain(), loc="left", fontsize="medium")
+    ax.legend(loc="lower right", fontsize="small", frameon=False)
     return ax
 
 

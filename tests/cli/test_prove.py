@@ -79,6 +79,7 @@ def test_a_gap_range_is_certified_and_verified_rigorously(shell, tmp_path):
     result = shell("certify", OSCILLATOR, "--gap-range", 0.9, 1.1, "--eta", 0.1, "-o", tmp_path)
     assert result.code == 0
     assert not (tmp_path / "horizons.png").exists()
+    assert (tmp_path / "family.png").read_bytes().startswith(b"\x89PNG")
     plain = shell("verify", tmp_path / "certificate.json")
     rigorous = shell("verify", tmp_path / "certificate.json", "--rigorous", "--json")
     assert (plain.code, rigorous.code) == (0, 0)
@@ -107,3 +108,24 @@ def test_families_exclude_each_other_and_say_what_they_need():
         certify(Settings(), OSCILLATOR, OSCILLATOR, gap_range=(1.0, 2.0))
     with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file or a family"):
         certify(Settings(), OSCILLATOR)
+
+
+def test_survive_finds_a_timing_error_and_draws_it(shell, tmp_path):
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--eta", 0.8, "-o", tmp_path).code == 0
+    result = shell("survive", OSCILLATOR, tmp_path / "certificate.json", "--longest", 3, "-o", tmp_path, "--budget", 20)
+    assert result.code == 0
+    data = json.loads((tmp_path / "survival.json").read_text())
+    assert data["radius"] > 0.05
+    assert (tmp_path / "survival.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_sigma_and_worst_case_are_proven_in_ball_arithmetic_on_request(shell, tmp_path):
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    for arguments in (
+        ("sigma", OSCILLATOR, tmp_path / "even.csv", "--window", 3),
+        ("worst-case", OSCILLATOR, "--window", 4, "--count", 3, "--spacing", 0.5),
+    ):
+        plain, rigorous = (json.loads(shell(*arguments, *extra, "--json").out) for extra in ((), ("--rigorous",)))
+        assert rigorous["rigorous"] is True
+        assert rigorous["lower"] == pytest.approx(plain["lower"], rel=1e-3)

@@ -78,15 +78,12 @@ def samples(quick: bool) -> Table:
         record = [(t, v) for t, v in zip(times.tolist(), y, strict=True)]
         work = [
             lambda t=times: sd.sigma_min(plant, t),
-            (lambda t=times: loop_rows(plant, t)) if count <= 10_000 else None,
+            lambda t=times: loop_rows(plant, t),
             lambda g=gaps: sd.window_sigma(plant, sd.PeriodicSchedule(g), 4.0),
-            (lambda r=record: sd.KalmanFilter(plant, **weights).run(r)) if count <= 10_000 else None,
-            (lambda r=record: sd.MovingHorizonEstimator(plant, horizon=8.0, **weights).run(r))
-            if count <= 10_000
-            else None,
+            lambda r=record: sd.KalmanFilter(plant, **weights).run(r),
+            lambda r=record: sd.MovingHorizonEstimator(plant, horizon=8.0, **weights).run(r),
         ]
         row(table, curves, count, work)
-    table.notes.append("Empty cells were left out for their time: both grow in proportion to the samples.")
     table.figures["arena_samples"] = drawn(curves, "samples")
     return table
 
@@ -122,13 +119,12 @@ def retained(quick: bool) -> Table:
     return table
 
 
-def row(table: Table, curves: Curves, size: int, work: Sequence[Callable[[], Any] | None]) -> None:
-    """Time the calls, add them as a row and to the curves; None is left out."""
-    found = [None if call is None else seconds_of(call, least=1, budget=0.2) for call in work]
+def row(table: Table, curves: Curves, size: int, work: Sequence[Callable[[], Any]]) -> None:
+    """Time the calls, add them as a row and to the curves."""
+    found = [seconds_of(call, least=1, budget=0.2) for call in work]
     for name, value in zip(table.columns[1:], found, strict=True):
-        if value is not None:
-            curves[name].append((size, value))
-    table.add(size, *(None if value is None else duration(value) for value in found))
+        curves[name].append((size, value))
+    table.add(size, *map(duration, found))
 
 
 def drawn(curves: Curves, label: str, log: bool = True) -> Any:

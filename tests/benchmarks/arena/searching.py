@@ -136,7 +136,7 @@ def design(quick: bool) -> Table:
                 name,
                 method,
                 duration(found.spent),
-                f"{-found.best:.5f}" if found.calls else "nothing yet",
+                f"{0.0 - found.best:.5f}" if found.calls else "nothing yet",
                 "none",
                 "none",
             )

@@ -84,6 +84,7 @@ def design(
     spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None,
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
+    cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
     scaled: Annotated[bool, typer.Option("--scaled", help="Design for sigma in scaled coordinates.")] = False,
     start: Annotated[
         str | None,
@@ -96,7 +97,7 @@ def design(
     """
     plant = sd.read_plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
-    flags["decay_rate"] = settings.decay_rate
+    flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate)
     flags["scaled"] = scaled or None
     requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})

@@ -14,7 +14,7 @@ import sampling_design as sd
 from sampling_design._checks import freeze
 from sampling_design._files import to_json, write_text
 from sampling_design._record import short
-from sampling_design.cli.plan import PlantFile, ScheduleFile, window_length
+from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 
@@ -56,7 +56,7 @@ def estimate(
     """
     plant = sd.read_plant(plant_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
-    schedule = None if schedule_file is None else sd.read_schedule(schedule_file)
+    schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
     record = sd.read_measurements(measurement_file, plant, origin=None if schedule is None else schedule.origin)
     if not np.isfinite(record.y).any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
@@ -96,14 +96,22 @@ def _guarantee(
     bounds: dict[str, Any],
 ) -> tuple[Any, str]:
     """The certificate that the estimates rest on (None if there is none), and words for it."""
-    if certificate_file is not None:
-        return sd.load_certificate(certificate_file, plant), f"Guarantee of {certificate_file}."
+    if certificate_file is not None or schedule is not None:
+        words = f"Guarantee of {certificate_file}." if certificate_file else "Guarantee for the schedule given."
+        return _certified(settings, plant, schedule, certificate_file, eta, bounds), words
     with settings.progress("certificate") as progress:
-        if schedule is None:
-            return _from_gaps(settings, plant, record, eta, bounds, progress)
-        rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
-        certificate = sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))
-        return certificate, "Guarantee for the schedule given."
+        return _from_gaps(settings, plant, record, eta, bounds, progress)
+
+
+def _certified(
+    settings: Settings, plant: Any, schedule: Any, path: Path | None, eta: float | None, bounds: dict[str, Any]
+) -> Any:
+    """The certificate of a file, else one of the schedule with weights that follow the bounds."""
+    if path is not None:
+        return sd.load_certificate(path, plant)
+    rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
+    with settings.progress("certificate") as progress:
+        return sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))
 
 
 def _rate(settings: Settings, plant: Any, eta: float | None, longest: float) -> float:
@@ -235,13 +243,10 @@ def validate(
 
     Example: sampling-design validate examples/plants/satellite.toml out/schedule.csv -o out
     """
-    plant, schedule = sd.read_plant(plant_file), sd.read_schedule(schedule_file)
+    plant = sd.read_plant(plant_file)
+    schedule = schedule_for(settings, plant, schedule_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
-    with settings.progress("certify") as progress:
-        if certificate_file is None:
-            certificate = sd.certify(plant, schedule, eta=eta, progress=progress)
-        else:
-            certificate = sd.load_certificate(certificate_file, plant)
+    certificate = _certified(settings, plant, schedule, certificate_file, eta, bounds)
     with settings.progress("validate") as progress:
         report = sd.validate(
             plant,
@@ -283,7 +288,8 @@ def log(
 
     Example: sampling-design log examples/plants/satellite.toml out/schedule.csv examples/data/satellite.csv
     """
-    plant, schedule = sd.read_plant(plant_file), sd.read_schedule(schedule_file)
+    plant = sd.read_plant(plant_file)
+    schedule = schedule_for(settings, plant, schedule_file)
     record = sd.read_measurements(measurement_file, plant, origin=schedule.origin)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     length = window_length(settings, split, window)

@@ -1,6 +1,4 @@
-"""The independent checker: is what a certificate file states true? Needs numpy, json and hashlib alone.
-
-    python checker.py < certificate.json
+"""The independent checker of certificate files (`python checker.py < certificate.json`): numpy, json, hashlib alone.
 
 It proves Pi = Y^-1 >= target for every real window start, Y(start) = P2^-1, and every later t; Y' = A Y + Y A' + eta Y
 + G Qw^-1 G', at a sample Y+ = Y - Y C'(C Y C' + R^-1 + Qv^-1)^-1 C Y; in coordinates where the target is I: Y <= I.
@@ -37,8 +35,7 @@ def check(data: dict[str, Any]) -> dict[str, Any]:
         text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
         if data["digest"] != hashlib.sha256(text.encode("utf-8")).hexdigest():
             raise Refused("digest", "the digest does not fit the content: something was altered")
-        claim = (data["claim"], data["times"]["kind"])
-        if claim not in CLAIMS:
+        if (claim := (data["claim"], data["times"]["kind"])) not in CLAIMS:
             raise Refused("claim", f"no proof is known for the claim {claim[0]!r} on times {claim[1]!r}")
         inequality, slack = CLAIMS[claim](data)
         reason = f"{inequality} for every real window start and every later t, slack {slack:.3g}"
@@ -90,8 +87,7 @@ def numbers(data: dict[str, Any]) -> SimpleNamespace:
         if not least <= getattr(c, name) < np.inf:
             raise Refused(f"{name} > 0", f"{name} must be positive, got {data[name]!r}")
     c.gaps = np.array(times["gaps"] if c.periodic else np.diff(times["times"], prepend=0.0), float)
-    c.N, c.period = c.gaps.size, c.gaps.sum()
-    c.first = float(times["first"]) if c.periodic else float(c.gaps[0])
+    c.N, c.period, c.first = c.gaps.size, c.gaps.sum(), float(times["first"] if c.periodic else c.gaps[0])
     c.seen = np.ones((c.N, len(c.C)), bool) if times["outputs"] is None else np.array(times["outputs"]).astype(bool)
     if not (np.all(c.gaps[not c.periodic :] > 0) and 0 <= c.first <= c.period < np.inf and c.seen.any(axis=1).all()):
         raise Refused("times", "times must increase strictly, the first within the period, and each measure an output")
@@ -135,13 +131,25 @@ class Proof:
         self.square, self.bend = self.A @ self.A, self.A @ self.S + self.S @ self.A.T
         poles, modes = np.linalg.eig(self.A)
         self.growth = max(poles.real.max(), 0.0), max(np.linalg.eigvalsh(self.A + self.A.T)[-1] / 2, 0.0)
-        self.skew, self.reached = np.linalg.cond(modes), 0.0
-        kinds, self.kind = np.unique(c.gaps, return_inverse=True)
-        self.F, self.W = (part[self.kind] for part in self.flow(kinds))
+        self.skew, self.reached, self.known = np.linalg.cond(modes), 0.0, dict[float, Any]()
+        self.F, self.W = self.flow(c.gaps)
 
     def flow(self, durations: Any) -> tuple[Any, Any]:
-        """F and W, Y -> F Y F' + W: (8, 8) Pade of Van Loan's block on a short step, then doubling."""
-        h, n, norm = np.atleast_1d(np.asarray(durations, float)), self.c.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
+        """F and W, Y -> F Y F' + W, of each duration; one that came before is remembered."""
+        asked = np.ravel(durations).tolist()
+        if new := [h for h in dict.fromkeys(asked) if h not in self.known]:
+            self.known.update(zip(new, np.stack(self.doubled(np.array(new)), 1), strict=True))
+        both = np.array([self.known[h] for h in asked]).reshape(-1, 2, self.c.n, self.c.n)
+        return both[:, 0], both[:, 1]
+
+    def moved(self, Y: Any, durations: Any) -> Any:
+        """F Y F' + W for each duration."""
+        F, W = self.flow(durations)
+        return F @ Y @ turned(F) + W
+
+    def doubled(self, h: Any) -> tuple[Any, Any]:
+        """F and W by the (8, 8) Pade approximant of Van Loan's block on a short step, then doubling."""
+        n, norm = self.c.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
         doublings = np.maximum(0, np.ceil(np.log2(np.maximum(2 * h * norm, 1e-300)))).astype(int)
         size = np.fmax(np.linalg.norm(self.S, 1), 1e-300) / norm
         X = np.block([[-self.A, self.S / size], [0 * self.A, self.A.T]]) * np.ldexp(h, -doublings)[:, None, None]
@@ -178,14 +186,12 @@ class Proof:
             U, owner, step, left = (part[good[owner]] for part in (U, owner, step, left))
             if not owner.size or owner.size > MAX_OPEN:
                 break
-            lengths, which = np.unique(step, return_inverse=True)
-            F, W = self.flow(np.concatenate([lengths, lengths / 2]))
-            right = largest(F[which] @ U @ turned(F[which]) + W[which], 0.5)
+            right = largest(self.moved(U, step), 0.5)
             bound = np.maximum(left, right) + self.curvature(U, step)
             self.reached = max(self.reached, bound[bound <= 1].max(initial=0.0))
             good[owner[right > 1]] = False
-            U, owner, step, left, which = (part[~(bound <= 1)] for part in (U, owner, step, left, which + lengths.size))
-            U = np.concatenate([U, F[which] @ U @ turned(F[which]) + W[which]])
+            U, owner, step, left = (part[~(bound <= 1)] for part in (U, owner, step, left))
+            U = np.concatenate([U, self.moved(U, step / 2)])
             middle = largest(U[len(left) :], 0.5)
             good[owner[middle > 1]] = False
             owner, step, left = np.tile(owner, 2), np.tile(step / 2, 2), np.append(left, middle)
@@ -216,8 +222,7 @@ class Proof:
 
     def windows(self, index: Any, high: Any, low: Any, family: Any) -> Any:
         """For each cell of starts: is Y <= I proven from sample `index` on? Refused if the start `high` violates it."""
-        c, F_W = self.c, self.flow(np.concatenate([high, low]))
-        Y, other = np.split(F_W[0] @ self.Y0 @ turned(F_W[0]) + F_W[1], 2)
+        c, (Y, other) = self.c, np.split(self.moved(self.Y0, np.concatenate([high, low])), 2)
         rest = self.curvature(other, high - low)[:, None, None] * self.I
         ends, Phi, at = np.stack([rest, other - Y + rest]), np.broadcast_to(self.I, Y.shape), index
         good, alive, now, start = high >= low, np.arange(index.size), c.times[index], c.times[index] - high
@@ -243,21 +248,18 @@ class Proof:
 
     def violated(self, Y: Any, duration: Any, start: Any, since: Any) -> None:
         """Refused if some true Y exceeds I along `duration`, which begins `since` after its window's start."""
-        parts, (lengths, which), n = np.linspace(0, 1, 33), np.unique(duration, return_inverse=True), self.c.n
-        F, W = (part.reshape(-1, 33, n, n)[which] for part in self.flow(np.outer(lengths, parts).ravel()))
-        values = largest(F @ Y[:, None] @ turned(F) + W, 1.0)
+        moments = np.outer(duration, np.arange(33) / 32)
+        values = largest(self.moved(np.repeat(Y, 33, axis=0), moments), 1.0).reshape(-1, 33)
         if np.any(values > 1):
             row, column = divmod(int(np.argmax(values)), 33)
-            begin = start[row] + (self.c.period if start[row] < 0 and self.c.periodic else 0.0)
-            time = begin + np.broadcast_to(since, start.shape)[row] + duration[row] * parts[column]
+            begin = float(start[row] + (self.c.period if start[row] < 0 and self.c.periodic else 0.0))
+            time = float(begin + np.broadcast_to(since, start.shape)[row] + duration[row] * column / 32)
             amount, where = float(1 / values.max() - 1), f"at time {time:.6g} in the window from {begin:.6g}"
-            reason = f"{self.inequality} fails by {-amount:.3g} {where}"
-            raise Refused(self.inequality, reason, amount, float(time), float(begin))
+            raise Refused(self.inequality, f"{self.inequality} fails by {-amount:.3g} {where}", amount, time, begin)
 
     def family(self) -> Any:
         """B_i after each sample, which the recursion maps below itself and which stays below I; None if not found."""
         c, after = self.c, (np.arange(self.c.N) + 1) % self.c.N
-        F, W = self.F[after], self.W[after]
         worst, inflation = np.float64(3.0), 10 * INFLATION
         while inflation > 1e-12:
             inflation *= min(0.1, 0.3 / worst)
@@ -268,10 +270,10 @@ class Proof:
                     Z[i] = Y = self.sample(self.F[i] @ Y @ self.F[i].T + self.W[i] + inflation * self.I, i)[0]
                 if np.linalg.norm(Y - before) <= inflation / 2:  # then one lap maps Z below itself
                     break
-            worst = max(largest(Z).max(), largest(F @ Z @ turned(F) + W).max())
+            worst = max(largest(Z).max(), largest(self.moved(Z, c.gaps[after])).max())
             for scale in (1 / worst) ** np.array([0.95, 0.8, 0.5, 0.2, 0.0]) if worst < 1 else ():
                 B = scale * Z
-                below = np.linalg.eigvalsh(B[after] - self.sample(F @ B @ turned(F) + W, after)[0])[:, 0] >= 0
+                below = np.linalg.eigvalsh(B[after] - self.sample(self.moved(B, c.gaps[after]), after)[0])[:, 0] >= 0
                 if (below & self.stretch(B, c.gaps[after]))[: None if c.periodic else -1].all():
                     return B
         return None
@@ -285,10 +287,8 @@ class Proof:
         laps = np.arange(int(t / c.period) + 2 if c.periodic else 1)
         times, Y, near = (c.times + c.period * laps[:, None]).ravel(), self.Y0, 1e-9 * t
         for k in np.flatnonzero((times > now + near) & (times < t - near)):
-            F, W = (part[0] for part in self.flow(times[k] - now))
-            Y, now = self.sample(F @ Y @ F.T + W, k % c.N)[0], times[k]
-        F, W = (part[0] for part in self.flow(t - now))
-        ratio = float(x @ x / (x @ np.linalg.solve(F @ Y @ F.T + W, x)))
+            Y, now = self.sample(self.moved(Y, times[k] - now)[0], k % c.N)[0], times[k]
+        ratio = float(x @ x / (x @ np.linalg.solve(self.moved(Y, t - now)[0], x)))
         if not ratio >= stated * (1 - 1e-6):
             raise Refused("witness", f"the witness reaches {ratio:.6g}, not {stated:.6g}", ratio / stated - 1, t)
 

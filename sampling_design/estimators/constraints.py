@@ -184,26 +184,29 @@ def _seen_excess(chosen: ConvexSet, value: Array, mask: Array) -> float:
 
 
 def _assemble(T: Array, pieces: list[_Piece]) -> LeastDistance:
-    rows, lower, upper, owners, cones = [np.zeros((0, T.shape[2]))], [np.zeros(0)], [np.zeros(0)], [], []
+    rows, base, lower, upper = [np.zeros((0, T.shape[2]))], [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+    owners, cones = [], []
     for piece in pieces:
         chosen = piece.set
         bounded = chosen.bounded if piece.seen is None else chosen.bounded[piece.seen[chosen.bounded] > 0]
         whole = piece.seen is None or bool(np.all(piece.seen > 0))
-        rows.append(piece.map[bounded])
-        lower.append((chosen.lower - piece.base)[bounded])
-        upper.append((chosen.upper - piece.base)[bounded])
+        kept: Any = slice(None) if bounded.size == piece.base.size else bounded  # a view where all entries are bounded
+        rows.append(piece.map[kept])
+        base.append(piece.base[kept])
+        lower.append(chosen.lower[kept])
+        upper.append(chosen.upper[kept])
         owners.append((piece, bounded))
         if whole and chosen.rows.shape[0]:
             rows.append(chosen.rows @ piece.map)
+            base.append(chosen.rows @ piece.base)
             lower.append(np.full(chosen.rows.shape[0], -np.inf))
-            upper.append(chosen.offsets - chosen.rows @ piece.base)
+            upper.append(chosen.offsets)
             owners.append((piece, piece.base.size + np.arange(chosen.rows.shape[0])))
         if whole:
-            for ball in chosen.balls:
-                cones.append((piece, ball))
-    A = np.concatenate(rows)
+            cones += [(piece, ball) for ball in chosen.balls]
+    A, at = np.concatenate(rows), np.concatenate(base)
     scales = np.sqrt(np.einsum("ij,ij->i", A, A))
     unit = np.where(scales > 0, scales, 1.0)
     mapped = [(ball.shape @ piece.map, ball.shape @ (piece.base - ball.centre), ball.radius) for piece, ball in cones]
-    lower_bounds, upper_bounds = np.concatenate(lower) / unit, np.concatenate(upper) / unit
-    return LeastDistance(T, A / unit[:, None], lower_bounds, upper_bounds, mapped, unit, owners, [p for p, _ in cones])
+    low, high = (np.concatenate(lower) - at) / unit, (np.concatenate(upper) - at) / unit
+    return LeastDistance(T, A / unit[:, None], low, high, mapped, unit, owners, [p for p, _ in cones])

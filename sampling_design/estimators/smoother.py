@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -112,6 +113,13 @@ def _block(columns: Array) -> Array:
     return columns[rows, cols] * keep
 
 
+@lru_cache(maxsize=64)
+def _stack_index(n: int, width: int) -> tuple[Any, Any, Any]:
+    """Where entry (a, b) of a diagonal block and the one below it stands in the band, and whether it is held there."""
+    a, b = np.meshgrid(np.arange(2 * n), np.arange(n), indexing="ij")
+    return np.clip(a - b, 0, width - 1), b, (a >= b) & (a - b < width)
+
+
 @dataclass(frozen=True, eq=False)
 class _BandKernel:
     """The kernel held in a banded Cholesky factor L: x - x* = L^-T z."""
@@ -122,11 +130,10 @@ class _BandKernel:
     def __call__(self) -> Kernel:
         n, width = self.n, self.factor.shape[0]
         columns = self.factor.reshape(width, -1, n)
-        a, b = np.meshgrid(np.arange(2 * n), np.arange(n), indexing="ij")
-        inside = (a >= b) & (a - b < width)
-        stacked = np.where(inside[:, None, :], columns[np.clip(a - b, 0, width - 1), :, b].transpose(0, 2, 1), 0.0)
+        rows, cols, inside = _stack_index(n, width)
+        stacked = np.where(inside[:, None, :], columns[rows, :, cols].transpose(0, 2, 1), 0.0)
         stacked = stacked.transpose(1, 0, 2)  # (N+1, 2n, n): diagonal block on top, the one below under it
-        roots = np.swapaxes(np.linalg.inv(np.tril(stacked[:, :n])), 1, 2)
+        roots = np.swapaxes(np.linalg.solve(stacked[:, :n], np.eye(n)), 1, 2)
         gains = -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2)
         return Kernel(roots, gains)
 

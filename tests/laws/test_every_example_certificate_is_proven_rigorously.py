@@ -21,3 +21,27 @@ def test_the_certificate_is_a_theorem_about_its_numbers(path):
     verdict = certificate.verify(rigorous=True)
     assert verdict.passed, verdict.reason
     assert verdict.verdict == "proven"
+
+
+SCRIPTS = [
+    path for path in sorted((Path(__file__).parents[2] / "examples").glob("0*.py")) if "sd.certify(" in path.read_text()
+]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_every_certificate_that_a_lecture_makes_is_one_too(path, monkeypatch, capsys):
+    import runpy
+
+    import sampling_design as sd
+
+    made, certify_plainly = [], sd.certify
+
+    def kept(*arguments, **options):
+        made.append(certify_plainly(*arguments, **options))
+        return made[-1]
+
+    monkeypatch.setattr(sd, "certify", kept)
+    runpy.run_path(str(path))["main"]()
+    assert made
+    for certificate in made:
+        assert certificate.verify(rigorous=True).verdict == "proven"

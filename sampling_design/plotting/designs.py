@@ -31,7 +31,7 @@ def draw_design(result: ScheduleDesign, ax: Any = None) -> Any:
     draw_window_sigma(shown, bottom)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
-    bottom.legend(loc="upper right", fontsize="small", frameon=False, ncols=3)
+    bottom.legend(loc="upper right", fontsize="small", frameon=False, ncols=2)
     bottom.set_ylim(0.0, 1.3 * max(result.upper_bound, float(shown.profile.sigma.max())))
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
     return [top, bottom]

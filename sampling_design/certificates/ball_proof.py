@@ -29,6 +29,10 @@ HALVINGS = 40
 """Most halvings of a start cell."""
 LAPS = 1000
 """Laps along one window, or until a float recursion has settled."""
+JUMP = 10
+"""After so many laps the float recursion jumps to where its present gains would settle: a lap may gain only a little."""
+DOUBLINGS = 40
+"""The jump is as long as 2^DOUBLINGS laps."""
 INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
 """Noise added at every sample, where the target is I, to find the family: as much as the target bears."""
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
@@ -45,20 +49,33 @@ def settled(frame: Frame, flows: Sequence[Proposal], inflation: float) -> tuple[
     """
     laps, Y, I = frame.laps, floats(frame.start), np.eye(frame.n)
     kept: list[Array] = [I] * laps.N
-    for _ in range(LAPS if laps.periodic else 1):
-        before, worst = Y, 0.0
+    for lap in range(1, LAPS + 1 if laps.periodic else 2):
+        before, worst, whole = Y, 0.0, I
         for i, (F, W) in enumerate(flows):
             Y = F @ Y @ F.T + W
             worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
             K = frame.gain(Y, i)
             left = I - K @ frame.float_rows[i]
+            whole = left @ F @ whole
             kept[i] = Y = left @ Y @ left.T + K @ frame.float_noises[i] @ K.T + inflation * I
             worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
         if np.abs(Y - before).max() <= 1e-2 * inflation or not laps.periodic:
             return kept, worst
         if not worst < 1e6:
             break
+        if lap % JUMP == 0:
+            Y = _rest(whole, before, Y)
     raise ArithmeticError("the recursion does not settle")
+
+
+def _rest(whole: Array, before: Array, after: Array) -> Array:
+    """Where laps Y -> whole Y whole' + const, of which one led from `before` to `after`, settle; `after` if they do not."""
+    if not np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1:
+        return after
+    found = after - whole @ before @ whole.T
+    for _ in range(DOUBLINGS):
+        found, whole = found + whole @ found @ whole.T, whole @ whole
+    return np.asarray((found + found.T) / 2)
 
 
 class Windows:

@@ -22,9 +22,9 @@ PROVEN, REFUTED, UNDECIDED = "proven", "refuted", "undecided"
 
 
 class Unproven(Exception):
-    """What stops a proof: verdict (REFUTED or UNDECIDED), inequality, reason; where known amount, time, start."""
+    """What stops a proof: verdict (REFUTED or UNDECIDED), inequality, reason; what is known of where and how much."""
 
-    def __init__(self, verdict: str, inequality: str, reason: str, **where: float) -> None:
+    def __init__(self, verdict: str, inequality: str, reason: str, **where: Any) -> None:
         super().__init__(reason)
         self.verdict, self.inequality, self.reason, self.where = verdict, inequality, reason, where
 

@@ -1,9 +1,9 @@
-"""The certificate of sample-based exponential i-iIOSS (Assumption 7) and the verdict on it."""
+"""The certificate of sample-based exponential i-iIOSS (Assumption 7)."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from sampling_design.certificates import files
 from sampling_design.certificates.constants import ConstantList
 from sampling_design.certificates.export import constants_of
 from sampling_design.certificates.horizon import Horizon, horizon_of, output_information
+from sampling_design.certificates.verdict import Verification, verdict_of
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
@@ -41,52 +42,6 @@ class Witness:
     start: float
     direction: tuple[float, ...]
     ratio: float
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Verification(Record):
-    """The verdict of `verify` on a certificate.
-
-    Attributes
-    ----------
-    passed : bool
-    inequality : str
-        The inequality that was proven, or the first one that fails.
-    time : float or None
-        Where it fails, if it fails at a time.
-    start : float or None
-        Start of the window in which it fails.
-    amount : float
-        By how much: the least relative slack found (negative: how far it is violated).
-    reason : str
-        One sentence.
-    """
-
-    passed: bool
-    inequality: str
-    time: float | None
-    start: float | None
-    amount: float
-    reason: str
-
-    def __bool__(self) -> bool:
-        return self.passed
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [("passed", "yes" if self.passed else "no"), ("inequality", self.inequality)]
-        if self.time is not None:
-            rows.append(("time", short(self.time)))
-        if self.start is not None:
-            rows.append(("window from", short(self.start)))
-        return [*rows, ("slack", short(self.amount, 3)), ("reason", self.reason)]
-
-    def explain(self) -> str:
-        """Say the verdict."""
-        return ("Proven: " if self.passed else "Refused: ") + self.reason
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -377,14 +332,3 @@ class Certificate(Record):
             f"the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
             f"window longer than {short(self.horizon().minimum)} contracts."
         )
-
-
-def verdict_of(data: dict[str, Any]) -> Verification:
-    """Run the independent checker on the plain data of a certificate."""
-    if data["claim"] == "family":
-        from sampling_design.certificates import family_checker
-
-        return Verification(**family_checker.check(data))
-    from sampling_design.certificates import checker
-
-    return Verification(**checker.check(data))

@@ -1,8 +1,10 @@
-"""The record of a discounted dissipation inequality (Thm 10): P, eta, c_w, c_y, and its check by eigenvalues alone."""
+"""The record of a discounted dissipation inequality (Thm 10): P, eta, c_w, c_y, and its file."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,55 +12,15 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
+from sampling_design.certificates import files
 from sampling_design.certificates.constants import ConstantList
-from sampling_design.errors import CertificateError
+from sampling_design.certificates.verdict import Verification, verdict_of
+from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class DissipationCheck(Record):
-    """Outcome of `DetectabilityCertificate.verify`: eigenvalues against the rounding they may carry.
-
-    Parameters
-    ----------
-    margin : float
-        Least eigenvalue of the negative dissipation matrix, scaled to unit diagonal; negative where it fails.
-    least_P : float
-        Least eigenvalue of P.
-    rounding : float
-        Bound of the rounding in `margin`.
-    """
-
-    margin: float
-    least_P: float
-    rounding: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether P > 0 and the dissipation matrix is negative definite by more than rounding."""
-        return bool(self.least_P > 0 and self.margin > self.rounding)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("passed", str(self.passed)),
-            ("margin", short(self.margin)),
-            ("rounding", short(self.rounding)),
-            ("least eigenvalue of P", short(self.least_P)),
-        ]
-
-    def explain(self) -> str:
-        """Say what was found."""
-        if self.passed:
-            return (
-                f"The dissipation inequality holds with margin {short(self.margin)} (rounding {short(self.rounding)})."
-            )
-        return (
-            f"The dissipation inequality is not established: margin {short(self.margin)} "
-            f"against rounding {short(self.rounding)}, least eigenvalue of P {short(self.least_P)}."
-        )
+METHODS = ("riccati", "lmi", "proof", "given")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,22 +38,25 @@ class DetectabilityCertificate(Record):
         Rate of the squared error.
     c_w, c_y : float
         Gains of the disturbance w (through G) and of the output difference, in the plant's own coordinates.
+    margin : float
+        What `verify` proves is the inequality at the rate (1 + margin) eta.
     method : str
         "riccati", "lmi", "proof" or "given".
     gain : (n, p) array, optional
-        Observer gain L behind the certificate; A - LC is Hurwitz.
+        Observer gain L behind the certificate; A - LC is Hurwitz. Not in the file: c_y P^{-1} C' is always one.
     constants : ConstantList
-        The numbers of the proof in order, where there is one.
+        The numbers of the proof in order, where there is one. Not in the file, which holds nothing unproven.
 
     Raises
     ------
     ArgumentError
-        If P is not symmetric positive definite or a constant is not positive.
+        If P is not symmetric positive definite, a constant is not positive, or the method is another.
 
     Notes
     -----
-    *Claim.* `verify` decides it from A, C, G, P, eta, c_w, c_y alone. *Assumptions.* None beyond a linear plant;
-    outputs are noise-free here, noise enters where samples do. The paper's (19) has lost the factors e^{-eta(t-s)}.
+    *Claim.* `verify` decides it from A, C, G, P, eta, c_w, c_y, margin alone. *Assumptions.* None beyond a linear
+    plant; outputs are noise-free here, noise enters where samples do. The paper's (19) has lost the factors
+    e^{-eta(t-s)}.
 
     References
     ----------
@@ -113,18 +78,31 @@ class DetectabilityCertificate(Record):
     eta: float
     c_w: float
     c_y: float
+    margin: float = field(default=0.0, kw_only=True)
     method: str = field(default="given", kw_only=True)
     gain: Array | None = field(default=None, kw_only=True)
     constants: ConstantList = field(default=ConstantList(), kw_only=True)
     solver: SolverRecord | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.plant, Plant):
+            raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
+        if self.method not in METHODS:
+            raise ArgumentError(f"`method` must be one of {', '.join(METHODS)}, got {self.method!r}.")
         n, p = self.plant.n_states, self.plant.n_outputs
         object.__setattr__(self, "P", _checks.definite("P", self.P, n))
         for key in ("eta", "c_w", "c_y"):
             object.__setattr__(self, key, _checks.positive(key, getattr(self, key)))
+        object.__setattr__(self, "margin", _checks.nonnegative("margin", self.margin))
         if self.gain is not None:
             object.__setattr__(self, "gain", _checks.matrix("gain", self.gain, n, p))
+
+    def __getattr__(self, name: str) -> Any:
+        # what only a certificate about samples has: asked for by an estimator or a validation that was given this one
+        raise AttributeError(
+            f"a DetectabilityCertificate promises nothing about samples and has no `{name}`: "
+            "certify(plant, schedule) makes a certificate that has."
+        )
 
     @property
     def overshoot(self) -> float:
@@ -141,21 +119,44 @@ class DetectabilityCertificate(Record):
             assumptions=("x' = Ax + Bu + Gw, y = Cx + Du",),
         )
 
-    def verify(self) -> DissipationCheck:
-        """Recompute the eigenvalues of [[A'P+PA+eta P-c_y C'C, PG], [G'P, -c_w I]] from the data alone."""
-        return dissipation_check(self.plant, self.P, self.eta, self.c_w, self.c_y)
+    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
+        """Prove P > 0 and the inequality anew from the data alone, by `dissipation_checker.py`.
+
+            [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
+
+        Parameters
+        ----------
+        rigorous : bool
+            Decide in ball arithmetic instead (extra `rigorous`).
+        budget : float [seconds]
+            For the rigorous verdict, "undecided" when it runs out.
+
+        Returns
+        -------
+        Verification
+            Its `amount` is the least eigenvalue relative to the size of the terms; `direction` where it fails. With
+            `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+
+        Raises
+        ------
+        MissingExtraError
+            If `rigorous` is asked for and python-flint is not installed.
+        """
+        if rigorous:
+            from sampling_design.certificates.rigorous import verify_rigorously
+
+            return verify_rigorously(self.to_dict(), budget)
+        return verdict_of(self.to_dict())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the certificate as JSON, whole or not at all; return the path."""
+        return files.write_certificate(self, path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: the tree of a certificate with claim "detectability" without its plant."""
-        return {
-            "claim": "detectability",
-            "P": self.P.tolist(),
-            "eta": self.eta,
-            "c_w": self.c_w,
-            "c_y": self.c_y,
-            "method": self.method,
-            "solver": None if self.solver is None else self.solver.to_dict(),
-        }
+        """Plain data as in the file, digest included."""
+        numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
+        parts = {"claim": files.DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
+        return files.sealed(self.plant, parts, self.solver)
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
@@ -165,7 +166,8 @@ class DetectabilityCertificate(Record):
             ("c_y", short(self.c_y)),
             ("cond P", short(self.overshoot)),
             ("method", self.method),
-            ("margin", short(self.verify().margin)),
+            ("margin", short(self.margin, 3)),
+            ("slack", short(self.verify().amount)),
         ]
         return rows + [(c.name, f"{short(c.value)}  ({c.source})") for c in self.constants]
 
@@ -178,44 +180,15 @@ class DetectabilityCertificate(Record):
         )
 
 
-def dissipation_check(plant: Plant, P: Array, eta: float, c_w: float, c_y: float) -> DissipationCheck:
-    """Judge the dissipation inequality for V = x'Px by eigenvalues alone.
-
-    Notes
-    -----
-    *Numerical aspects.* The congruence with blkdiag(L^{-T}/sqrt(eta), I/sqrt(c_w)), P = LL', makes every entry
-    dimensionless and leaves the sign as it is; a rotation that puts c_y C'C on the diagonal and a scaling to unit
-    diagonal then keep that term, which may be 1e15 times the rest, from drowning it in its rounding.
-    """
-    n, q = plant.n_states, plant.n_disturbances
-    values = np.linalg.eigvalsh(P)
-    if values[0] <= 0:
-        return DissipationCheck(-float("inf"), float(values[0]), 0.0)
-    L = np.linalg.cholesky(P)
-    U, sizes, _ = np.linalg.svd(np.linalg.solve(L, plant.C.T) * np.sqrt(c_y / eta))
-    seen = np.zeros(n)
-    seen[: sizes.size] = sizes**2
-    Z = U.T @ np.linalg.solve(L, plant.A.T @ L) @ U / eta
-    off = U.T @ L.T @ plant.G / np.sqrt(eta * c_w)
-    negative = np.block([[np.diag(seen) - Z - Z.T - np.eye(n), -off], [-off.T, np.eye(q)]])
-    diagonal = np.diag(negative)
-    if diagonal.min() <= 0:
-        return DissipationCheck(float(diagonal.min()), float(values[0]), 0.0)
-    root = np.sqrt(diagonal)
-    size = 1 + (2 * np.linalg.norm(Z, 2) + np.linalg.norm(off, 2)) * np.sqrt(values[-1] / values[0]) / diagonal.min()
-    rounding = 8 * (n + q) * np.finfo(float).eps * float(size)
-    return DissipationCheck(float(np.linalg.eigvalsh(negative / root / root[:, None])[0]), float(values[0]), rounding)
-
-
 def proven(certificate: DetectabilityCertificate) -> DetectabilityCertificate:
     """Return `certificate` if it passes its own check.
 
     Raises
     ------
     CertificateError
-        If it does not; `details` holds the check.
+        If it does not; `details` holds the verdict.
     """
-    check = certificate.verify()
-    if not check.passed:
-        raise CertificateError(f"No detectability certificate: {check.explain()}", check=check)
+    verdict = certificate.verify()
+    if not verdict.passed:
+        raise CertificateError(f"No detectability certificate: {verdict.reason}.", verdict=verdict)
     return certificate

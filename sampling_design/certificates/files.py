@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +20,20 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 if TYPE_CHECKING:
     from sampling_design.certificates.certificate import Certificate
+    from sampling_design.certificates.dissipation import DetectabilityCertificate
+    from sampling_design.certificates.family_certificate import FamilyCertificate
 
 FORMAT = "sampling-design/certificate/1"
 CLAIM = "assumption-7"
 FAMILY_CLAIM = "family"
+DETECTABILITY_CLAIM = "detectability"
 _NUMBERS = ("eta", "lam", "lam_samples", "margin")
 _MATRICES = ("P1", "P2", "Qw", "R", "Qv")
-_KEYS = ("format", "claim", "plant", "times", *_MATRICES, *_NUMBERS, "witness", "tool", "solver", "digest")
+_RATES = ("eta", "c_w", "c_y", "margin")
+_AROUND = ("format", "claim", "plant", "tool", "solver", "digest")
+_SAMPLED = (*_AROUND, "times", *_MATRICES, *_NUMBERS, "witness")
+KEYS = {CLAIM: _SAMPLED, FAMILY_CLAIM: (*_SAMPLED, "graph"), DETECTABILITY_CLAIM: (*_AROUND, "P", *_RATES, "method")}
+"""What a file of each claim holds, no more and no less."""
 
 
 def digest(data: dict[str, Any]) -> str:
@@ -61,31 +69,41 @@ def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
     raise ArgumentError(f'`times` must be of kind "periodic" or "finite" here, got {kind!r}.')
 
 
+def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> dict[str, Any]:
+    """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "plant": plant_to_dict(plant),
+        **parts,
+        "tool": {"name": "sampling_design", "version": __version__},
+        "solver": None if solver is None else solver.to_dict(),
+    }
+    data["digest"] = digest(data)
+    return data
+
+
 def certificate_to_dict(certificate: Certificate) -> dict[str, Any]:
     """Return the plain data of a certificate, digest included."""
     seen = certificate.witness
-    data: dict[str, Any] = {
-        "format": FORMAT,
-        "plant": plant_to_dict(certificate.plant),
+    parts: dict[str, Any] = {
         **certificate._file_parts(),
         **{key: getattr(certificate, key).tolist() for key in _MATRICES},
         **{key: getattr(certificate, key) for key in _NUMBERS},
         "witness": None
         if seen is None
         else {"t": seen.t, "start": seen.start, "direction": list(seen.direction), "ratio": seen.ratio},
-        "tool": {"name": "sampling_design", "version": __version__},
-        "solver": certificate.solver.to_dict(),
     }
-    data["digest"] = digest(data)
-    return data
+    return sealed(certificate.plant, parts, certificate.solver)
 
 
-def write_certificate(certificate: Certificate, path: str | os.PathLike[str]) -> Path:
+def write_certificate(certificate: Certificate | DetectabilityCertificate, path: str | os.PathLike[str]) -> Path:
     """Write a certificate as JSON, whole or not at all; return the path."""
-    return _files.write_text(path, _files.to_json(certificate_to_dict(certificate)))
+    return _files.write_text(path, _files.to_json(certificate.to_dict()))
 
 
-def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -> Certificate:
+def load_certificate(
+    path: str | os.PathLike[str], plant: Plant | None = None
+) -> Certificate | FamilyCertificate | DetectabilityCertificate:
     """Read a certificate from its JSON file.
 
     Parameters
@@ -96,8 +114,8 @@ def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
 
     Returns
     -------
-    Certificate
-        Not yet proven again: call `verify()`.
+    Certificate, FamilyCertificate or DetectabilityCertificate
+        By the file's claim; not yet proven again: call `verify()`.
 
     Raises
     ------
@@ -123,7 +141,9 @@ def same_plant(first: Plant, second: Plant) -> bool:
     return alike and first.time_unit == second.time_unit
 
 
-def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> Certificate:
+def certificate_from_dict(
+    data: dict[str, Any], where: str = "certificate"
+) -> Certificate | FamilyCertificate | DetectabilityCertificate:
     """Return the certificate in plain data.
 
     Raises
@@ -133,41 +153,62 @@ def certificate_from_dict(data: dict[str, Any], where: str = "certificate") -> C
     CertificateError
         If the digest does not fit.
     """
-    from sampling_design.certificates.certificate import Certificate, Witness
-
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a certificate file?")
-    of_family = data.get("claim") == FAMILY_CLAIM
-    if not of_family and data.get("claim") != CLAIM:
-        raise ArgumentError(f"`claim` must be {CLAIM!r} or {FAMILY_CLAIM!r} here, got {data.get('claim')!r}.")
-    known = (*_KEYS, "graph") if of_family else _KEYS
-    _checks.known_keys("the certificate", data, known)
-    missing = [key for key in known if key not in data]
+    claim = data.get("claim")
+    if not isinstance(claim, str) or claim not in KEYS:
+        raise ArgumentError(f"`claim` must be {', '.join(map(repr, KEYS))} here, got {claim!r}.")
+    _checks.known_keys("the certificate", data, KEYS[claim])
+    missing = [key for key in KEYS[claim] if key not in data]
     if missing:
         raise ArgumentError(f"`{missing[0]}` is missing in the certificate. Was the file cut off?")
     if data["digest"] != digest(data):
         raise CertificateError(
             f"{where}: the digest does not fit the content: something was altered after it was written.", path=where
         )
-    plant = plant_from_dict(data["plant"], where)
-    empty = np.zeros((0, 0))
-    seen = data["witness"]
-    values: dict[str, Any] = {key: data[key] if data[key] else empty for key in _MATRICES}
-    build: type[Certificate] = Certificate
-    if of_family:
-        from sampling_design.certificates.family_certificate import FamilyCertificate, parts_from_dict
+    return READERS[claim](data, plant_from_dict(data["plant"], where))
 
-        build = FamilyCertificate
-        values |= parts_from_dict(data, values["P2"])
-    else:
-        values["schedule"] = times_from_dict(data["times"])
-    return build(
-        plant,
-        **values,
+
+def _sampled(data: dict[str, Any], plant: Plant) -> Certificate:
+    from sampling_design.certificates.certificate import Certificate
+
+    return Certificate(plant, schedule=times_from_dict(data["times"]), **_values(data))
+
+
+def _of_family(data: dict[str, Any], plant: Plant) -> FamilyCertificate:
+    from sampling_design.certificates.family_certificate import FamilyCertificate, parts_from_dict
+
+    values = _values(data)
+    return FamilyCertificate(plant, **values, **parts_from_dict(data, values["P2"]))
+
+
+def _detectable(data: dict[str, Any], plant: Plant) -> DetectabilityCertificate:
+    from sampling_design.certificates.dissipation import DetectabilityCertificate
+
+    values = {key: data[key] for key in ("P", *_RATES, "method")}
+    solver = None if data["solver"] is None else _solver(data["solver"])
+    return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
+
+
+def _values(data: dict[str, Any]) -> dict[str, Any]:
+    """Weights, numbers, witness and solver record of a certificate about samples."""
+    from sampling_design.certificates.certificate import Witness
+
+    seen = data["witness"]
+    return {
+        **{key: data[key] if data[key] else np.zeros((0, 0)) for key in _MATRICES},
         **{key: data[key] for key in _NUMBERS},
-        witness=None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
-        solver=_solver(data["solver"]),
-    )
+        "witness": None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
+        "solver": _solver(data["solver"]),
+    }
+
+
+READERS: dict[str, Callable[[dict[str, Any], Plant], Any]] = {
+    CLAIM: _sampled,
+    FAMILY_CLAIM: _of_family,
+    DETECTABILITY_CLAIM: _detectable,
+}
+"""Claim of a file and how the record behind it is made from plain data whose keys and digest are right."""
 
 
 def _solver(data: Any) -> SolverRecord:

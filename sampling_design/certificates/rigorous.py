@@ -25,10 +25,12 @@ from sampling_design.certificates.ball_problem import (
     reading,
 )
 from sampling_design.certificates.ball_proof import Windows
-from sampling_design.certificates.certificate import RESOLUTION, Verification
+from sampling_design.certificates.certificate import RESOLUTION
+from sampling_design.certificates.dissipation_rigorous import detectability
 from sampling_design.certificates.family_cover import COVERED
 from sampling_design.certificates.family_rigorous import family
 from sampling_design.certificates.refutation import refute
+from sampling_design.certificates.verdict import Verification
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
@@ -89,8 +91,9 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
     -----
     *Assumptions.* The doubles in the file are the numbers meant; a periodic schedule is its gaps and its first time,
     without rounding of the sums. A weight is its symmetric part. *Claim.* "proven" and "refuted" are theorems.
-    *Method.* `ball_proof` and, where that does not close, `refutation`. *Numerical aspects.* 160 bits; eigenvalues,
-    gains and families are guessed in floats and proven by the pivots of L D L' in balls.
+    *Method.* `ball_proof` and, where that does not close, `refutation`; `family_rigorous` for families and
+    `dissipation_rigorous` for detectability. *Numerical aspects.* 160 bits; eigenvalues, gains and families are guessed
+    in floats and proven by the pivots of L D L' in balls.
     """
     flint()
     began, clock = time.perf_counter(), Clock(budget)
@@ -115,7 +118,7 @@ def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
     with reading():
         if data["digest"] != files.digest(data):
             raise Unproven(REFUTED, "digest", "the digest does not fit the content: something was altered")
-        claim = (data["claim"], data["times"]["kind"])
+        claim = (data["claim"], None if data["claim"] == files.DETECTABILITY_CLAIM else data["times"]["kind"])
     if claim not in CLAIMS:
         raise Unproven(UNDECIDED, "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
     inequality, subject, slack = CLAIMS[claim](data, clock)
@@ -227,8 +230,9 @@ def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     return family(data, targets(data), clock)
 
 
-CLAIMS: dict[tuple[str, str], Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
+CLAIMS: dict[tuple[str, str | None], Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
     ("assumption-7", "periodic"): assumption_7,
     ("assumption-7", "finite"): assumption_7,
     **{("family", kind): of_family for kind in COVERED},
+    (files.DETECTABILITY_CLAIM, None): detectability,
 }

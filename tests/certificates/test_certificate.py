@@ -147,7 +147,7 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
     ("change", "words"),
     [
         (lambda d: d.update(format="x"), "Is this a certificate file"),
-        (lambda d: d.update(claim="detectability"), "`claim` must be 'assumption-7'"),
+        (lambda d: d.update(claim="wishful"), "`claim` must be 'assumption-7'"),
         (lambda d: d.update(extra=1), "unknown key 'extra' in the certificate"),
         (lambda d: d.pop("P1"), "`P1` is missing in the certificate"),
         (lambda d: d["times"].update(kind="gap-range"), "`times` must be of kind"),

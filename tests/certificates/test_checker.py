@@ -10,7 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design import (
+    Certificate,
+    GapRange,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    certify,
+    certify_detectability,
+    certify_family,
+)
 from sampling_design.certificates import checker, files
 from tests.oracles import riccati as oracle
 
@@ -236,7 +245,7 @@ def test_checker_imports_the_standard_library_and_numpy_only():
             modules |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             modules.add((node.module or "").split(".")[0])
-    assert modules <= {"__future__", "hashlib", "json", "numpy", "sys", "types", "typing"}
+    assert modules == {"hashlib", "json", "numpy", "runpy", "sys", "types", "typing"}
     assert PATH.read_text().count("\n") < 300
 
 
@@ -247,3 +256,18 @@ def test_checker_runs_alone(tmp_path):
         done = subprocess.run([sys.executable, "-c", code], input=text, capture_output=True, text=True)
         assert done.returncode == status
         assert done.stdout.strip()
+
+
+def test_one_command_takes_the_files_of_every_claim(tmp_path):
+    made = {
+        "family": certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2),
+        "detectability": certify_detectability(OSCILLATOR),
+        "assumption-7": certificates()[0],
+    }
+    for claim, certificate in made.items():
+        text = certificate.save(tmp_path / "certificate.json").read_text()
+        done = subprocess.run([sys.executable, PATH], input=text, capture_output=True, text=True)
+        assert (done.returncode, done.stdout.strip()) == (0, certificate.verify().reason), claim
+    for text in ("[1]", "{}", '{"claim": ["family"]}'):
+        done = subprocess.run([sys.executable, PATH], input=text, capture_output=True, text=True)
+        assert (done.returncode, "no certificate" in done.stdout) == (1, True)

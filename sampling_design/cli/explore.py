@@ -11,6 +11,7 @@ import typer
 import sampling_design as sd
 from sampling_design._files import to_json, write_text
 from sampling_design.cli.plan import PlantFile
+from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture
 from sampling_design.errors import ArgumentError
 
@@ -141,7 +142,7 @@ def survive(
     Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json -o out
     """
     plant = sd.read_plant(plant_file)
-    certificate = sd.load_certificate(certificate_file, plant)
+    certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("survive") as progress:
         result = sd.survival(
             plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress

@@ -13,43 +13,66 @@ from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
 
+NOISE_BUDGET = 3.0
+"""Default of `--noise-budget` for a certificate about samples."""
+
+ScheduleFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="[SCHEDULE]", help="Schedule file; none with --gap-range, --spaced, --detectability."),
+]
+Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")]
+NoiseBudget = Annotated[
+    float | None,
+    typer.Option(help="Noise gains, where chosen: at most so many times their least; default 3 (--detectability: 10)."),
+]
+Gaps = Annotated[
+    tuple[float, float] | None, typer.Option(metavar="A B", help="Every schedule with gaps between A and B.")
+]
+Spaced = Annotated[
+    tuple[float, int, float] | None,
+    typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart."),
+]
+Jittered = Annotated[float | None, typer.Option(help="SCHEDULE with every sample up to this early or late.")]
+Lost = Annotated[
+    tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
+]
+Detectability = Annotated[bool, typer.Option("--detectability", help="The plant alone, no samples: Theorem 10.")]
+NewFile = Annotated[
+    Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
+]
+
 
 def certify(
     settings: Settings,
     plant_file: PlantFile,
-    schedule_file: Annotated[
-        Path | None, typer.Argument(metavar="[SCHEDULE]", help="Schedule file; not needed for --gap-range, --spaced.")
-    ] = None,
-    eta: Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")] = None,
-    noise_budget: Annotated[
-        float, typer.Option(help="How many times its least the noise gain may be, when weights are chosen.")
-    ] = 3.0,
-    gap_range: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="A B", help="Every schedule with gaps between A and B.")
-    ] = None,
-    spaced: Annotated[
-        tuple[float, int, float] | None,
-        typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart."),
-    ] = None,
-    jitter: Annotated[float | None, typer.Option(help="SCHEDULE with every sample up to this early or late.")] = None,
-    lost: Annotated[
-        tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
-    ] = None,
-    certificate_file: Annotated[
-        Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
-    ] = None,
+    schedule_file: ScheduleFile = None,
+    eta: Eta = None,
+    noise_budget: NoiseBudget = None,
+    gap_range: Gaps = None,
+    spaced: Spaced = None,
+    jitter: Jittered = None,
+    lost: Lost = None,
+    detectability: Detectability = False,
+    certificate_file: NewFile = None,
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
-    With -o DIR: certificate.json, constants.md, constants.tex and horizons.png (family.png for a family).
+    With -o DIR: certificate.json, constants.md, constants.tex and horizons.png (family.png for a family). With
+    --detectability: exponential i-iIOSS of the plant, measured all the time, and certificate.json alone.
 
     Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5 -o out
     """
     plant = sd.read_plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
-    times = _times(settings, plant, schedule_file, {k: v for k, v in given.items() if v is not None})
+    families = {k: v for k, v in given.items() if v is not None}
+    if detectability:
+        _refuse_samples(schedule_file, families)
+        _detectability(settings, plant, certificate_file, {"rate": eta, "budget": noise_budget})
+        return
+    times = _times(settings, plant, schedule_file, families)
     with settings.progress("certify") as progress:
-        certificate = sd.certify(plant, times, eta=eta, budget=noise_budget, progress=progress)
+        budget = NOISE_BUDGET if noise_budget is None else noise_budget
+        certificate = sd.certify(plant, times, eta=eta, budget=budget, progress=progress)
     single = isinstance(times, (sd.Schedule, sd.PeriodicSchedule))
     horizons = sd.four_horizons(plant, times, certificate) if single else None
     if certificate_file is not None:
@@ -58,6 +81,33 @@ def certify(
         _files(settings, certificate, horizons)
     notes = [] if horizons is None else [_horizons(horizons), *(f"{r.name}: {r.note}" for r in horizons.rows if r.note)]
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
+
+
+def _refuse_samples(schedule: Path | None, families: dict[str, Any]) -> None:
+    if schedule is not None or families:
+        other = "a SCHEDULE file" if schedule is not None else "`--" + next(iter(families)) + "`"
+        raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")
+
+
+def _detectability(settings: Settings, plant: Any, path: Path | None, asked: dict[str, float | None]) -> None:
+    """Certify the plant alone, at the rate and within the budget that are asked for."""
+    certificate = sd.certify_detectability(plant, **{key: value for key, value in asked.items() if value is not None})
+    folder = settings.folder()
+    for place in (path, None if folder is None else folder / "certificate.json"):
+        if place is not None:
+            settings.wrote(certificate.save(place))
+    settings.show(certificate.to_dict(), record_table(certificate), certificate.explain())
+
+
+def sampling_certificate(path: Path, plant: Any) -> Any:
+    """The certificate of a file, if it is about samples of this plant."""
+    certificate = sd.load_certificate(path, plant)
+    if isinstance(certificate, sd.DetectabilityCertificate):
+        raise ArgumentError(
+            f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
+            "make one with `certify PLANT SCHEDULE`."
+        )
+    return certificate
 
 
 def _times(settings: Settings, plant: Any, path: Path | None, families: dict[str, Any]) -> Any:

@@ -15,6 +15,7 @@ from sampling_design._checks import freeze
 from sampling_design._files import to_json, write_text
 from sampling_design._record import short
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
+from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 
@@ -108,7 +109,7 @@ def _certified(
 ) -> Any:
     """The certificate of a file, else one of the schedule with weights that follow the bounds."""
     if path is not None:
-        return sd.load_certificate(path, plant)
+        return sampling_certificate(path, plant)
     rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
     with settings.progress("certificate") as progress:
         return sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))

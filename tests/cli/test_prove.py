@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import PeriodicSchedule, write_schedule
-from sampling_design.cli.prove import certify
+from sampling_design import PeriodicSchedule, certify_detectability, load_certificate, read_plant, write_schedule
+from sampling_design.cli.prove import certify, sampling_certificate
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 
@@ -129,3 +129,88 @@ def test_sigma_and_worst_case_are_proven_in_ball_arithmetic_on_request(shell, tm
         plain, rigorous = (json.loads(shell(*arguments, *extra, "--json").out) for extra in ((), ("--rigorous",)))
         assert rigorous["rigorous"] is True
         assert rigorous["lower"] == pytest.approx(plain["lower"], rel=1e-3)
+
+
+def test_detectability_is_certified_without_a_schedule_and_verified(shell, tmp_path):
+    file = tmp_path / "detectability.json"
+    result = shell("certify", OSCILLATOR, "--detectability", "-o", tmp_path, "--certificate", file)
+    assert result.code == 0
+    assert "come together" in result.out
+    assert "DetectabilityCertificate" in result.out
+    assert (tmp_path / "certificate.json").read_bytes() == file.read_bytes()
+    plant = read_plant(OSCILLATOR)
+    assert load_certificate(file, plant).to_dict() == certify_detectability(plant).to_dict()
+    plain = shell("verify", file, "--plant", OSCILLATOR)
+    assert plain.code == 0
+    assert "Proven: P > 0 and [[A'P + PA" in plain.out
+    rigorous = shell("verify", file, "--rigorous", "--json")
+    assert (rigorous.code, json.loads(rigorous.out)["verdict"]) == (0, "proven")
+    other = shell("verify", file, "--plant", EXAMPLES / "plants" / "double_integrator.toml")
+    assert other.code == 1
+    assert "another plant" in other.err
+
+
+def test_rate_and_noise_budget_of_detectability_are_those_asked_for(shell):
+    found = {
+        arguments: json.loads(shell("certify", OSCILLATOR, "--detectability", "--json", *arguments).out)
+        for arguments in (("--eta", 0.5), (), ("--noise-budget", 5))
+    }
+    assert found["--eta", 0.5]["eta"] == 0.5
+    assert found["--noise-budget", 5]["eta"] < found[()]["eta"]
+    assert found["--noise-budget", 5]["c_w"] == pytest.approx(found[()]["c_w"] / 2)
+
+
+def test_a_false_detectability_file_is_a_no_with_direction(shell, tmp_path):
+    from sampling_design.certificates.files import digest
+
+    shell("certify", OSCILLATOR, "--detectability", "-o", tmp_path)
+    data = json.loads((tmp_path / "certificate.json").read_text())
+    data["c_w"] *= 0.99
+    data["digest"] = digest(data)
+    (tmp_path / "false.json").write_text(json.dumps(data))
+    for flags in ((), ("--rigorous",)):
+        result = shell("verify", tmp_path / "false.json", *flags)
+        assert result.code == 1
+        assert "fails by" in " ".join(result.out.split())
+        assert "direction" in result.out
+
+
+def test_an_undetectable_plant_is_refused_with_its_mode(shell, tmp_path):
+    (tmp_path / "blind.toml").write_text(
+        'format = "sampling-design/plant/1"\ntime_unit = "s"\n[matrices]\nA = [[0.2]]\nC = [[0.0]]\n'
+    )
+    result = shell("certify", tmp_path / "blind.toml", "--detectability")
+    assert result.code == 1
+    assert "Not detectable: no output sees" in result.err
+    assert "0.2" in result.err
+
+
+def test_detectability_goes_without_schedules(shell, tmp_path):
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    result = shell("certify", OSCILLATOR, tmp_path / "even.csv", "--detectability")
+    assert result.code == 2
+    assert result.err == (
+        "sampling-design: `--detectability` is about the plant alone and goes without a SCHEDULE file.\n"
+    )
+    for family in ({"gap_range": (1.0, 2.0)}, {"spaced": (2.0, 2, 0.5)}, {"jitter": 0.1}, {"lost": (1, 3)}):
+        flag = next(iter(family)).replace("_", "-")
+        with pytest.raises(ArgumentError, match=f"is about the plant alone and goes without `--{flag}`"):
+            certify(Settings(), OSCILLATOR, detectability=True, **family)
+
+
+def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path):
+    shell("certify", OSCILLATOR, "--detectability", "-o", tmp_path)
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    (tmp_path / "seen.csv").write_text("time,position,force_per_mass\n0.5,1.0,0\n1.5,0.2,0\n")
+    file = tmp_path / "certificate.json"
+    for arguments in (
+        ("estimate", OSCILLATOR, tmp_path / "seen.csv", "--certificate", file),
+        ("validate", OSCILLATOR, tmp_path / "even.csv", "--certificate", file),
+        ("survive", OSCILLATOR, file),
+    ):
+        result = shell(*arguments, "--quiet")
+        assert result.code == 2, arguments
+        assert "proves that the plant is detectable, which promises nothing about samples" in result.err
+        assert result.err.count("\n") == 1
+    with pytest.raises(ArgumentError, match="which promises nothing about samples: make one with"):
+        sampling_certificate(file, read_plant(OSCILLATOR))

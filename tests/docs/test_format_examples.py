@@ -5,7 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design import Plant, Signals, read_measurements, read_plant, read_requirement, read_schedule
+from sampling_design import (
+    Plant,
+    Signals,
+    load_certificate,
+    read_measurements,
+    read_plant,
+    read_requirement,
+    read_schedule,
+)
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
 
@@ -51,3 +59,11 @@ def test_the_measurements(tmp_path):
     np.testing.assert_allclose(np.diff(found.times), [10.75])  # 08:30 to 19:15, both in UTC
     np.testing.assert_array_equal(np.isnan(found.y[:, 0]), [False, True])
     np.testing.assert_array_equal(found.u[:, 0], [0.0, 50.0])
+
+
+def test_the_detectability_certificate(tmp_path):
+    path = tmp_path / "certificate.json"
+    path.write_text(example("Certificate (JSON)", "json"))
+    found = load_certificate(path, plant=Plant([[1.0]], [[1.0]]))
+    assert (found.eta, found.c_w, found.c_y, found.margin, found.method) == (1.0, 1.0, 4.5, 0.01, "given")
+    assert found.verify().passed

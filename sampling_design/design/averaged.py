@@ -3,7 +3,7 @@
 With d_i the distance from a sample to its i-th follower, averages over origins of any f_i(d_i) obey two
 laws. The mean of d_i is i P/k, so that a tilt mu_i (d_i - i P/k) may be added. And followers i and k - i
 come in pairs d and P - d, so that g may be replaced by its mirror mean. Every schedule that may be turned
-(see `largest_gap`) then has sigma^2 <= g(0) + max over chains d_1 < ... < d_{k-1} of the sum of
+(see `zones`) then has sigma^2 <= g(0) + max over chains d_1 < ... < d_{k-1} of the sum of
 g(d_i) + mu_i (d_i - i P/k): exact for even spacing where g is concave enough, which the tilt allows.
 """
 
@@ -28,7 +28,8 @@ from sampling_design.design.bound import (
     value_at,
 )
 from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import Relaxation, feasible_multipliers, grams_at
+from sampling_design.design.relaxation import TOLERANCE, Relaxation, feasible_multipliers, grams_at
+from sampling_design.design.zones import follower_zones, widest_gap
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -37,21 +38,11 @@ _STARTS = 24  # window starts after the origin
 _JUST_BEFORE = 1e-9  # of the period: a window that starts this much earlier still holds the origin
 
 
-def follower_zones(problem: DesignProblem, high: float) -> Array:
-    """(k-1, 2): where follower i = 1..k-1 of any sample can lie if no gap exceeds `high`."""
-    k, P, eps = problem.samples, problem.period, problem.spacing
-    i = np.arange(1, k)
-    first = np.maximum(i * eps, P - (k - i) * high)
-    last = np.minimum(i * high, P - (k - i) * eps)
-    tiny = 1e-12 * P
-    return np.stack([np.maximum(first - tiny, 0.0), np.minimum(np.maximum(last, first) + tiny, P)], axis=1)
-
-
-def relax_averaged(problem: DesignProblem, high: float) -> tuple[Relaxation, Array]:
+def relax_averaged(problem: DesignProblem, zones: Array) -> tuple[Relaxation, Array]:
     """Maximise t over the laws of the followers' distances; multipliers and the tilt mu (k-1,)."""
     rows, k, P = problem.rows, problem.samples, problem.period
     half = k // 2
-    zone = follower_zones(problem, high)[:half].copy()
+    zone = follower_zones(problem, zones)[:half].copy()
     if k % 2 == 0:
         zone[-1, 1] = P / 2
     count = int(np.clip(_VARIABLES // max(half, 1), 8, 40))
@@ -75,7 +66,7 @@ def relax_averaged(problem: DesignProblem, high: float) -> tuple[Relaxation, Arr
         blocks.append(("psd", np.hstack([-_conic.svec(pair[m]).T, roof]), _conic.svec(anchor[m])))
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7)
+    found = _conic.solve_cone_program(cost, blocks, tolerance=TOLERANCE)
     Z, mass = feasible_multipliers(problem, found.z[len(blocks) - starts.size :])
     tilt = np.zeros(k - 1)
     if tilted:  # the multiplier of a mean serves follower i and, mirrored, follower k - i
@@ -85,13 +76,13 @@ def relax_averaged(problem: DesignProblem, high: float) -> tuple[Relaxation, Arr
     return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record), tilt
 
 
-def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array, high: float) -> float:
-    """Bound sigma of every schedule of this count and spacing whose gaps do not exceed `high`."""
+def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array, zones: Array) -> float:
+    """Bound sigma of every schedule whose samples lie in `zones` after the one that is turned to 0."""
     k, P = problem.samples, problem.period
     alone = float(value_at(problem, starts, Z, np.zeros(1)).sum())
     if k == 1:
         return rooted(alone)
-    zone = follower_zones(problem, high)
+    zone = follower_zones(problem, zones)
     width = cells(problem, 0.0, P)
     arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), width.width, width.apart)
     marks = np.concatenate([jump_times(problem, starts), arc.edges])
@@ -109,7 +100,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
         roof = np.maximum(tilted[:-1], tilted[1:]) + rest
         inside = (edges[1:] >= a) & (edges[:-1] <= b)
         layers.append(cell_values(arc, edges, np.where(inside, roof, -np.inf)))
-    return rooted(alone + best_layers(layers, arc, high))
+    return rooted(alone + best_layers(layers, arc, widest_gap(problem, zones)))
 
 
 def _nearest(edges: Array, wanted: Array) -> npt.NDArray[np.intp]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,38 +12,38 @@ import numpy.typing as npt
 from sampling_design._linalg import expm_batch
 from sampling_design.design.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bound import placed_bound
-from sampling_design.design.largest_gap import applies, gap_range, relax_zones, zone_bound
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.relaxation import Relaxation
+from sampling_design.design.zone_bound import ZoneRelaxation, relax_zones, zone_bound
+from sampling_design.design.zones import SIDES, Side, covered, origin_zones, tightened, turnable
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.floating[Any]]
-Method = Literal["placed", "averaged", "largest gap"]
-Progress = Callable[[float, str], None]
+Method = Literal["placed", "averaged", "zones"]
 
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
 
-_PATIENCE = 2  # splits in a row that win less than a fiftieth of the gap: more would be waste
-_FIRST_CUTS = (1.2, 1.3, 1.45, 2.0)  # of the largest gap, in mean gaps: about there the two bounds change places
+
+def _none() -> Array:
+    return np.zeros((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
 class BoundPart:
-    """Multipliers that bound all schedules whose largest gap lies in [low, high].
+    """Multipliers that bound all schedules whose followers of the origin lie in `zones` (k-1, 2).
 
     `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
     windows that start at `starts`; `tilt` (k-1,) only for the method "averaged". "placed" bounds all
-    schedules, whatever their gaps, and is the only method that knows forbidden and several fixed times;
-    `price` is its multiplier of the cost limit.
+    schedules, wherever their samples lie, and is the only method that knows forbidden and several fixed
+    times; `price` is its multiplier of the cost limit.
     """
 
     method: Method
-    low: float
-    high: float
     starts: Array
     weights: Array
-    tilt: Array
+    zones: Array = field(default_factory=_none)
+    tilt: Array = field(default_factory=lambda: np.zeros(0))
     value: float = np.inf
     price: float = 0.0
 
@@ -60,25 +58,21 @@ class BoundPart:
         Z = R @ (self.weights / total) @ R.T
         if self.method == "placed":
             return placed_bound(problem, self.starts, Z, self.price)
-        if not applies(problem):
+        if not turnable(problem) or self.zones.shape != (problem.samples - 1, 2):
             return np.inf
+        zones = tightened(problem, self.zones)
+        if zones is None:
+            return 0.0
         if self.method == "averaged":
             if self.tilt.size != problem.samples - 1:
                 return np.inf
-            return averaged_bound(problem, self.starts, Z, self.tilt, self.high)
-        return zone_bound(problem, self.starts, Z, self.low, self.high)
+            return averaged_bound(problem, self.starts, Z, self.tilt, zones)
+        return zone_bound(problem, self.starts, Z, zones)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "tilt")}
-        return {
-            "method": self.method,
-            "low": self.low,
-            "high": self.high,
-            "value": self.value,
-            "price": self.price,
-            **plain,
-        }
+        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt")}
+        return {"method": self.method, "value": self.value, "price": self.price, **plain}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +84,14 @@ class UpperBound:
     value : float
         The largest of the parts' bounds.
     parts : tuple of BoundPart
-        One part that covers all schedules, or several that cover every size of the largest gap.
+        One part that covers all schedules, or several whose zones cover them.
+    side : str
+        Whether the zones count from the sample after which all others come "late", or "early".
     """
 
     value: float
     parts: tuple[BoundPart, ...]
+    side: Side = "late"
 
     @property
     def method(self) -> str:
@@ -103,13 +100,22 @@ class UpperBound:
 
     def value_for(self, problem: DesignProblem) -> float:
         """Work the bound out anew from the multipliers; infinite where the parts leave schedules uncovered."""
-        if not _covers(self.parts, problem):
+        if not self._covers(problem):
             return np.inf
         return max(part.value_for(problem) for part in self.parts)
 
+    def _covers(self, problem: DesignProblem) -> bool:
+        """Whether the parts leave no schedule out."""
+        if any(part.method == "placed" for part in self.parts):
+            return len(self.parts) == 1
+        fits = all(part.zones.shape == (problem.samples - 1, 2) for part in self.parts)
+        if not self.parts or not fits or not turnable(problem):
+            return False
+        return covered(problem, origin_zones(problem, self.side), [part.zones for part in self.parts])
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
+        return {"value": self.value, "side": self.side, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> UpperBound:
@@ -118,31 +124,18 @@ class UpperBound:
         Raises
         ------
         ArgumentError
-            If a part names an unknown method.
+            If a part names an unknown method, or `side` is neither "late" nor "early".
         """
+        if data["side"] not in SIDES:
+            raise ArgumentError(f"a bound's `side` must be late or early, got {data['side']!r}.")
         parts = []
         for entry in data["parts"]:
-            if entry["method"] not in ("placed", "averaged", "largest gap"):
-                raise ArgumentError(
-                    f"a bound's `method` must be placed, averaged or largest gap, got {entry['method']!r}."
-                )
+            if entry["method"] not in ("placed", "averaged", "zones"):
+                raise ArgumentError(f"a bound's `method` must be placed, averaged or zones, got {entry['method']!r}.")
             arrays = {key: np.array(entry[key], dtype=float) for key in ("starts", "weights", "tilt")}
-            parts.append(BoundPart(**{**entry, **arrays}))
-        return cls(float(data["value"]), tuple(parts))
-
-
-def _covers(parts: tuple[BoundPart, ...], problem: DesignProblem) -> bool:
-    """Whether the parts leave no schedule out."""
-    if len(parts) == 1 and parts[0].method == "placed":
-        return True
-    low, high = gap_range(problem)
-    reached = low
-    for part in sorted(parts, key=lambda p: p.low):
-        start = low if part.method == "averaged" else part.low  # "averaged" holds for all gaps up to `high`
-        if start > reached * (1 + 1e-12):
-            return False
-        reached = max(reached, part.high)
-    return bool(parts) and reached >= high * (1 - 1e-12)
+            zones = np.array(entry["zones"], dtype=float).reshape(-1, 2)
+            parts.append(BoundPart(**{**entry, **arrays, "zones": zones}))
+        return cls(float(data["value"]), tuple(parts), data["side"])
 
 
 def _part(
@@ -150,8 +143,7 @@ def _part(
     method: Method,
     starts: Array,
     Z: Array,
-    low: float = 0.0,
-    high: float = 0.0,
+    zones: Array | None = None,
     tilt: Array | None = None,
 ) -> BoundPart:
     """A part from multipliers in the scaled basis."""
@@ -163,8 +155,8 @@ def _part(
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
-    bare = BoundPart(method, low, high, starts, weights, slope)
-    return BoundPart(method, low, high, starts, weights, slope, bare.value_for(problem))
+    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, slope)
+    return replace(bare, value=bare.value_for(problem))
 
 
 def placed_part(problem: DesignProblem, found: Relaxation) -> BoundPart:
@@ -196,9 +188,10 @@ def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
     return replace(part, price=price, value=best)
 
 
-def averaged_part(problem: DesignProblem, low: float, high: float) -> BoundPart:
-    """Bound from windows after every sample, for all schedules without a gap above `high`."""
-    found, tilt = relax_averaged(problem, high)
+def averaged_part(problem: DesignProblem, zones: Array) -> BoundPart:
+    """Bound from windows after every sample, for all schedules in `zones`."""
+    tight = tightened(problem, zones)
+    found, tilt = relax_averaged(problem, zones if tight is None else tight)
     first = found.starts >= problem.period * (1 - 1e-6)
     step = problem.period / max(found.starts.size - 1, 1)
     alone = first | (found.starts == 0.0)
@@ -206,79 +199,31 @@ def averaged_part(problem: DesignProblem, low: float, high: float) -> BoundPart:
     spread = np.concatenate([found.starts[alone], *moved])
     Z = np.concatenate([found.Z[alone], *([found.Z[~alone] / _SPREAD] * _SPREAD)])
     parts = [
-        _part(problem, "averaged", found.starts, found.Z, low, high, tilt),
-        _part(problem, "averaged", spread, Z, low, high, tilt),
+        _part(problem, "averaged", found.starts, found.Z, zones, tilt),
+        _part(problem, "averaged", spread, Z, zones, tilt),
     ]
     return min(parts, key=lambda p: p.value)
 
 
-def zone_part(problem: DesignProblem, low: float, high: float) -> BoundPart:
-    """Bound for the schedules whose largest gap lies in [low, high], turned so that it comes first."""
-    found = relax_zones(problem, low, high)
-    return _part(problem, "largest gap", found.starts, found.Z, low, high)
+def zone_part(problem: DesignProblem, zones: Array, hints: Array) -> tuple[BoundPart, ZoneRelaxation] | None:
+    """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
+    tight = tightened(problem, zones)
+    if tight is None:
+        return None
+    relaxed = relax_zones(problem, tight, hints)
+    return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones), relaxed
 
 
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
-    """The smaller of the bounds that cover all schedules at once; after `deadline` the first one alone."""
-    parts = [placed_part(problem, placed)]
-    if applies(problem) and time.perf_counter() <= deadline:
-        parts.append(averaged_part(problem, *gap_range(problem)))
-    best = min(parts, key=lambda p: p.value)
-    return UpperBound(best.value, (best,))
+    """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
+    bounds = [_alone(placed_part(problem, placed), "late")]
+    if turnable(problem) and time.perf_counter() <= deadline:
+        for side in SIDES:
+            root = zone_part(problem, origin_zones(problem, side), np.zeros(0))
+            if root is not None:
+                bounds.append(_alone(root[0], side))
+    return min(bounds, key=lambda b: b.value)
 
 
-def narrowed(
-    problem: DesignProblem,
-    bound: UpperBound,
-    target: float,
-    steps: int,
-    deadline: float = np.inf,
-    progress: Progress | None = None,
-    rtol: float = 2e-3,
-) -> UpperBound:
-    """Branch on the largest gap until the bound is within `rtol` of `target`, `steps` are done or time is up."""
-    priced = any(part.price > 0 for part in bound.parts)  # branches know no price: they would only lose
-    if not applies(problem) or priced or bound.value <= target * (1 + rtol):
-        return bound
-    low, high = gap_range(problem)
-    cuts = [low, *(c * low for c in _FIRST_CUTS if c * low < 0.95 * high), high]
-    parts: list[BoundPart] = []
-    for a, b in pairwise(cuts):
-        if time.perf_counter() > deadline:
-            return bound
-        parts.append(_better(problem, a, b, target, bound.parts))
-    stalled = 0
-    for step in range(steps):
-        worst = max(range(len(parts)), key=lambda i: parts[i].value)
-        top = parts[worst]
-        done = top.value <= target * (1 + rtol) or top.high - top.low < 1e-3 * low
-        if done or stalled == _PATIENCE or time.perf_counter() > deadline:
-            break
-        middle = top.low + (0.25 if top.low <= low else 0.5) * (top.high - top.low)
-        halves = ((top.low, middle), (middle, top.high))
-        parts[worst : worst + 1] = [_better(problem, a, b, target, (top,)) for a, b in halves]
-        gain = top.value - max(part.value for part in parts)
-        stalled = stalled + 1 if gain < 0.02 * (top.value - target) else 0
-        if progress:
-            progress((step + 1) / steps, f"bound {max(p.value for p in parts):.6g}, found {target:.6g}")
-    value = max(part.value for part in parts)
-    return UpperBound(value, tuple(parts)) if value < bound.value else bound
-
-
-def _better(
-    problem: DesignProblem, low: float, high: float, target: float, known: tuple[BoundPart, ...] = ()
-) -> BoundPart:
-    """The smallest bound for one interval; multipliers known from a wider one hold there too, and may be the better.
-
-    The averaged bound is worked out only where the first is not enough.
-    """
-    inherited = [part for part in known if part.method != "placed"]
-    parts = [zone_part(problem, low, high), *(_narrower(problem, part, low, high) for part in inherited)]
-    best = min(parts, key=lambda p: p.value)
-    return best if best.value <= target else min(best, averaged_part(problem, low, high), key=lambda p: p.value)
-
-
-def _narrower(problem: DesignProblem, part: BoundPart, low: float, high: float) -> BoundPart:
-    """The same multipliers for a part of the interval."""
-    bare = replace(part, low=low, high=high)
-    return replace(bare, value=bare.value_for(problem))
+def _alone(part: BoundPart, side: Side) -> UpperBound:
+    return UpperBound(part.value, (part,), side)

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._units import time_factor
-from sampling_design.design.bounds import UpperBound, first_bound, narrowed
+from sampling_design.design.bounds import UpperBound, first_bound
+from sampling_design.design.branching import narrowed
 from sampling_design.design.costs import affordable, relax_costly
 from sampling_design.design.posing import pose, resolve
 from sampling_design.design.problem import DesignProblem
@@ -32,8 +33,8 @@ Progress = Callable[[float, str], None]
 STARTS = 8
 """Starts that are refined by default."""
 
-BRANCHES = 6
-"""Splits of the largest gap by default."""
+BRANCHES = 20
+"""Boxes of schedules that are cut in two by default, to narrow the upper bound."""
 
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
@@ -67,7 +68,7 @@ def design_schedule(
     starts : int
         Starts that are refined, beside the even and the rounded ones.
     branches : int
-        Splits of the largest gap that narrow the upper bound; 0 keeps the plain relaxations' bound.
+        Boxes of schedules that are cut in two to narrow the upper bound; 0 keeps the plain relaxations' bound.
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
@@ -96,7 +97,7 @@ def design_schedule(
     schedule over all real times with this count of samples (not only on a grid).
     *Method.* Semidefinite relaxations on grids give weights and multipliers. The multipliers give the bound
     by weak duality, re-normalised and maximised over real times, so that no solver is trusted; where the
-    requirement may be shifted in time, branching on the largest gap narrows it. The weights are rounded;
+    requirement may be shifted in time, branching on how late each sample can be narrows it. The weights are rounded;
     even, rounded and random starts are refined by sequential semidefinite programs.
     *Numerical aspects.* Everything runs in a basis in which the windows' Gram matrices are near the
     identity; a congruence keeps the inequalities.

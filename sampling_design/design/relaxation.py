@@ -16,6 +16,9 @@ from sampling_design.evidence import SolverRecord
 
 Array = npt.NDArray[np.floating[Any]]
 
+TOLERANCE = 1e-7
+"""Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
+
 _ENTRIES = 700  # rows of all windows' inequalities together, about
 
 
@@ -108,6 +111,7 @@ def solve_relaxation(
     linear: tuple[Array, Array],
     count: float,
     seconds: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Relaxation:
     """Maximise t subject to sum w = count, rows w <= limits, w >= 0 and the windows' inequalities."""
     rows = problem.rows
@@ -123,7 +127,7 @@ def solve_relaxation(
     roof = _conic.svec(rows.N)[:, None]
     for m in range(starts.size):
         blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
+    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds)
     Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
     return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)

@@ -8,8 +8,9 @@ from sampling_design import Plant
 from sampling_design.design import bound
 from sampling_design.design.averaged import averaged_bound
 from sampling_design.design.bounds import BoundPart, UpperBound
-from sampling_design.design.largest_gap import applies, gap_range, zone_bound, zones
 from sampling_design.design.problem import DesignProblem
+from sampling_design.design.zone_bound import zone_bound
+from sampling_design.design.zones import origin_zones, tightened, turnable
 from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule
 
@@ -53,24 +54,34 @@ def schedules(case, rng):
     yield np.sort(rng.choice(10, case.samples, replace=False)) * case.period / 10
 
 
+def origin_of(case, times, side):
+    """The sample after which all come late, or early, by definition."""
+    late = times - np.arange(case.samples) * case.period / case.samples
+    return int(np.argmin(late) if side == "late" else np.argmax(late))
+
+
+def early_half(case, times):
+    """A box of zones that holds the schedule seen from its early origin, and little else."""
+    after = np.sort(np.mod(times - times[origin_of(case, times, "early")], case.period))[1:]
+    zones = origin_zones(case, "early")
+    return tightened(case, np.clip(np.stack([after - 0.1, after + 0.2], axis=1), zones[:, :1], zones[:, 1:]))
+
+
 @pytest.mark.parametrize(("window", "period"), [(4.0, 4.0), (4.0, 3.2), (2.5, 4.0), (9.0, 4.0)])
 def test_every_bound_exceeds_the_plain_sum(window, period):
     rng = np.random.default_rng(5)
     case = problem(window, period)
     starts, Z = multipliers(case, rng, 6)
     tilt = rng.normal(size=4) * 0.01
-    low, high = gap_range(case)
     placed = bound.placed_bound(case, starts, Z) ** 2
-    averaged = averaged_bound(case, starts, Z, tilt, high) ** 2
     for times in schedules(case, rng):
-        gaps = np.diff(np.append(times, times[0] + period))
-        turns = [plain_sum(case, starts, Z, times, origin) for origin in times]
         assert plain_sum(case, starts, Z, times) <= placed * (1 + 1e-8)
-        assert np.mean(turns) <= averaged * (1 + 1e-8)
-        assert np.mean(turns) <= averaged_bound(case, starts, Z, tilt, gaps.max()) ** 2 * (1 + 1e-8)
-        widest = int(np.argmax(gaps))
-        narrow = zone_bound(case, starts, Z, max(low, gaps.max() * 0.99), gaps.max() * 1.01) ** 2
-        assert turns[widest] <= narrow * (1 + 1e-8)
+        turns = [plain_sum(case, starts, Z, times, origin) for origin in times]
+        for side, zones in (("late", tightened(case, origin_zones(case, "late"))), ("early", early_half(case, times))):
+            averaged = averaged_bound(case, starts, Z, tilt, zones) ** 2
+            assert np.mean(turns) <= averaged * (1 + 1e-8)
+            origin = origin_of(case, times, side)
+            assert turns[origin] <= zone_bound(case, starts, Z, zones) ** 2 * (1 + 1e-8)
 
 
 def test_bound_with_forbidden_fixed_and_partly_available_times():
@@ -119,39 +130,44 @@ def test_reachable_is_a_sliding_maximum():
         assert np.array_equal(bound.reachable(x, near, far), plain)
 
 
-def test_zones_hold_every_schedule_with_that_largest_gap():
-    case = problem()
-    rng = np.random.default_rng(9)
-    for _ in range(50):
-        times = random_schedule(rng, 4.0, 0.3, 5)
-        gaps = np.diff(np.append(times, times[0] + 4.0))
-        j = int(np.argmax(gaps))
-        later = np.cumsum(np.roll(gaps, -j))[:-1]
-        zone = zones(case, gaps[j], gaps[j])
-        assert np.all(later >= zone[:, 0])
-        assert np.all(later <= zone[:, 1])
-
-
 def test_multipliers_that_prove_nothing_give_an_infinite_bound():
     case = problem()
-    low, high = gap_range(case)
-    good = BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4))
+    every = origin_zones(case, "late")
+    good = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, every, np.zeros(4))
     assert np.isfinite(UpperBound(1.0, (good,)).value_for(case))
-    indefinite = BoundPart("averaged", low, high, np.zeros(1), np.diag([1.0, 1.0, -0.5])[None], np.zeros(4))
+    indefinite = BoundPart("averaged", np.zeros(1), np.diag([1.0, 1.0, -0.5])[None], every, np.zeros(4))
     assert UpperBound(1.0, (indefinite,)).value_for(case) == np.inf
-    short = BoundPart("averaged", low, high * 0.9, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4))
-    assert UpperBound(1.0, (short,)).value_for(case) == np.inf  # larger gaps are left uncovered
-    assert not applies(problem(forbidden=[[0.0, 1.0]]))
+    assert BoundPart("averaged", np.zeros(1), np.eye(3)[None], every, np.zeros(2)).value_for(case) == np.inf
+    less = every.copy()
+    less[2, 1] -= 0.1
+    part = BoundPart("zones", np.zeros(1), np.eye(3)[None] / 3, less)
+    assert np.isfinite(part.value_for(case))
+    assert UpperBound(1.0, (part,)).value_for(case) == np.inf  # a late third sample is left uncovered
+    assert (
+        UpperBound(1.0, (BoundPart("zones", np.zeros(1), np.eye(3)[None], every),), "early").value_for(case) == np.inf
+    )
+    assert not turnable(problem(forbidden=[[0.0, 1.0]]))
     assert good.value_for(problem(forbidden=[[0.0, 1.0]])) == np.inf
-    assert BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None], np.zeros(2)).value_for(case) == np.inf
+    assert UpperBound(1.0, (good,)).value_for(problem(forbidden=[[0.0, 1.0]])) == np.inf
+    assert good.value_for(problem(samples=4)) == np.inf
+    assert UpperBound(1.0, ()).value_for(case) == np.inf
+
+
+def test_a_part_without_schedules_bounds_them_by_nothing():
+    case = problem()
+    zones = origin_zones(case, "late")
+    zones[1] = 3.99, 4.0
+    assert BoundPart("zones", np.zeros(1), np.eye(3)[None], zones).value_for(case) == 0.0
 
 
 def test_a_bound_survives_its_own_dictionary():
-    low, high = gap_range(problem())
-    part = BoundPart("averaged", low, high, np.zeros(1), np.eye(3)[None] / 3, np.zeros(4), 2.0)
-    again = UpperBound.from_dict(UpperBound(2.0, (part,)).to_dict())
+    part = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, origin_zones(problem(), "late"), np.zeros(4), 2.0)
+    whole = UpperBound(2.0, (part,))
+    again = UpperBound.from_dict(whole.to_dict())
     assert again.value == 2.0
     assert again.method == "averaged"
-    assert again.value_for(problem()) == UpperBound(2.0, (part,)).value_for(problem())
-    with pytest.raises(ArgumentError, match="a bound's `method` must be placed, averaged or largest gap, got 'guess'"):
-        UpperBound.from_dict({"value": 1.0, "parts": [{**part.to_dict(), "method": "guess"}]})
+    assert again.value_for(problem()) == whole.value_for(problem())
+    with pytest.raises(ArgumentError, match="a bound's `method` must be placed, averaged or zones, got 'guess'"):
+        UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
+    with pytest.raises(ArgumentError, match="a bound's `side` must be late or early, got 'left'"):
+        UpperBound.from_dict({**whole.to_dict(), "side": "left"})

@@ -39,6 +39,7 @@ class DisturbanceReach:
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
+        self._size = float(np.linalg.norm(self.plant.A, 2))
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
             if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
@@ -68,16 +69,14 @@ class DisturbanceReach:
 
     def _outer(self, flow: Flow) -> ConvexSet:
         width = flow.root.shape[1]
-        pure_ball = self.w.rows.shape[0] == 0 and self.w.bounded.size == 0
-        box = None if pure_ball else ConvexSet.box(*support_box(self.plant, flow, *self._box))
-        if not np.isfinite(self._radius):
-            assert box is not None
-            return box
-        length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
-        ball = ConvexSet.ball(self._radius * length, dimension=width)
-        if box is None:
-            return ball
-        return ConvexSet.known(box.lower, box.upper, box.rows, box.offsets, ball.balls)
+        lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
+        if self.w.rows.shape[0] or self.w.bounded.size:
+            lower, upper = support_box(self.plant, flow, *self._box, self._size)
+        balls: tuple[Ball, ...] = ()
+        if np.isfinite(self._radius):
+            length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
+            balls = (Ball(self._radius * length, np.zeros(width), np.eye(width)),)
+        return ConvexSet.known(lower, upper, np.zeros((0, width)), np.zeros(0), balls)
 
     def _exact(self, flow: Flow) -> ConvexSet:
         """The set of w itself, in the coordinates w = half omega."""
@@ -92,8 +91,8 @@ class DisturbanceReach:
         return ConvexSet.known(-whole, whole, rows, offsets, balls)
 
 
-def support_box(plant: Plant, flow: Flow, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`.
+def support_box(plant: Plant, flow: Flow, lower: Array, upper: Array, size: float) -> tuple[Array, Array]:
+    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`; `size` = |A|_2.
 
     Notes
     -----
@@ -102,28 +101,27 @@ def support_box(plant: Plant, flow: Flow, lower: Array, upper: Array) -> tuple[A
     where phi may change sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|.
     """
     middle, half = (lower + upper) / 2, (upper - lower) / 2
-    size = float(np.linalg.norm(plant.A, 2))
     count = int(np.clip(np.ceil(size * flow.gap / CELL), *CELL_RANGE))
     d = flow.gap / count
     moved = _middles(plant, d, count)
-    phi = np.abs(flow.whiten @ moved)
-    slope = np.abs(flow.whiten @ plant.A @ moved)
-    bend = np.linalg.norm(flow.whiten @ plant.A @ plant.A, axis=1) * np.exp(size * d / 2)
-    second = bend[None, :, None] * np.linalg.norm(moved, axis=1)[:, None, :]
+    first = flow.whiten @ plant.A
+    phi, slope = np.abs(flow.whiten @ moved), np.abs(first @ moved)
+    bend = np.linalg.norm(first @ plant.A, axis=1) * np.exp(size * d / 2)
+    second = np.outer(bend, np.sqrt(np.einsum("ij,ij->j", moved, moved)))
     turning = phi < slope * d / 2 + second * d * d / 8
-    area = np.sum(d * phi + d**3 / 24 * second + np.where(turning, d * d / 4 * slope, 0.0), axis=0)
-    centre, reach = _steady(plant, flow, middle), area @ half
+    parts = d * phi + d**3 / 24 * second + np.where(turning, d * d / 4 * slope, 0.0)
+    centre, reach = _steady(plant, flow, middle), parts.reshape(parts.shape[0], count, -1).sum(axis=1) @ half
     return centre - reach, centre + reach
 
 
 def _middles(plant: Plant, d: float, count: int) -> Array:
-    """e^{A (k + 1/2) d} G for k < count, (count, n, q), by doubling."""
-    half, power = expm_batch(plant.A, [d / 2, d])
-    moved = (half @ plant.G)[None]
-    while moved.shape[0] < count:
-        moved = np.concatenate([moved, power @ moved])
+    """e^{A (k + 1/2) d} G for k < count side by side, (n, count q), by doubling."""
+    half = expm_batch(plant.A, [d / 2])[0]
+    moved, power = half @ plant.G, half @ half
+    while moved.shape[1] < count * plant.n_disturbances:
+        moved = np.concatenate([moved, power @ moved], axis=1)
         power = power @ power
-    return moved[:count]
+    return moved[:, : count * plant.n_disturbances]
 
 
 def _steady(plant: Plant, flow: Flow, w: Array) -> Array:

@@ -134,7 +134,7 @@ class KalmanFilter(OpenLoopEstimator):
             *(np.array([getattr(node, key) for node in rows]) for key in ("y", "mask", "feedthrough")),
         )
         found = smooth(window)
-        kernel, covariance = found.kernel(), [found.covariance]
+        kernel, covariance = found.spread.kernel(), [found.covariance]
         for G, S in zip(kernel.gains[::-1], kernel.roots[-2::-1], strict=True):
             covariance.append(symmetrise(G @ covariance[-1] @ G.T + S @ S.T))
         last, estimates = nodes[-1].estimate, []

@@ -1,17 +1,17 @@
-"""Engines for min |z|^2 under rows and cones: an active-set method, an interior-point method, and a polish for both.
+"""Engines for min |z|^2 under rows and cones: an active-set method, and an interior-point method with Newton's.
 
 Every bound on the least value comes from weak duality with multipliers of the right sign, whatever the engine says.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _conic
-from sampling_design.estimators.constraints import LeastDistance
+from sampling_design.estimators.posed import LeastDistance
 
 Array = npt.NDArray[np.float64]
 
@@ -21,29 +21,38 @@ ACCEPTED = 1e-9
 SOLVER_TOLERANCE = 1e-12
 """Asked of the engines; what comes back is judged by ACCEPTED."""
 
-ACTIVE = (1e-7, 1e-5, 1e-9, 1e-3)
-"""Shares of the largest multiplier above which one counts as active in the polish, tried in this order."""
+EXACT = 1e-13
+"""A relative duality gap and an infeasibility that may be rounding."""
 
-EXACT = 1e-14
-"""A relative duality gap and an infeasibility that need no further polish."""
+STILL = 1e-9
+"""A Newton step, relative to |z|, after which the next one would be rounding: it is about the square of this one."""
 
-POLISH_STEPS = 6
+NEWTON_STEPS = 10
 
 
 class Found(NamedTuple):
-    """A point z, a lower bound on the least |z|^2, and which engine brought it."""
+    """A point z, how far it is from feasible, |z|^2, a lower bound on the least |z|^2, and the engine."""
 
     z: Array
+    excess: float
+    square: float
     dual: float
     engine: str
 
+    @property
+    def gap(self) -> float:
+        """Relative duality gap; the squared distance to the minimiser is at most that times max(1, |z|^2)."""
+        return (self.square - self.dual) / max(1.0, self.square)
 
-def is_accepted(problem: LeastDistance, found: Found) -> bool:
-    """Whether a point is feasible and optimal, whatever its engine says of it."""
-    excess = infeasibility(problem, found.z)
-    square = float(found.z @ found.z)
-    size = max(1.0, float(np.sqrt(square)))
-    return excess <= ACCEPTED * size and square - found.dual <= ACCEPTED * max(1.0, square)
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the point is feasible and optimal, whatever its engine says of it."""
+        return self.excess <= ACCEPTED * max(1.0, self.square**0.5) and self.gap <= ACCEPTED
+
+
+def judged(problem: LeastDistance, z: Array, rows: Array, cones: Array, engine: str) -> Found:
+    """Return the point z with what multipliers prove of it."""
+    return Found(z, infeasibility(problem, z), float(z @ z), dual_value(problem, rows, cones), engine)
 
 
 def infeasibility(problem: LeastDistance, z: Array) -> float:
@@ -51,7 +60,7 @@ def infeasibility(problem: LeastDistance, z: Array) -> float:
     worst = 0.0
     if problem.A.shape[0]:
         value = problem.A @ z
-        worst = max(worst, float(np.max(value - problem.upper)), float(np.max(problem.lower - value)))
+        worst = max(worst, float((value - problem.upper).max()), float((problem.lower - value).max()))
     for M, c, radius in problem.cones:
         distance = float(np.linalg.norm(M @ z + c))
         worst = max(worst, (distance - radius) / max(radius, float(np.linalg.norm(c)), np.finfo(float).tiny))
@@ -64,11 +73,12 @@ def dual_value(problem: LeastDistance, rows: Array, cones: Array) -> float:
     With cone i as (|M_i z + c_i|^2 - r_i^2)/2 <= 0 the Lagrangian is a convex quadratic in z, and its minimum is
     a bound whatever the multipliers are.
     """
-    up, low = rows > 0, rows < 0
-    if np.isinf(problem.upper[up]).any() or np.isinf(problem.lower[low]).any():
+    on = np.flatnonzero(rows)
+    bounds = np.where(rows[on] > 0, problem.upper[on], problem.lower[on])
+    if np.isinf(bounds).any():
         return -np.inf
-    constant = -float(rows[up] @ problem.upper[up]) - float(rows[low] @ problem.lower[low])
-    linear = problem.A.T @ rows
+    constant = -float(rows[on] @ bounds)
+    linear = rows[on] @ problem.A[on]
     used = np.flatnonzero(cones > 0)
     if used.size == 0:
         return 2 * constant - float(linear @ linear)
@@ -86,15 +96,14 @@ def active_set(problem: LeastDistance) -> Found | None:
     """Solve the problem without cones by a dual active-set method."""
     import daqp
 
-    size = problem.A.shape[1]
+    count, size = problem.A.shape
     lower, upper = np.maximum(problem.lower, -1e30), np.minimum(problem.upper, 1e30)
-    sense = np.zeros(lower.size, dtype=np.int32)
-    limits = {"primal_tol": 1e-11, "dual_tol": 1e-12, "iter_limit": 20 * (size + lower.size)}
-    z, _, flag, info = daqp.solve(np.eye(size), np.zeros(size), problem.A, upper, lower, sense, **limits)
+    sense = np.zeros(count, dtype=np.int32)
+    z, _, flag, info = daqp.solve(np.eye(size), np.zeros(size), problem.A, upper, lower, sense, **_limits(problem.A))
     if flag < 1:
         return None
     rows = np.asarray(info["lam"], dtype=np.float64)
-    return _best(problem, np.asarray(z, dtype=np.float64), rows, np.zeros(0), "active set")
+    return judged(problem, np.asarray(z, dtype=np.float64), rows, np.zeros(0), "active set")
 
 
 def conic(problem: LeastDistance) -> Found | None:
@@ -102,7 +111,7 @@ def conic(problem: LeastDistance) -> Found | None:
     from scipy import sparse
 
     cl = _conic.clarabel()
-    size, count = problem.T.shape[2], problem.A.shape[0]
+    size, count = problem.size, problem.A.shape[0]
     has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
     blocks = [problem.A[has_up], -problem.A[has_low]]
     right = [problem.upper[has_up], -problem.lower[has_low]]
@@ -128,53 +137,55 @@ def conic(problem: LeastDistance) -> Found | None:
         # the multiplier of |Mz + c| <= r turned into that of (|Mz + c|^2 - r^2)/2 <= 0
         cones[i] = max(0.0, y[at]) / max(1e-300, float(np.linalg.norm(M, 2))) / radius if radius > 0 else 0.0
         at += 1 + M.shape[0]
-    return _best(problem, z, rows, cones, "conic")
+    return _refined(problem, judged(problem, z, rows, cones, "conic"), cones)
 
 
-def _best(problem: LeastDistance, z: Array, rows: Array, cones: Array, engine: str) -> Found:
-    """Return the best of the polished points that pass, else the point as it came."""
-    best = Found(z, dual_value(problem, rows, cones), engine)
-    gap = abs(_gap(best))
-    for share in ACTIVE:
-        if gap <= EXACT and infeasibility(problem, best.z) <= EXACT:
-            break
-        polished = _polished(problem, z, rows, cones, engine, share)
-        if polished is not None and infeasibility(problem, polished.z) <= ACCEPTED and abs(_gap(polished)) < gap:
-            best, gap = polished, abs(_gap(polished))
-    return best
+def _refined(problem: LeastDistance, found: Found, cones: Array) -> Found:
+    """Newton's method from an interior-point answer, taken if it settles and proves as much.
+
+    A duality gap e leaves the point right to sqrt(e) only; Newton's step, whose size says how far it was, does not.
+    """
+    at = found
+    for _ in range(NEWTON_STEPS):
+        step = _newton(problem, at.z, cones)
+        if step is None:
+            return found
+        moved = float(np.linalg.norm(step[0].z - at.z))
+        at, cones = step
+        if moved <= STILL * max(1.0, at.square**0.5):
+            proven = max(abs(at.gap), at.excess) <= max(abs(found.gap), found.excess, EXACT)
+            return at if proven else found
+    return found
 
 
-def _gap(found: Found) -> float:
-    """Relative duality gap; the squared distance to the minimiser is at most that times max(1, |z|^2)."""
-    square = float(found.z @ found.z)
-    return (square - found.dual) / max(1.0, square)
+def _newton(problem: LeastDistance, z: Array, cones: Array) -> tuple[Found, Array] | None:
+    """Return the next point and its cones' multipliers, which rows and cones are active being the solver's to find.
 
+    min |x|^2 + sum mu_i |M_i (x - z)|^2 under the rows and a_i'M_i (x - z) <= (r_i^2 - |a_i|^2)/2, a_i = M_i z + c_i,
+    mu_i = `cones`: the quadratic program of the optimality conditions at z.
+    """
+    import daqp
 
-def _polished(problem: LeastDistance, z: Array, rows: Array, cones: Array, engine: str, share: float) -> Found | None:
-    """Newton's method on the optimality conditions of what is active: exact to rounding if that was guessed right."""
-    rows_on = np.flatnonzero(np.abs(rows) > share * np.max(np.abs(rows), initial=1e-300))
-    cones_on = np.flatnonzero(cones > share * np.max(cones, initial=1e-300))
-    A = problem.A[rows_on]
-    target = np.where(rows[rows_on] > 0, problem.upper[rows_on], problem.lower[rows_on])
-    lam, mu = rows[rows_on], cones[cones_on]
-    size, m = z.size, rows_on.size
-    for _ in range(POLISH_STEPS if cones_on.size else 1):
-        ends = [problem.cones[i][0] @ z + problem.cones[i][1] for i in cones_on]
-        maps = [problem.cones[i][0] for i in cones_on]
-        slopes = np.array([M.T @ end for M, end in zip(maps, ends, strict=True)]).reshape(-1, size)
-        gaps = np.array([(problem.cones[i][2] ** 2 - end @ end) / 2 for i, end in zip(cones_on, ends, strict=True)])
-        bend = np.eye(size) + sum((c * (M.T @ M) for c, M in zip(mu, maps, strict=True)), np.zeros((size, size)))
-        J = np.vstack([A, slopes])
-        right = -z - slopes.T @ mu - A.T @ lam
-        # eliminate the step in z: J bend^-1 J' (new multipliers' change) = J bend^-1 right - constraint residual
-        inner = np.linalg.solve(bend, np.column_stack([right, J.T])) if cones_on.size else np.column_stack([right, J.T])
-        residual = np.concatenate([target - A @ z, gaps])
-        change = np.linalg.lstsq(J @ inner[:, 1:], J @ inner[:, 0] - residual, rcond=None)[0]
-        z = z + inner[:, 0] - inner[:, 1:] @ change
-        lam, mu = lam + change[:m], mu + change[m:]
-    if np.any(mu < 0) or not np.isfinite(z).all():
+    bend, slopes, ends = np.eye(z.size), np.zeros((len(problem.cones), z.size)), np.zeros(len(problem.cones))
+    pull = np.zeros(z.size)
+    for i, (M, c, radius) in enumerate(problem.cones):
+        a = M @ z + c
+        slopes[i], ends[i] = M.T @ a, (radius**2 - float(a @ a)) / 2
+        bend += cones[i] * (M.T @ M)
+        pull += cones[i] * (M.T @ (M @ z))
+    norms = np.linalg.norm(slopes, axis=1)
+    sizes = np.where(norms > 0, norms, 1.0)
+    A = np.vstack([problem.A, slopes / sizes[:, None]])
+    upper = np.concatenate([np.minimum(problem.upper, 1e30), (ends + slopes @ z) / sizes])
+    lower = np.concatenate([np.maximum(problem.lower, -1e30), np.full(ends.size, -1e30)])
+    x, _, flag, info = daqp.solve(bend, -pull, A, upper, lower, np.zeros(upper.size, dtype=np.int32), **_limits(A))
+    if flag < 1 or not np.isfinite(x).all():
         return None
-    exact_rows, exact_cones = np.zeros_like(rows), np.zeros_like(cones)
-    exact_rows[rows_on] = np.where(lam * rows[rows_on] > 0, lam, 0.0)
-    exact_cones[cones_on] = mu
-    return Found(z, dual_value(problem, exact_rows, exact_cones), engine)
+    multipliers, count = np.asarray(info["lam"], dtype=np.float64), problem.A.shape[0]
+    mu = np.maximum(multipliers[count:], 0.0) / sizes
+    return judged(problem, np.asarray(x, dtype=np.float64), multipliers[:count], mu, "conic"), mu
+
+
+def _limits(A: Array) -> dict[str, Any]:
+    """Settings of the active-set method."""
+    return {"primal_tol": 1e-11, "dual_tol": 1e-12, "iter_limit": 20 * sum(A.shape)}

@@ -154,6 +154,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         constant = w_model == "constant" and w_set is not None
         self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough, constant)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
+        if engine == "active set" and self.constraints.has_balls:
+            raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
         self.engine = engine
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
         self.certificate, self.carried_weight = certificate, carried_weight
@@ -186,9 +188,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     def _solve(self, window: Window) -> Solution:
         free = smooth(window)
-        if not self.constraints.active or self.constraints.satisfied(window, free.nodes):
-            return free
-        return solve_constrained(window, self.constraints, free, self.engine)
+        return solve_constrained(window, self.constraints, free, self.engine) if self.constraints.active else free
 
     def _advance(self, state: State, sample: Sample) -> Node:
         self._prepare(state, sample.t)
@@ -230,7 +230,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     def _heard(self, window: Window) -> float:
         """Sum of the discounted noise bounds of the window's samples."""
-        if window.masks.all():
+        if window.fully_measured:
             return self._v_energy * float(window.discount.sum())
         return float(np.dot(window.discount, self._sample_energy(window.masks)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from bisect import insort
 from collections.abc import Iterable, Iterator
@@ -95,7 +96,7 @@ class OnlineEstimator(ABC):
         return replayed, replayed.last.estimate
 
     def _check(self, sample: Sample, state: State) -> Sample:
-        t = _checks.number("t", sample.t)
+        t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)
         oldest = max(state.nodes[0].t, state.last.t - self.lateness)
         if t < oldest:
             raise ArgumentError(
@@ -120,13 +121,14 @@ class OnlineEstimator(ABC):
         p = self.plant.n_outputs
         if y.shape != (p,):
             raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
-        if np.isinf(y).any():
-            raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
-        if np.isnan(y).all():
-            raise ArgumentError(
-                f"`y` must measure at least one output, got all NaN at t = {t!r}. "
-                "Was the sample lost? Leave it out, or pass y=None if only the input changes."
-            )
+        if not np.isfinite(y).all():
+            if np.isinf(y).any():
+                raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
+            if np.isnan(y).all():
+                raise ArgumentError(
+                    f"`y` must measure at least one output, got all NaN at t = {t!r}. "
+                    "Was the sample lost? Leave it out, or pass y=None if only the input changes."
+                )
         y.flags.writeable = False
         return y
 
@@ -175,6 +177,11 @@ class OnlineEstimator(ABC):
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
         return EstimateRecord.collect(self.plant, found)
+
+
+def _is_time(value: Any) -> bool:
+    """Whether a time stamp is what it mostly is, a finite float that needs no closer look."""
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def _with_input(state: State, sample: Sample) -> State:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -92,9 +93,7 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _flown(self, node: Node, flow: Flow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
-        eta = self.weights.eta
         beta = node.beta / flow.growth + self._lost(flow.gap) if flow.gap > 0 else node.beta
-        del eta
         return flow.F @ node.x + drift, flow.covariance(node.Y), beta
 
     def _lost(self, h: float) -> float:
@@ -131,8 +130,8 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _rounded(self, y: Array, x: Array) -> float:
         """What the rounding of (N, p) measurements and of a state may cost."""
-        size = np.linalg.norm(self.weights.y_root) * np.linalg.norm(y)
-        return float((EXACT_DATA * (size + np.linalg.norm(self.weights.prior_factor) * np.linalg.norm(x))) ** 2)
+        y_scale, x_scale = self.weights.sizes
+        return (EXACT_DATA * (y_scale * math.sqrt(np.vdot(y, y)) + x_scale * math.sqrt(np.vdot(x, x)))) ** 2
 
     def _judged(self, terms: float, dual: float, sound: bool) -> tuple[float, Status, bool]:
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _conic
-from sampling_design.estimators.constraints import Constraints, LeastDistance
+from sampling_design.estimators.constraints import Constraints
 from sampling_design.estimators.convex_set import ConvexSet
 from sampling_design.estimators.least_distance import ACCEPTED, SOLVER_TOLERANCE
+from sampling_design.estimators.posed import LeastDistance
 from sampling_design.estimators.solution import Solution
 from sampling_design.estimators.window import Window
 from sampling_design.evidence import SolverRecord
@@ -149,7 +150,7 @@ class _Program:
 def find_obstacle(problem: LeastDistance) -> str:
     """Name the constraint that needs the largest slack when the sum of slacks is least ("" if none is needed)."""
     cp = _conic.cvxpy()
-    z = cp.Variable(problem.T.shape[2])
+    z = cp.Variable(problem.size)
     slack, wide = cp.Variable(problem.A.shape[0], nonneg=True), cp.Variable(len(problem.cones), nonneg=True)
     has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
     parts = []

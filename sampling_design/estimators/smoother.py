@@ -43,13 +43,6 @@ def smooth(window: Window) -> Solution:
     return solve_square_root(window) if found is None else found
 
 
-@lru_cache(maxsize=64)
-def _band_index(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Gather index: band row r of column b holds row r + b of the stacked block column [diagonal; below; 0]."""
-    r, b = np.meshgrid(np.arange(2 * n), np.arange(n), indexing="ij")
-    return r + b, b
-
-
 def information_band(window: Window) -> tuple[Array, Array] | None:
     """Return the lower band (2n, (N+1)n) and the right-hand side of the normal equations, None if some W is unfit."""
     info = window.information
@@ -57,7 +50,7 @@ def information_band(window: Window) -> tuple[Array, Array] | None:
         return None
     weights, discount = window.weights, window.discount
     C, n, count = weights.plant.C, weights.plant.n_states, window.times.size
-    columns = np.zeros((count, 3 * n, n))
+    columns = np.zeros((count, 3 * n, n))  # per node: its diagonal block, the one below, zeros
     diagonal = columns[:, :n]
     weighted = window.residual * discount[:, None]
     if window.fully_measured:
@@ -78,8 +71,10 @@ def information_band(window: Window) -> tuple[Array, Array] | None:
         rhs[:-1] -= moved[:, 1]
     half = window.prior_half
     diagonal[0] += half.T @ half
-    rows, cols = _band_index(n)
-    return columns[:, rows, cols].transpose(1, 0, 2).reshape(2 * n, count * n), rhs.ravel()
+    # band row r of column b is row r + b of its block column: a view with strides of its own
+    step = columns.itemsize
+    band = np.ndarray((count, n, 2 * n), buffer=columns, strides=(columns.strides[0], (n + 1) * step, n * step))
+    return band.reshape(count * n, 2 * n).T, rhs.ravel()
 
 
 def solve_banded(window: Window) -> Solution | None:
@@ -97,8 +92,7 @@ def solve_banded(window: Window) -> Solution | None:
     last = lapack.dtrtri(_block(factor[:, factor.shape[1] - n :]), lower=1)[0]
     cost = _cost(window, deviation)
     dual = cost - DUAL_MARGIN * (cost + abs(float(rhs @ solution)))
-    kernel = _BandKernel(factor, n)
-    return Solution(window.reference + deviation, last.T @ last, cost, dual, "banded", kernel)
+    return Solution(window.reference + deviation, last.T @ last, cost, dual, "banded", _BandSpread(factor, n))
 
 
 @lru_cache(maxsize=64)
@@ -121,13 +115,31 @@ def _stack_index(n: int, width: int) -> tuple[Any, Any, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class _BandKernel:
-    """The kernel held in a banded Cholesky factor L: x - x* = L^-T z."""
+class _BandSpread:
+    """T = L^-T for a banded Cholesky factor L."""
 
     factor: Array
     n: int
 
-    def __call__(self) -> Kernel:
+    def states(self, z: Array) -> Array:
+        """Return T z, (N+1, n)."""
+        return np.asarray(lapack.dtbtrs(self.factor, z[:, None], uplo="L", trans="T")[0].reshape(-1, self.n))
+
+    def rows(self, g: Array) -> Array:
+        """Return g T for (r, (N+1) n) rows g."""
+        return np.asarray(lapack.dtbtrs(self.factor, g.T, uplo="L")[0].T)
+
+    def maps(self) -> Array:
+        """Return T as (N+1, n, (N+1) n)."""
+        width, m = min(self.factor.shape[0], self.factor.shape[1]), self.factor.shape[1]
+        store = np.zeros(m * m + width)  # L column after column; a view with a stride of m + 1 is its band
+        band = np.ndarray((m, width), buffer=store, strides=((m + 1) * store.itemsize, store.itemsize))
+        band[:] = self.factor[:width].T
+        inverse = lapack.dtrtri(store[: m * m].reshape(m, m).T, lower=1, overwrite_c=1)[0]
+        return np.asarray(inverse.T.reshape(-1, self.n, m))
+
+    def kernel(self) -> Kernel:
+        """Return T as a backward recursion."""
         n, width = self.n, self.factor.shape[0]
         columns = self.factor.reshape(width, -1, n)
         rows, cols, inside = _stack_index(n, width)

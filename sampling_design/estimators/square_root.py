@@ -48,8 +48,8 @@ def solve_square_root(window: Window) -> Solution:
     for j in range(count - 2, -1, -1):
         nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
     margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
-    kernel = Kernel(roots, gains)
-    return Solution(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", lambda: kernel)
+    found = Kernel(roots, gains)
+    return Solution(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
 
 
 def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:

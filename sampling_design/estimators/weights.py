@@ -67,6 +67,11 @@ class Weights:
         """U with U'U = `y`."""
         return np.asarray(np.linalg.cholesky(self.y).T)
 
+    @cached_property
+    def sizes(self) -> tuple[float, float]:
+        """Norms of the roots of `y` and of `prior`."""
+        return float(np.linalg.norm(self.y_root)), float(np.linalg.norm(self.prior_factor))
+
     def prior_energy(self, bound: Array | None) -> float:
         """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
         return _energy(self.prior, bound)

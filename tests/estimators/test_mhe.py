@@ -294,6 +294,7 @@ def test_an_estimate_says_what_it_promises():
         ({"horizon": 1.0, "x_set": ConvexSet.ball(1.0, dimension=3)}, "`x_set` must have dimension 2, got 3"),
         ({"horizon": 1.0, "w_set": ([0.0, -np.inf], [1.0, 1.0])}, "`w_set` is unbounded"),
         ({"horizon": 1.0, "check_spacing": 0.0}, "`check_spacing` must be positive"),
+        ({"horizon": 1.0, "w_set": ConvexSet.ball(1.0, dimension=2), "engine": "active set"}, "knows no norm balls"),
         ({"certificate": stand_in(plant=DRIVEN)}, "`certificate` belongs to another plant"),
     ],
 )

@@ -150,13 +150,10 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
         _one_of("w_model", w_model, W_MODELS)
-        _one_of("engine", engine, ENGINES)
         constant = w_model == "constant" and w_set is not None
         self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough, constant)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
-        if engine == "active set" and self.constraints.has_balls:
-            raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
-        self.engine = engine
+        self.engine = _engine(engine, self.constraints)
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
         self.certificate, self.carried_weight = certificate, carried_weight
         self.memory, self.lateness = 2 * self.horizon, self.horizon
@@ -321,6 +318,13 @@ def _from_set(chosen: ConvexSet | None) -> Array | float | None:
     """The bound that a constraint set implies, in the form that the bounds have."""
     magnitude = None if chosen is None else chosen.magnitude()
     return float(magnitude) if magnitude is not None and magnitude.ndim == 0 else magnitude
+
+
+def _engine(engine: str, constraints: Constraints) -> str:
+    _one_of("engine", engine, ENGINES)
+    if engine == "active set" and constraints.has_balls:
+        raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
+    return engine
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:

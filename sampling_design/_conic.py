@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -128,21 +129,25 @@ def svec(matrices: Array) -> Array:
 
     The inner product of two such vectors is the trace product of the matrices.
     """
-    n = matrices.shape[-1]
-    columns, rows = np.tril_indices(n)  # pairs (j, i) with i <= j, column after column
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
+    rows, columns, scale = _triangle(matrices.shape[-1])
     return np.asarray(matrices[..., rows, columns] * scale)
 
 
 def smat(vectors: Array) -> Array:
     """Undo `svec`: symmetric (..., n, n) matrices from (..., n(n+1)/2) vectors."""
-    n = int((np.sqrt(8 * vectors.shape[-1] + 1) - 1) / 2)
-    columns, rows = np.tril_indices(n)
-    scale = np.where(rows == columns, 1.0, np.sqrt(0.5))
+    n = _order(vectors.shape[-1])
+    rows, columns, scale = _triangle(n)
     result = np.zeros((*vectors.shape[:-1], n, n))
-    result[..., rows, columns] = vectors * scale
-    result[..., columns, rows] = vectors * scale
+    result[..., rows, columns] = vectors / scale
+    result[..., columns, rows] = vectors / scale
     return result
+
+
+@cache
+def _triangle(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]:
+    """Rows, columns (i <= j, column after column) and scale, 1 on the diagonal and sqrt(2) off it."""
+    columns, rows = np.tril_indices(n)
+    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
 def solve_cone_program(
@@ -165,7 +170,10 @@ def solve_cone_program(
     kinds = {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "psd": cl.PSDTriangleConeT}
     sizes = [np.asarray(b).size for _, _, b in blocks]
     cones = [kinds[kind](_order(m) if kind == "psd" else m) for (kind, _, _), m in zip(blocks, sizes, strict=True)]
-    A = sparse.vstack([sparse.csc_matrix(A) for _, A, _ in blocks], format="csc")
+    if any(sparse.issparse(A) for _, A, _ in blocks):
+        A = sparse.vstack([sparse.csc_matrix(A) for _, A, _ in blocks], format="csc")
+    else:  # converted once, not block by block: small problems are posed by the hundred
+        A = sparse.csc_matrix(np.vstack([A for _, A, _ in blocks]))
     b = np.concatenate([np.asarray(b, dtype=float).ravel() for _, _, b in blocks])
     settings = cl.DefaultSettings()
     settings.verbose = False

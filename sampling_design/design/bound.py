@@ -20,7 +20,7 @@ from sampling_design.design.problem import DesignProblem
 
 Array = npt.NDArray[np.floating[Any]]
 
-CELLS, CELLS_PER_RATE = 1200, 12.0
+CELLS, CELLS_PER_RATE = 1200, 48.0
 """Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
 
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
@@ -159,7 +159,7 @@ def cells(problem: DesignProblem, start: float, stop: float) -> Cells:
 def cell_count(problem: DesignProblem) -> int:
     """Cells per period at least."""
     rate = float(np.linalg.norm(problem.rows.A, 2)) * problem.period
-    return int(np.clip(CELLS_PER_RATE * rate, CELLS, 10 * CELLS))
+    return int(np.clip(CELLS_PER_RATE * rate, CELLS, 40 * CELLS))
 
 
 def cell_values(found: Cells, edges: Array, values: Array) -> Array:

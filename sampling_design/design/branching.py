@@ -53,7 +53,8 @@ def narrowed(
     priced = any(part.price > 0 for part in bound.parts)  # boxes know no price: they would only lose
     if steps == 0 or priced or not turnable(problem) or bound.value <= target * (1 + rtol):
         return bound
-    roots = [(root, side) for side in SIDES if (root := _box(problem, origin_zones(problem, side))) is not None]
+    sides = (bound.side,) if bound.method == "zones" else SIDES
+    roots = [(root, side) for side in sides if (root := _box(problem, origin_zones(problem, side))) is not None]
     if not roots or time.perf_counter() > deadline:
         return bound
     root, side = max(roots, key=lambda r: r[0].rank)

@@ -31,11 +31,25 @@ def rounded(problem: DesignProblem, found: Relaxation, offset: float) -> Array |
 def even(problem: DesignProblem, offset: float) -> Array | None:
     """Evenly spaced over the allowed time, repaired."""
     spare = problem.samples - problem.fixed.size
+    return spread(problem, (np.arange(spare) + offset) / max(spare, 1))
+
+
+def spread(problem: DesignProblem, shares: Array) -> Array | None:
+    """Free samples at these shares (in [0, 1)) of the allowed time, fixed ones beside them, repaired."""
     lengths = np.diff(problem.intervals, axis=1)[:, 0]
-    marks = (np.arange(spare) + offset) / max(spare, 1) * lengths.sum()
     ends = np.cumsum(lengths)
+    marks = shares * ends[-1] * (1 - 1e-12)
     place = np.minimum(np.searchsorted(ends, marks, side="right"), lengths.size - 1)
     return repaired(problem, np.concatenate([problem.fixed, problem.intervals[place, 1] - (ends[place] - marks)]))
+
+
+def shares_of(problem: DesignProblem, times: Array) -> Array:
+    """The inverse of `spread`: at which share of the allowed time each of `times` lies."""
+    lengths = np.diff(problem.intervals, axis=1)[:, 0]
+    place = np.searchsorted(problem.intervals[:, 0], times, side="right") - 1
+    before = np.cumsum(lengths)[place] - lengths[place]
+    inside = np.minimum(times - problem.intervals[place, 0], lengths[place])
+    return np.asarray((before + inside) / lengths.sum())
 
 
 def packed(problem: DesignProblem) -> Array:

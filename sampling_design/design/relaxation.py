@@ -19,7 +19,7 @@ Array = npt.NDArray[np.floating[Any]]
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
 
-_ENTRIES = 700  # rows of all windows' inequalities together, about
+_ENTRIES = 1600  # rows of all windows' inequalities together, about
 
 
 @dataclass(frozen=True, eq=False)

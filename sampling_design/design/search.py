@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.exchange import even, exchanged, is_admissible, packed, repaired, rounded
+from sampling_design.design.exchange import even, exchanged, is_admissible, packed, rounded, shares_of, spread
 from sampling_design.design.positions import worst_sigma2
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.refine import refined
@@ -22,6 +22,15 @@ Progress = Callable[[float, str], None]
 
 DRAWS = 60
 """Random schedules that are looked at before the best few are refined."""
+
+KICKS = 4
+"""Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
+
+_KICKED = 3  # samples moved at once
+_PATIENCE = 12  # kicks in a row without gain
+_HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
+_GAIN = 1e-6  # relative, of sigma^2: less is no gain
+_FIRST_STEPS = 12  # of that first refinement
 
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
 _EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
@@ -86,6 +95,7 @@ def search(
         t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
         if value > run.value:
             run.refine("exchange", t, value)
+    _kick(run, rng, KICKS * starts)
     complete = run.is_best or time.perf_counter() <= deadline
     return Found(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
 
@@ -111,12 +121,38 @@ class _Refinement:
         """Whether there is nothing left to gain, or no time."""
         return self.is_best or time.perf_counter() > self.deadline
 
-    def refine(self, name: str, times: Array, before: float) -> None:
-        """Refine one schedule and keep it if it is the best."""
-        times, after = refined(self.problem, times, before, deadline=self.deadline)
-        self.trials.append(Trial(name, float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0)))))
+    def refine(self, name: str, times: Array, value: float, before: float | None = None) -> bool:
+        """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""
+        times, after = refined(self.problem, times, value, deadline=self.deadline)
+        first = value if before is None else before
+        self.trials.append(Trial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        better = after > self.value * (1 + _GAIN) or len(self.trials) == 1
         if after > self.value or len(self.trials) == 1:
             self.best, self.value = times, after
+        return better
+
+
+def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
+    """Move a few samples of the best schedule, near or far, and refine; until nothing was gained for a while."""
+    problem, idle = run.problem, 0
+    free = problem.samples - problem.fixed.size
+    if free == 0:
+        return
+    for _ in range(most):
+        if run.is_over or idle == _PATIENCE:
+            return
+        idle += 1
+        shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])
+        moved = rng.choice(free, min(_KICKED, free), replace=False)
+        near = shares[moved] + rng.normal(size=moved.size) / free
+        shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
+        times = spread(problem, shares)
+        if times is None or not is_admissible(problem, times):
+            continue
+        before = float(worst_sigma2(problem, times[None, :])[0])
+        times, value = refined(problem, times, before, steps=_FIRST_STEPS, deadline=run.deadline)
+        if value > _HOPELESS * run.value and run.refine("kick", times, value, before):
+            idle = 0
 
 
 def _places(problem: DesignProblem) -> int:
@@ -132,17 +168,12 @@ def _starts(
     found.append(("packed", packed(problem)))
     found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
     size = problem.samples - problem.fixed.size
-    lengths = np.diff(problem.intervals, axis=1)[:, 0]
-    ends = np.cumsum(lengths)
     for i in range(DRAWS):
         if i >= _LEAST_DRAWS and time.perf_counter() > deadline and any(t is not None for _, t in found):
             break
         if i % 3 == 0:
-            marks = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
+            shares = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
         else:
-            marks = rng.uniform(size=size)
-        marks = marks * ends[-1] * (1 - 1e-12)
-        place = np.searchsorted(ends, marks, side="right")
-        wish = problem.intervals[place, 1] - (ends[place] - marks)
-        found.append(("random", repaired(problem, np.concatenate([problem.fixed, wish]))))
+            shares = rng.uniform(size=size)
+        found.append(("random", spread(problem, shares)))
     return [(name, t) for name, t in found if t is not None and is_admissible(problem, t)]

@@ -43,7 +43,7 @@ class Constraints:
     @property
     def has_balls(self) -> bool:
         """Whether there is any norm ball."""
-        return any(s is not None and s.balls for s in (self.x, self.y, self.v, self.w))
+        return any(s is not None and s.round_balls for s in (self.x, self.y, self.v, self.w))
 
     def noise(self, window: Window, nodes: Array) -> Array:
         """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""

@@ -135,7 +135,7 @@ def conic(problem: LeastDistance) -> Found | None:
     at, cones = int(has_up.sum() + has_low.sum()), np.zeros(len(problem.cones))
     for i, (M, _, radius) in enumerate(problem.cones):
         # the multiplier of |Mz + c| <= r turned into that of (|Mz + c|^2 - r^2)/2 <= 0
-        cones[i] = max(0.0, y[at]) / max(1e-300, float(np.linalg.norm(M, 2))) / radius if radius > 0 else 0.0
+        cones[i] = max(0.0, y[at]) / max(1e-300, float(np.linalg.norm(M, 2))) / radius
         at += 1 + M.shape[0]
     return _refined(problem, judged(problem, z, rows, cones, "conic"), cones)
 

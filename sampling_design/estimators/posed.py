@@ -82,7 +82,7 @@ class Demands:
     @property
     def has_balls(self) -> bool:
         """Whether there are norm balls."""
-        return any(chosen.balls for signal in self.signals for chosen in signal.sets)
+        return any(chosen.round_balls for signal in self.signals if not signal.boxed for chosen in signal.sets)
 
     def pose(self, chosen: list[Mask] | None = None) -> LeastDistance:
         """Return the whole problem, or that of the rows `chosen` per block, without balls."""
@@ -127,7 +127,7 @@ def _cones(maps: dict[int, tuple[Signal, Array]]) -> tuple[list[tuple[Array, Arr
     owners: list[tuple[Signal, int]] = []
     for signal, over in maps.values():
         for chosen, places in signal.groups():
-            for ball in chosen.balls:
+            for ball in chosen.round_balls:
                 for place in places:
                     cones.append(
                         (ball.shape @ over[place], ball.shape @ (signal.base[place] - ball.centre), ball.radius)

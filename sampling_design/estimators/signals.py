@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,11 @@ class Signal:
         """Number of states."""
         return self.base.shape[1] if self.here is None else self.here.shape[2]
 
+    @cached_property
+    def boxed(self) -> bool:
+        """Whether all sets are boxes."""
+        return all(chosen.is_box for chosen in self.sets)
+
     def values(self, dx: Array, noise: Array) -> Array:
         """Return the signal for deviations dx (N+1, n) and own noise (K, p)."""
         moved = dx[self.at]
@@ -80,8 +86,8 @@ class Signal:
     def excess_of_balls(self, values: Array) -> float:
         """Return by how much the worst of `values` leaves a ball."""
         worst = -np.inf
-        for chosen, places in self.groups():
-            for ball in chosen.balls if places.size else ():
+        for chosen, places in () if self.boxed else self.groups():
+            for ball in chosen.round_balls if places.size else ():
                 distance = np.linalg.norm((values[places] - ball.centre) @ ball.shape.T, axis=1)
                 worst = max(worst, float(distance.max()) - ball.radius)
         return worst
@@ -89,9 +95,9 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Inequalities lower <= row of a signal <= upper: an entry at a place each, or where `mix` is given a half-space.
+    """Inequalities lower <= row of a signal <= upper: an entry at a place each, or where `mix` is given that mixture.
 
-    `entries` counts half-spaces after the signal's own entries.
+    `entries` counts half-spaces, and after them the rows of balls that are points, after the signal's own entries.
     """
 
     signal: Signal
@@ -138,13 +144,14 @@ class Rows:
         signal, place, entry = self.signal, int(self.places[index]), int(self.entries[index])
         where, k = f"t = {signal.times[place]:.6g}", signal.base.shape[1]
         if self.mix is not None:
-            return f"half-space {entry - k + 1} of {signal.name} at {where}"
+            point = self.lower[index] == self.upper[index]
+            return f"{'a ball' if point else f'half-space {entry - k + 1}'} of {signal.name} at {where}"
         bound = f">= {self.lower[index]:.6g}" if below else f"<= {self.upper[index]:.6g}"
         return f"{signal.entries[entry]} {bound} at {where} ({signal.name})"
 
 
 def rows_of(signal: Signal) -> Iterator[Rows]:
-    """Yield the bounds on entries, then the half-spaces."""
+    """Yield the bounds on entries, then what else is linear."""
     K, k = signal.base.shape
     lower, upper = np.empty((K, k)), np.empty((K, k))
     lower[:] = [chosen.lower for chosen in signal.sets]
@@ -155,9 +162,10 @@ def rows_of(signal: Signal) -> Iterator[Rows]:
     places, entries = np.nonzero(kept)
     if places.size:
         yield Rows(signal, places, entries, lower[kept], upper[kept])
-    for chosen, at in signal.groups():
-        count = chosen.rows.shape[0]
+    for chosen, at in () if signal.boxed else signal.groups():
+        matrix, low, up = chosen.inequalities
+        count = matrix.shape[0]
         if count and at.size:
             places, entries = np.repeat(at, count), np.tile(k + np.arange(count), at.size)
-            upper = np.tile(chosen.offsets, at.size)
-            yield Rows(signal, places, entries, np.full(upper.size, -np.inf), upper, np.tile(chosen.rows, (at.size, 1)))
+            repeated = (np.tile(low, at.size), np.tile(up, at.size), np.tile(matrix, (at.size, 1)))
+            yield Rows(signal, places, entries, *repeated)

@@ -1,6 +1,7 @@
 """The moving horizon estimator: defaults, flags, statuses, refusals; after each refusal nothing has changed."""
 
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -191,6 +192,48 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
     assert not after.certified
 
 
+@pytest.mark.parametrize("engine", ["auto", "conic", "reference"])
+@pytest.mark.parametrize(
+    ("sets", "words"),
+    [
+        ({"x_set": (-1.0, 1.0)}, r"(x|omega)[12] [<>]= \S+ at t = \S+ \([xw]_set\)"),
+        ({"x_set": (-1.0, 1.0), "check_spacing": 0.3}, r"(x|omega)[12] [<>]= \S+ at t = \S+ \([xw]_set\)"),
+        (
+            {"x_set": ConvexSet.halfspaces(np.vstack([np.eye(2), -np.eye(2)]), np.ones(4))},
+            r"half-space \d of x_set at t",
+        ),
+        ({"x_set": ConvexSet.ball(1.0, dimension=2)}, r"a ball of x_set at t = "),
+        ({"x_set": ConvexSet.ball(0.0, dimension=2)}, r"a ball of x_set at t = "),
+        ({"y_set": ConvexSet.ball(1.0, dimension=2), "v_set": (-0.1, 0.1)}, r"a ball of y_set at t = "),
+    ],
+)
+def test_whatever_set_cannot_be_met_is_named(sets, words, engine):
+    """A kick by a known input that no small disturbance undoes: every engine says so and predicts instead."""
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, w_set=(-0.01, 0.01), engine=engine, **sets)
+    assert mhe.update(0.5, [0.0, 0.0], [0.0]).status == "ok"
+    mhe.update(0.6, None, [20.0])
+    before = mhe.predict(1.5)
+    estimate = mhe.update(1.5, [0.0, 0.0], [0.0])
+    assert estimate.status == "infeasible"
+    assert np.array_equal(estimate.x, before.x)
+    assert not estimate.certified
+    assert "No trajectory meets" in estimate.note
+    if engine != "reference":
+        assert re.search(words + r".*needs \S+ more", estimate.note), estimate.note
+
+
+@pytest.mark.parametrize("engine", ["auto", "conic", "reference"])
+def test_a_ball_of_radius_zero_is_a_point(engine):
+    for name, k in (("v_set", 1), ("w_set", 2)):
+        found = []
+        for chosen in (ConvexSet.ball(0.0, dimension=k), (0.0, 0.0)):
+            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, engine=engine, **{name: chosen})
+            found.append([mhe.update(t, [0.3 * t]) for t in (1.0, 1.7, 2.9)][-1])
+        assert found[0].status == "ok"
+        assert np.max(np.abs(found[0].x - found[1].x)) < 1e-9
+        assert found[0].cost == pytest.approx(found[1].cost, rel=1e-9)
+
+
 def test_a_sample_at_the_priors_time_is_used_once():
     mhe = MovingHorizonEstimator(PLANT, horizon=4.0, P2=np.eye(2), R=[[2.0]], Qv=[[2.0]], prior=[1.0, 0.0], **BOUNDS)
     first = mhe.update(0.0, [2.0])
@@ -288,6 +331,10 @@ def test_an_estimate_says_what_it_promises():
         (
             {"horizon": 1.0, "prior": [3.0, 0.0], "x_set": (-1.0, 1.0)},
             "`prior` must lie in `x_set`, got one outside by 2",
+        ),
+        (
+            {"horizon": 1.0, "prior": [1.0, 1.0], "x_set": ConvexSet.ball(1.0, dimension=2)},
+            "`prior` must lie in `x_set`, got one outside by 0.414",
         ),
         ({"horizon": 1.0, "x_set": (1.0, -1.0)}, "the set is empty"),
         ({"horizon": 1.0, "x_set": "positive"}, "must be a ConvexSet or a pair"),

@@ -49,9 +49,13 @@ def narrowed(
     progress: Progress | None = None,
     rtol: float = 1e-3,
 ) -> UpperBound:
-    """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up."""
-    priced = any(part.price > 0 for part in bound.parts)  # boxes know no price: they would only lose
-    if steps == 0 or priced or not turnable(problem) or bound.value <= target * (1 + rtol):
+    """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
+
+    Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
+    bounds are near anyway where samples are many. Boxes know no price of cost: they would only lose.
+    """
+    priced = any(part.price > 0 for part in bound.parts)
+    if steps < problem.samples or priced or not turnable(problem) or bound.value <= target * (1 + rtol):
         return bound
     sides = (bound.side,) if bound.method == "zones" else SIDES
     roots = [(root, side) for side in sides if (root := _box(problem, origin_zones(problem, side))) is not None]

@@ -68,7 +68,9 @@ def design_schedule(
     starts : int
         Starts that are refined, beside the even and the rounded ones.
     branches : int
-        Boxes of schedules that are cut in two to narrow the upper bound; 0 keeps the plain relaxations' bound.
+        Boxes of schedules that are cut in two to narrow the upper bound, where it is not more samples than that;
+        0 keeps the plain relaxations' bound. More cuts, a narrower bound: the satellite's gap falls from 5 % to
+        2.7 % with the default, to 1.8 % with 100 and to 1.1 % with 400.
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]

@@ -1,0 +1,51 @@
+"""The search: shares of the allowed time and back, and kicks that leave a local optimum."""
+
+import numpy as np
+import pytest
+
+from sampling_design import Plant
+from sampling_design.design.exchange import is_admissible, packed, shares_of, spread
+from sampling_design.design.positions import worst_sigma2
+from sampling_design.design.problem import DesignProblem
+from sampling_design.design.refine import refined
+from sampling_design.design.relaxation import relax_placed
+from sampling_design.design.search import _kick, _Refinement, search
+
+
+def problem(**changes):
+    plant = Plant(np.kron(np.diag([1.0, 1.7]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
+    given = {"window": 6.0, "period": 6.0, "spacing": 0.2, "samples": 7}
+    none = {"forbidden": np.zeros((0, 2)), "fixed": np.zeros(0), "available": (None,)}
+    return DesignProblem(plant, **(given | none | changes))
+
+
+@pytest.mark.parametrize("forbidden", [np.zeros((0, 2)), np.array([[0.0, 1.0], [2.5, 3.0]])])
+def test_spread_and_shares_undo_each_other(forbidden):
+    case = problem(forbidden=forbidden)
+    shares = np.sort((np.arange(7) + np.random.default_rng(1).uniform(0.2, 0.8, 7)) / 7)
+    times = spread(case, shares)
+    assert is_admissible(case, times)
+    np.testing.assert_allclose(shares_of(case, times), shares, atol=1e-9)
+
+
+def test_kicks_leave_a_poor_local_optimum():
+    case = problem(forbidden=np.array([[i, i + 0.55] for i in range(6)]), samples=10, spacing=0.1)
+    poor = packed(case)
+    poor, value = refined(case, poor, float(worst_sigma2(case, poor[None, :])[0]), steps=100)
+    run = _Refinement(case, np.inf, np.inf, poor, value, [])
+    _kick(run, np.random.default_rng(0), 20)
+    assert run.value > 1.01 * value
+    assert run.value == pytest.approx(worst_sigma2(case, run.best[None, :])[0])
+    assert is_admissible(case, run.best)
+    assert {trial.start for trial in run.trials} == {"kick"}
+    over = _Refinement(case, np.inf, np.sqrt(value), poor, value, [])
+    _kick(over, np.random.default_rng(0), 20)
+    assert over.trials == []  # as good as the bound already
+
+
+def test_fixed_samples_are_never_kicked():
+    case = problem(fixed=np.array([1.0, 4.0]))
+    found = search(case, relax_placed(case), np.random.default_rng(0), starts=1)
+    assert {1.0, 4.0} <= set(found.times.tolist())
+    every = problem(fixed=np.arange(7) * 0.8)
+    assert len(search(every, relax_placed(every), np.random.default_rng(0), starts=1).trials) <= 4

@@ -38,7 +38,7 @@ def test_kicks_leave_a_poor_local_optimum():
     assert run.value == pytest.approx(worst_sigma2(case, run.best[None, :])[0])
     assert is_admissible(case, run.best)
     assert {trial.start for trial in run.trials} == {"kick"}
-    over = _Refinement(case, np.inf, np.sqrt(value), poor, value, [])
+    over = _Refinement(case, np.inf, np.sqrt(value) * (1 - 1e-9), poor, value, [])
     _kick(over, np.random.default_rng(0), 20)
     assert over.trials == []  # as good as the bound already
 

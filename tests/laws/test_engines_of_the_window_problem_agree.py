@@ -99,7 +99,7 @@ def apart(one, two, free):
 
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("options", SETS)
-def test_on_random_windows(name, options):
+def test_on_every_window(name, options):
     """Every active window by every engine, from both closed forms; one of them by the reference."""
     kept = []
     for seed in range(3):

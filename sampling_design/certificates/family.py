@@ -145,6 +145,8 @@ class Search:
                 return Proposal(program.dynamics, program.graph, P, claimed, record)
             gap = max(edges.failed.values(), key=lambda item: item[1])[0] if edges.failed else gap
             program.gain(edges.failed, nodes.failed)
+            if (edges.tight or nodes.tight) and not program.widen():
+                break
             floor = program.floor()[0] if program.P2 is None else 0.0
             again = None
             if program.P2 is None and floor * float(np.linalg.eigvalsh(program.unit)[-1]) >= LEAST_FLOOR:
@@ -304,10 +306,7 @@ def certify_family(
         raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
     levels = range(levels_of_memory(family)) if memory is None else [_checks.whole("memory", memory)]
     if not plant.n_states:
-        graph = graph_of(family, levels[0], plant.n_outputs)
-        empty = np.zeros((0, 0))
-        P = np.zeros((graph.count, 0, 0))
-        return FamilyCertificate(plant, family, empty, empty, *weights, rate or 1.0, 1.0, 1.0, graph=graph, P=P)
+        return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     least = refute(plant, family, bounds[0], quick=True)
     found = Search(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
@@ -330,6 +329,12 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
             f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
         )
     return made
+
+
+def without_states(plant: Plant, family: Any, weights: Weights, rate: float, graph: GapGraph) -> FamilyCertificate:
+    """The certificate where there is nothing to prove."""
+    empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))
+    return FamilyCertificate(plant, family, empty, empty, *weights, rate, 1.0, 1.0, graph=graph, P=P)
 
 
 def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:

@@ -2,7 +2,7 @@
 
     Phi_h(P) >= Z   <=>   [[P - F'ZF, -F'ZL], [., I - L'ZL]] >= 0,   W_h = LL'
 
-Edges are asked with Z = (1 + MARGIN) P_v - C'R~C, nodes with Z = (1 + MARGIN) P2/lam. A solver's point is only a
+Edges are asked with Z = (1 + margin) P_v - C'R~C, nodes with Z = (1 + margin) P2/lam. A solver's point is only a
 proposal: `family_proof` closes the continuum between the grid points, or names the gap that the grid must gain.
 """
 
@@ -22,7 +22,9 @@ from sampling_design.certificates.gap_graph import GapGraph
 Array = npt.NDArray[np.floating[Any]]
 
 MARGIN = 2e-4
-"""Relative margin of every inequality on the grid; room for the proof between the grid points."""
+"""Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
+WIDER, WIDEST = 10.0, 0.05
+"""Factor on the margin where that room was too small for the proof's steps, and the largest margin that is tried."""
 LEAST_POINTS = 5
 POINTS_PER_RADIAN = 3.0
 """Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing."""
@@ -41,6 +43,7 @@ class Program:
     graph: GapGraph
     unit: Array
     P2: Array | None = None
+    margin: float = MARGIN
     edge_times: list[list[float]] = field(default_factory=list)
     node_times: list[list[float]] = field(default_factory=list)
     _cache: dict[Any, tuple[Array, Array, Array]] = field(default_factory=dict)
@@ -101,7 +104,7 @@ class Program:
         width = self._width(True)
         cost = np.zeros(width)
         cost[-1] = -1.0
-        ratio = (1 + MARGIN) / lam
+        ratio = (1 + self.margin) / lam
         blocks = [self._edge(k, h, width, slack=True) for k, h in self._edge_points()]
         blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
         above = np.zeros((self.pairs, width))
@@ -155,18 +158,18 @@ class Program:
                 h, width, self._place(None, edge.target), self.dynamics.information(edge.outputs)
             )
         rows, right, press, E = self._start(edge.source, h, width)
-        rows[:, self._place(None, edge.target)] += (1 + MARGIN) * press
+        rows[:, self._place(None, edge.target)] += (1 + self.margin) * press
         right = right + E.T @ self.dynamics.information(edge.outputs) @ E
         if slack:
             rows[:, -1] = _conic.svec(np.eye(E.shape[1]))
         return "psd", rows, _conic.svec(right)
 
     def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> tuple[str, Array, Array]:
-        """I - L'ZL >= 0 with Z = (1 + MARGIN) P_v - information."""
+        """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
         _, _, E = self._flow(h)
         L = E[:, self.dynamics.size :]
         rows = np.zeros((L.shape[1] * (L.shape[1] + 1) // 2, width))
-        rows[:, place] = (1 + MARGIN) * _conic.svec(L.T @ self.basis @ L).T
+        rows[:, place] = (1 + self.margin) * _conic.svec(L.T @ self.basis @ L).T
         return "psd", rows, _conic.svec(np.eye(L.shape[1]) + L.T @ information @ L)
 
     def _node(self, node: int, s: float, width: int, ratio: float) -> tuple[str, Array, Array]:
@@ -178,7 +181,7 @@ class Program:
     def _node_ratio(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
         assert self.P2 is not None
         rows, right, press, _ = self._start(node, s, width)
-        rows[:, -1] = (1 + MARGIN) * press @ _conic.svec(self.P2)
+        rows[:, -1] = (1 + self.margin) * press @ _conic.svec(self.P2)
         return "psd", rows, _conic.svec(right)
 
     def _node_floor(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
@@ -212,6 +215,11 @@ class Program:
             for k, (h, _) in failures.items():
                 if h not in times[k]:
                     times[k].append(h)
+
+    def widen(self) -> bool:
+        """Ask for more room between the grid points; False if there is no more."""
+        before, self.margin = self.margin, min(self.margin * WIDER, WIDEST)
+        return self.margin > before
 
 
 def _solved(cost: Array, blocks: list[tuple[str, Array, Array]]) -> _conic.ConeSolution:

@@ -23,9 +23,9 @@ Doubles = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Weights = tuple[Doubles, Doubles, Doubles]
 
-MOST_STEPS = 60_000
+MOST_STEPS = 300_000
 """Steps of one proof, all intervals together; a proof that needs more is nearly tight and counts as not closed."""
-LEAST_REACH = 1e-6
+LEAST_REACH = 1e-9
 """A step shorter than this fraction of the whole interval: the inequality is tight there and counts as failed."""
 ENOUGH_STEPS = 4_000
 """Steps after which a proof that has failed already looks for no further failures."""
@@ -122,6 +122,11 @@ class Outcome:
     open: tuple[int, ...]
     slack: float
     steps: int
+
+    @property
+    def tight(self) -> bool:
+        """Whether nothing is violated, but the steps were too short or too many."""
+        return not self.proven and all(theta < 1 for _, theta in self.failed.values())
 
     @property
     def proven(self) -> bool:

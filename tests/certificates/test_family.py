@@ -105,6 +105,23 @@ def test_memory_is_grown_on_demand():
         sd.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
 
 
+def test_a_range_within_a_thousandth_of_half_a_turn_is_certified():
+    # the slack of the usual margin is too small for the steps of the proof: the margin grows
+    found = sd.certify(OSCILLATOR, GapRange(0.5, np.pi - 1e-3), eta=0.1)
+    assert found.lam < 2.0
+    assert found.verify().passed
+    assert np.linalg.cond(found.P[-1]) > 1e5
+
+
+def test_the_margin_stops_growing():
+    family_ = in_plant_terms(OSCILLATOR, GapRange(0.5, 1.5))
+    search = family.Search(OSCILLATOR, family_, (np.eye(2), np.eye(1), np.eye(1)), None, 3.0)
+    program = search.program(0.1, 0)
+    widened = [program.widen() for _ in range(4)]
+    assert widened == [True, True, True, False]
+    assert program.margin == 0.05
+
+
 def test_the_undecided_say_how_far_both_sides_came():
     with pytest.raises(UndecidedError, match="Certified is: Every schedule whose gaps lie between") as caught:
         # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate

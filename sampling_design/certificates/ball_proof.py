@@ -30,7 +30,7 @@ HALVINGS = 40
 LAPS = 1000
 """Laps along one window, or until a float recursion has settled."""
 JUMP = 10
-"""After so many laps the float recursion jumps to where its present gains would settle: a lap may gain only a little."""
+"""After so many laps the float recursion jumps to where its present gains would settle: a lap may gain little."""
 DOUBLINGS = 40
 """The jump is as long as 2^DOUBLINGS laps."""
 INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
@@ -69,7 +69,7 @@ def settled(frame: Frame, flows: Sequence[Proposal], inflation: float) -> tuple[
 
 
 def _rest(whole: Array, before: Array, after: Array) -> Array:
-    """Where laps Y -> whole Y whole' + const, of which one led from `before` to `after`, settle; `after` if they do not."""
+    """Where laps Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
     if not np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1:
         return after
     found = after - whole @ before @ whole.T

@@ -1,0 +1,193 @@
+"""Every certificate that a test run makes is decided in ball arithmetic, and the test that made it fails otherwise.
+
+`watch` wraps the functions of the package that make certificates (`MAKERS`): whatever they return is written as a file,
+once per content. After each test the plugin `Rigour` decides the files that are new. A certificate that is not proven
+fails the test, unless the test says so: `@pytest.mark.unproven("undecided", "why")`, which must then be true.
+A process that a test starts (a notebook's kernel, the arena) calls `watch` itself; the folder is in its environment.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib
+import json
+import os
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+MAKERS = {
+    "certificates.certify": ("certify_given",),
+    "certificates.family": ("certified", "without_states"),
+    "certificates.proof_constants": ("ProofConstants.certificate",),
+    "certificates.detectability": ("proven",),
+}
+"""Functions that return a finished certificate; a law walks the package for constructors outside of them."""
+FOLDER = "SAMPLING_DESIGN_CERTIFICATES"
+"""Environment variable: where the certificates of this process go."""
+LEAST = 300
+"""A run of the whole suite that makes fewer distinct certificates has lost its collector."""
+BUDGET = 60.0
+"""Seconds for one certificate; the slowest takes a few."""
+
+
+def content(data: dict[str, Any]) -> str:
+    """What a certificate states, as a key: all of its file but who made it and in how many seconds."""
+    stated = {key: value for key, value in data.items() if key not in ("digest", "tool", "solver")}
+    return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
+
+
+def keep(certificate: Any) -> None:
+    """Write a certificate into this process's folder, unless it is there."""
+    data = certificate.to_dict()
+    path = Path(os.environ[FOLDER]) / f"{content(data)}.json"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partly = path.with_suffix(f".{os.getpid()}")
+        partly.write_text(json.dumps(data))
+        partly.replace(path)
+
+
+def watch() -> None:
+    """Keep from now on what the makers return, if the environment says where."""
+    if FOLDER not in os.environ:
+        return
+    for module, names in MAKERS.items():
+        for name in names:
+            *inner, last = name.split(".")
+            holder: Any = importlib.import_module(f"sampling_design.{module}")
+            for part in inner:
+                holder = getattr(holder, part)
+            if not hasattr(getattr(holder, last), "watched"):
+                setattr(holder, last, _watched(getattr(holder, last)))
+
+
+def _watched(maker: Any) -> Any:
+    @functools.wraps(maker)
+    def made(*arguments: Any, **options: Any) -> Any:
+        certificate = maker(*arguments, **options)
+        keep(certificate)
+        return certificate
+
+    made.watched = True  # type: ignore[attr-defined]
+    return made
+
+
+def check_proven(folder: Path, least: int) -> list[dict[str, Any]]:
+    """Assert that at least so many certificates were written into a folder and that each is proven; return them."""
+    from sampling_design.certificates.rigorous import verify_rigorously
+
+    made = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+    assert len(made) >= least, f"{len(made)} certificates were made, {least} at least were expected"
+    for data in made:
+        found = verify_rigorously(data, BUDGET)
+        assert found.verdict == "proven", f"{data['claim']}: {found.verdict}: {found.reason}"
+    return made
+
+
+class Rigour:
+    """The pytest plugin: decides after each test what it made, and counts over the whole run."""
+
+    def __init__(self, root: Path, worker: str, distributed: bool = False) -> None:
+        self.root, self.folder, self.distributed = root, root / worker, distributed
+        self.decided = root / "decided"
+        self.decided.mkdir(parents=True, exist_ok=True)
+        self.deselected = self.lost = False
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_teardown(self, item: pytest.Item) -> Any:
+        """Judge once all fixtures are gone, patched modules among them."""
+        try:
+            return (yield)
+        finally:
+            mark = item.get_closest_marker("unproven")
+            complaint = self.judge(item.nodeid, *(mark.args if mark else ()))
+            if complaint:
+                pytest.fail(complaint, pytrace=False)
+
+    def judge(self, test: str, expected: str = "proven", reason: str = "") -> str:
+        """Decide the certificates that are new, and say which of them are not as expected ("": none)."""
+        found = [verdict for verdict in map(self.decide, self._new(test)) if verdict["verdict"] != "proven"]
+        if expected == "proven":
+            return "\n".join(f"{v['file']} is {v['verdict']}: {v['reason']}" for v in found)
+        if not reason or expected not in ("undecided", "refuted"):
+            return f'mark it as unproven("undecided" or "refuted", "why"), not as ({expected!r}, {reason!r})'
+        others = [
+            f"{v['file']} is {v['verdict']}, not {expected}: {v['reason']}" for v in found if v["verdict"] != expected
+        ]
+        return "\n".join(others) if found else f"no certificate of this test is {expected}: take the mark away"
+
+    def _new(self, test: str) -> list[tuple[Path, str]]:
+        files = sorted(self.folder.glob("*.json")) if self.folder.is_dir() else []
+        return [(path, test) for path in files if not (self.decided / path.name).exists()]
+
+    def decide(self, made: tuple[Path, str]) -> dict[str, Any]:
+        """Decide one file; a proven one need not be decided again in this run."""
+        from sampling_design.certificates.rigorous import verify_rigorously
+
+        path, test = made
+        data, began = json.loads(path.read_text()), time.process_time()
+        found = verify_rigorously(data, BUDGET)
+        verdict = {"verdict": found.verdict, "reason": found.reason, "test": test, "claim": data["claim"]}
+        verdict |= {"seconds": time.process_time() - began, "file": str(path)}
+        if found.verdict == "proven":
+            (self.decided / path.name).write_text(json.dumps(verdict))
+            path.unlink()
+        else:
+            (self.root / f"not-{path.name}").write_text(json.dumps(verdict))
+            path.rename(path.with_suffix(".unproven"))
+        return verdict
+
+    def verdicts(self) -> list[dict[str, Any]]:
+        """All verdicts so far, of all workers."""
+        return [json.loads(p.read_text()) for p in (*self.decided.glob("*.json"), *self.root.glob("not-*.json"))]
+
+    def pytest_deselected(self) -> None:
+        """Note that this is no run of the whole suite."""
+        self.deselected = True
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Fail a whole run that has made too few."""
+        config = session.config
+        whole = config.args_source == config.ArgsSource.TESTPATHS and not (self.deselected or self.distributed)
+        if whole and not session.exitstatus and len(self.verdicts()) < LEAST:
+            self.lost, session.exitstatus = True, pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """Say how many there were, and which of them are not proven."""
+        found = self.verdicts()
+        if self.lost:
+            terminalreporter.line(
+                f"FAILED: only {len(found)} certificates were collected, {LEAST} at least are made", red=True
+            )
+        if not found:
+            return
+        open_ones = [v for v in found if v["verdict"] != "proven"]
+        slowest = max(found, key=lambda v: v["seconds"])
+        terminalreporter.section("certificates in ball arithmetic")
+        terminalreporter.line(
+            f"{len(found)} distinct ({LEAST} or more in a whole run), {len(found) - len(open_ones)} proven, "
+            f"{sum(v['seconds'] for v in found):.0f} s in all, slowest {slowest['seconds']:.1f} s ({slowest['test']})"
+        )
+        for verdict in open_ones:
+            terminalreporter.line(f"{verdict['verdict']}: {verdict['test']}: {verdict['reason']}")
+
+    def pytest_unconfigure(self) -> None:
+        """Remove the files, unless some are not proven."""
+        if not self.distributed and not list(self.root.glob("not-*.json")):
+            shutil.rmtree(self.root, ignore_errors=True)
+
+
+def register(config: pytest.Config) -> None:
+    """Start collecting in this process, a worker of pytest-xdist or the only one, and judging after each test."""
+    worker = getattr(config, "workerinput", {}).get("workerid")
+    root = Path(os.environ[FOLDER]).parent if worker else Path(tempfile.mkdtemp(prefix="certificates-"))
+    os.environ[FOLDER] = str(root / (worker or "main"))
+    config.addinivalue_line("markers", "unproven(verdict, why): a certificate of this test is known not to be proven")
+    config.pluginmanager.register(Rigour(root, worker or "main", bool(worker)), "rigour")
+    watch()

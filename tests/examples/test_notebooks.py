@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from tests import rigour
 from tests.examples import notebooks
 
 TOOL = Path(notebooks.__file__)
 LECTURES = sorted(notebooks.FOLDER.glob("*.ipynb"))
+CERTIFICATES = {"03": 9, "04": 1, "06": 25}
+"""How many different certificates a lecture makes at least."""
 
 
 def run(verb, path):
@@ -68,8 +71,11 @@ def test_notebook_asks_first_teaches_by_failure_and_ends_with_what_to_take_away(
 
 
 @pytest.mark.parametrize("path", LECTURES, ids=lambda p: p.stem)
-def test_notebook_runs(path):
+def test_notebook_runs_and_each_of_its_certificates_is_proven_rigorously(path, monkeypatch, tmp_path):
+    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
     assert run("run", path) >= 2, "a lecture shows at least two pictures"
+    rigour.check_proven(tmp_path, CERTIFICATES.get(path.stem[:2], 0))
+    assert (".certify" in path.read_text()) == (path.stem[:2] in CERTIFICATES)
 
 
 def test_sliders_and_kernels_are_optional():

@@ -1,47 +1,108 @@
-"""Law: the certificate of every example plant is proven in ball arithmetic, not only in floats."""
+"""Law: every certificate of an example plant, script, executed page or command is proven in ball arithmetic.
 
+Those of the notebooks are judged where the notebooks are run, those of all other tests by `tests/rigour.py`.
+"""
+
+import re
+import runpy
+import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, certify, default_window, read_plant, split_modes
+from sampling_design import PeriodicSchedule, certify, default_window, read_plant, split_modes, write_schedule
+from tests import rigour
+from tests.examples.notebooks import run_cell
 
-PLANTS = sorted((Path(__file__).parents[2] / "examples" / "plants").glob("*.toml"))
+ROOT = Path(__file__).parents[2]
+PLANTS = sorted((ROOT / "examples" / "plants").glob("*.toml"))
 SAMPLES = {"tidal_gauge": 14}
 
 
 @pytest.mark.parametrize("path", PLANTS, ids=lambda path: path.stem)
-def test_the_certificate_is_a_theorem_about_its_numbers(path):
+def test_the_certificate_is_a_theorem_about_its_numbers(path, monkeypatch, tmp_path):
+    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
     plant = read_plant(path)
     window = default_window(split_modes(plant)) or 4 / float(np.linalg.norm(plant.A, 2))
     count = SAMPLES.get(path.stem, 6)
     gaps = np.full(count, window / count) * np.linspace(0.8, 1.2, count)
     certificate = certify(plant, PeriodicSchedule(gaps, time_unit=plant.time_unit), eta=1 / window)
-    verdict = certificate.verify(rigorous=True)
-    assert verdict.passed, verdict.reason
-    assert verdict.verdict == "proven"
+    (proven,) = rigour.check_proven(tmp_path, 1)
+    assert proven == certificate.to_dict()
 
 
-SCRIPTS = [
-    path for path in sorted((Path(__file__).parents[2] / "examples").glob("0*.py")) if "sd.certify(" in path.read_text()
-]
+def test_every_script_makes_its_certificates(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
+    for path in sorted((ROOT / "examples").glob("0*.py")):
+        if "sd.certify" in path.read_text():
+            runpy.run_path(str(path))["main"]()
+    rigour.check_proven(tmp_path, 5)
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_every_certificate_that_a_lecture_makes_is_one_too(path, monkeypatch, capsys):
-    import runpy
+@pytest.mark.parametrize(("name", "least"), [("index", 2), ("tour", 3)])
+def test_pages_that_the_documentation_executes(name, least, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
+    monkeypatch.chdir(ROOT / "docs")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    names = {"__name__": "__page__"}
+    with plt.rc_context():
+        for number, cell in enumerate(cells(name)):
+            run_cell(cell, f"{name}.md, cell {number}", names)
+        plt.close("all")
+    rigour.check_proven(tmp_path, least)
 
-    import sampling_design as sd
 
-    made, certify_plainly = [], sd.certify
+def test_the_pages_are_all_that_make_certificates():
+    executed = {
+        path.stem for path in (ROOT / "docs").glob("*.md") if any("certify" in cell for cell in cells(path.stem))
+    }
+    assert executed == {"index", "tour"}
+    scripts = {path.name for path in (ROOT / "examples").glob("*.py") if "certify" in path.read_text()}
+    elsewhere = {"thyroid.py"}  # tests/nonlinear/test_example.py runs it
+    assert {name for name in scripts if not name.startswith("0")} == elsewhere
+    assert {path.name for path in (ROOT / "docs").glob("*.py") if "certify" in path.read_text()} == {"pictures.py"}
+    assert "pictures.one_picture()" in cells("index")[0]
 
-    def kept(*arguments, **options):
-        made.append(certify_plainly(*arguments, **options))
-        return made[-1]
 
-    monkeypatch.setattr(sd, "certify", kept)
-    runpy.run_path(str(path))["main"]()
-    assert made
-    for certificate in made:
-        assert certificate.verify(rigorous=True).verdict == "proven"
+def cells(name):
+    """The code cells of a page, without options and magic."""
+    found = re.findall(
+        r"```\{code-cell\} python\n(.*?)```", (ROOT / "docs" / f"{name}.md").read_text(), flags=re.DOTALL
+    )
+    return [re.sub(r"^[:%].*$", "", cell, flags=re.MULTILINE) for cell in found]
+
+
+MAKING = {
+    "certify": ["certify examples/plants/oscillator.toml --gap-range 0.5 1.5 -o out"],
+    "estimate": ["estimate examples/plants/satellite.toml examples/data/satellite.csv -o out"],
+    "validate": ["validate examples/plants/satellite.toml out/schedule.csv -o out"],
+    "survive": [
+        "design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out",
+        "certify examples/plants/oscillator.toml out/schedule.csv -o out",
+        "survive examples/plants/oscillator.toml out/certificate.json -o out",
+    ],
+}
+"""Commands that make certificates, the example of each in the help, and what it needs before it."""
+
+
+@pytest.mark.parametrize("name", MAKING)
+def test_commands_as_the_help_shows_them(name, monkeypatch, tmp_path, capsys):
+    from sampling_design.cli import main
+    from sampling_design.cli.app import app
+
+    text = next(c.callback.__doc__ for c in app.registered_commands if (c.name or c.callback.__name__) == name)
+    assert f"Example: sampling-design {MAKING[name][-1]}\n" in re.sub(r"\s*\n\s+", "\n", text)
+    monkeypatch.setenv(rigour.FOLDER, str(tmp_path / "made"))
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    orbit = PeriodicSchedule(np.full(12, 5554 / 12), first=0.0, time_unit="s")
+    (tmp_path / "out").mkdir()
+    write_schedule(orbit, "out/schedule.csv")
+    for command in MAKING[name]:
+        monkeypatch.setattr(sys, "argv", ["sampling-design", *command.split()])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert not stop.value.code, capsys.readouterr().err
+    rigour.check_proven(tmp_path / "made", 1)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from tests import rigour
+
 from . import page, proving, records, scaling, searching, seeing, windows
 
 TASKS = {task.__name__.rsplit(".", 1)[-1]: task for task in (seeing, searching, proving, windows, records, scaling)}
@@ -23,6 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", choices=TASKS, action="append", help="run this task alone; may be repeated")
     parser.add_argument("-o", type=Path, default=DOCS, metavar="DIR", help="where the page goes (default: docs)")
     chosen = parser.parse_args(arguments)
+    rigour.watch()
     (chosen.o / "figures").mkdir(parents=True, exist_ok=True)
     tables, before = [], time.process_time()
     for name in chosen.only or TASKS:

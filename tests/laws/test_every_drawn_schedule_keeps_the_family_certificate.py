@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
+from sampling_design import Certificate, GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from tests.oracles.families import information, largest_lambda
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -31,6 +31,20 @@ def test_every_drawn_schedule_keeps_the_family_certificate(plant, family):
         top = max(top, largest_lambda(plant, weights, 0.3, certificate.P2, drawn.times[:6], starts=2, parts=2))
     assert top <= certificate.lam_proven
     assert top >= certificate.lam / 3  # and the family's lambda is not far above what its schedules reach
+
+
+@pytest.mark.parametrize(("plant", "family"), CASES, ids=lambda x: type(x).__name__)
+def test_the_family_certificate_is_a_certificate_of_every_drawn_schedule(plant, family):
+    whole = sd.certify(plant, family, eta=0.3, P2=[[0.3, 0.05], [0.05, 0.2]])
+    weights = {key: getattr(whole, key) for key in ("P2", "Qw", "R", "Qv", "eta", "lam", "lam_samples", "margin")}
+    rng = np.random.default_rng(9)
+    drawn = [family.draw(rng, duration=5 * family.d_max) for _ in range(100)]
+    for k, schedule in enumerate(drawn):
+        single = Certificate.from_matrices(plant, schedule, P1=whole.P1, **weights)
+        verdict = single.verify(rigorous=k % 10 == 0)
+        assert verdict.passed, f"{schedule.times}: {verdict.reason}"
+    wrong = (Certificate.from_matrices(plant, schedule, P1=3.5 * whole.P1, **weights) for schedule in drawn)
+    assert not all(single.verify().passed for single in wrong)
 
 
 def test_the_kept_information_is_at_least_P1_at_any_time():

@@ -15,7 +15,7 @@ from sampling_design.design.bound import placed_bound
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.relaxation import Relaxation
 from sampling_design.design.zone_bound import ZoneRelaxation, relax_zones, zone_bound
-from sampling_design.design.zones import SIDES, Side, covered, origin_zones, tightened, turnable
+from sampling_design.design.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.floating[Any]]
@@ -31,12 +31,13 @@ def _none() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BoundPart:
-    """Multipliers that bound all schedules whose followers of the origin lie in `zones` (k-1, 2).
+    """Multipliers that bound all schedules whose samples lie in `zones` (k, 2).
 
     `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
-    windows that start at `starts`; `tilt` (k-1,) only for the method "averaged". "placed" bounds all
-    schedules, wherever their samples lie, and is the only method that knows forbidden and several fixed
-    times; `price` is its multiplier of the cost limit.
+    windows that start at `starts`. The zones count from the sample after which all others come "late", or
+    "early" (`side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
+    their samples lie, and is the only method that knows fixed times; `price` is its multiplier of the cost
+    limit.
     """
 
     method: Method
@@ -44,6 +45,7 @@ class BoundPart:
     weights: Array
     zones: Array = field(default_factory=_none)
     tilt: Array = field(default_factory=lambda: np.zeros(0))
+    side: Side = "late"
     value: float = np.inf
     price: float = 0.0
 
@@ -58,13 +60,13 @@ class BoundPart:
         Z = R @ (self.weights / total) @ R.T
         if self.method == "placed":
             return placed_bound(problem, self.starts, Z, self.price)
-        if not turnable(problem) or self.zones.shape != (problem.samples - 1, 2):
+        if not zoned(problem) or self.zones.shape != (problem.samples, 2):
             return np.inf
-        zones = tightened(problem, self.zones)
+        zones = tightened(problem, self.zones, self.side)
         if zones is None:
             return 0.0
         if self.method == "averaged":
-            if self.tilt.size != problem.samples - 1:
+            if self.tilt.size != problem.samples - 1 or turn(problem) > 0:
                 return np.inf
             return averaged_bound(problem, self.starts, Z, self.tilt, zones)
         return zone_bound(problem, self.starts, Z, zones)
@@ -72,7 +74,7 @@ class BoundPart:
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
         plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt")}
-        return {"method": self.method, "value": self.value, "price": self.price, **plain}
+        return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +86,11 @@ class UpperBound:
     value : float
         The largest of the parts' bounds.
     parts : tuple of BoundPart
-        One part that covers all schedules, or several whose zones cover them.
-    side : str
-        Whether the zones count from the sample after which all others come "late", or "early".
+        One part that covers all schedules, or several of one side whose zones cover them.
     """
 
     value: float
     parts: tuple[BoundPart, ...]
-    side: Side = "late"
 
     @property
     def method(self) -> str:
@@ -108,14 +107,16 @@ class UpperBound:
         """Whether the parts leave no schedule out."""
         if any(part.method == "placed" for part in self.parts):
             return len(self.parts) == 1
-        fits = all(part.zones.shape == (problem.samples - 1, 2) for part in self.parts)
-        if not self.parts or not fits or not turnable(problem):
+        fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
+        sides = {part.side for part in self.parts}
+        if len(sides) != 1 or not fits or not zoned(problem):
             return False
-        return covered(problem, origin_zones(problem, self.side), [part.zones for part in self.parts])
+        side = sides.pop()
+        return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        return {"value": self.value, "side": self.side, "parts": [part.to_dict() for part in self.parts]}
+        return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> UpperBound:
@@ -124,18 +125,18 @@ class UpperBound:
         Raises
         ------
         ArgumentError
-            If a part names an unknown method, or `side` is neither "late" nor "early".
+            If a part names an unknown method, or its `side` is neither "late" nor "early".
         """
-        if data["side"] not in SIDES:
-            raise ArgumentError(f"a bound's `side` must be late or early, got {data['side']!r}.")
         parts = []
         for entry in data["parts"]:
+            if entry["side"] not in SIDES:
+                raise ArgumentError(f"a bound's `side` must be late or early, got {entry['side']!r}.")
             if entry["method"] not in ("placed", "averaged", "zones"):
                 raise ArgumentError(f"a bound's `method` must be placed, averaged or zones, got {entry['method']!r}.")
             arrays = {key: np.array(entry[key], dtype=float) for key in ("starts", "weights", "tilt")}
             zones = np.array(entry["zones"], dtype=float).reshape(-1, 2)
             parts.append(BoundPart(**{**entry, **arrays, "zones": zones}))
-        return cls(float(data["value"]), tuple(parts), data["side"])
+        return cls(float(data["value"]), tuple(parts))
 
 
 def _part(
@@ -145,6 +146,7 @@ def _part(
     Z: Array,
     zones: Array | None = None,
     tilt: Array | None = None,
+    side: Side = "late",
 ) -> BoundPart:
     """A part from multipliers in the scaled basis."""
     S = problem.rows.S
@@ -155,7 +157,7 @@ def _part(
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
-    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, slope)
+    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, slope, side)
     return replace(bare, value=bare.value_for(problem))
 
 
@@ -188,9 +190,9 @@ def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
     return replace(part, price=price, value=best)
 
 
-def averaged_part(problem: DesignProblem, zones: Array) -> BoundPart:
+def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart:
     """Bound from windows after every sample, for all schedules in `zones`."""
-    tight = tightened(problem, zones)
+    tight = tightened(problem, zones, side)
     found, tilt = relax_averaged(problem, zones if tight is None else tight)
     first = found.starts >= problem.period * (1 - 1e-6)
     step = problem.period / max(found.starts.size - 1, 1)
@@ -199,31 +201,28 @@ def averaged_part(problem: DesignProblem, zones: Array) -> BoundPart:
     spread = np.concatenate([found.starts[alone], *moved])
     Z = np.concatenate([found.Z[alone], *([found.Z[~alone] / _SPREAD] * _SPREAD)])
     parts = [
-        _part(problem, "averaged", found.starts, found.Z, zones, tilt),
-        _part(problem, "averaged", spread, Z, zones, tilt),
+        _part(problem, "averaged", found.starts, found.Z, zones, tilt, side),
+        _part(problem, "averaged", spread, Z, zones, tilt, side),
     ]
     return min(parts, key=lambda p: p.value)
 
 
-def zone_part(problem: DesignProblem, zones: Array, hints: Array) -> tuple[BoundPart, ZoneRelaxation] | None:
+def zone_part(
+    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None
+) -> tuple[BoundPart, ZoneRelaxation] | None:
     """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
-    tight = tightened(problem, zones)
+    tight = tightened(problem, zones, side)
     if tight is None:
         return None
-    relaxed = relax_zones(problem, tight, hints)
-    return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones), relaxed
+    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints)
+    return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
 
 
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
     """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
-    bounds = [_alone(placed_part(problem, placed), "late")]
-    if turnable(problem) and time.perf_counter() <= deadline:
-        for side in SIDES:
-            root = zone_part(problem, origin_zones(problem, side), np.zeros(0))
-            if root is not None:
-                bounds.append(_alone(root[0], side))
-    return min(bounds, key=lambda b: b.value)
-
-
-def _alone(part: BoundPart, side: Side) -> UpperBound:
-    return UpperBound(part.value, (part,), side)
+    parts = [placed_part(problem, placed)]
+    if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
+        roots = [zone_part(problem, origin_zones(problem, side), side) for side in SIDES]
+        parts += [root[0] for root in roots if root is not None]
+    best = min(parts, key=lambda p: p.value)
+    return UpperBound(best.value, (best,))

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sampling_design.design.bounds import BoundPart, UpperBound, averaged_part, zone_part
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.zone_bound import ZoneRelaxation, matters
-from sampling_design.design.zones import SIDES, halves, lateness, origin_zones, tightened, turnable
+from sampling_design.design.zones import SIDES, Side, halves, lateness, origin_zones, tightened, turn, zoned
 
 Array = npt.NDArray[np.floating[Any]]
 Progress = Callable[[float, str], None]
@@ -55,21 +55,23 @@ def narrowed(
     bounds are near anyway where samples are many. Boxes know no price of cost: they would only lose.
     """
     priced = any(part.price > 0 for part in bound.parts)
-    if steps < problem.samples or priced or not turnable(problem) or bound.value <= target * (1 + rtol):
+    if steps < problem.samples or priced or not zoned(problem) or bound.value <= target * (1 + rtol):
         return bound
-    sides = (bound.side,) if bound.method == "zones" else SIDES
-    roots = [(root, side) for side in sides if (root := _box(problem, origin_zones(problem, side))) is not None]
+    sides = (bound.parts[0].side,) if bound.method == "zones" else SIDES
+    roots = [root for side in sides if (root := _box(problem, origin_zones(problem, side), side)) is not None]
     if not roots or time.perf_counter() > deadline:
         return bound
-    root, side = max(roots, key=lambda r: r[0].rank)
-    tree = _Tree(problem, target * (1 + rtol), root)
-    tree.split_by_lateness()
+    tree = _Tree(problem, target * (1 + rtol), min(roots))
+    if turn(problem) == 0:
+        tree.split_by_lateness()
+    else:
+        tree.add(tree.root.part.zones, tree.root)
     for step in range(steps):
         if time.perf_counter() > deadline or not tree.cut():
             break
         if progress:
             progress((step + 1) / steps, f"bound {tree.value:.6g}, found {target:.6g}")
-    return UpperBound(tree.value, tree.parts, side) if tree.value < bound.value else bound
+    return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 
 class _Tree:
@@ -92,13 +94,11 @@ class _Tree:
         return max(part.value for part in self.parts)
 
     def split_by_lateness(self) -> None:
-        """Cut the root by the first follower that comes late (or early) by more than a share of the mean gap."""
-        rest = self.root.part.zones
+        """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
+        rest, late = self.root.part.zones, self.root.part.side == "late"
         mean = self.problem.period / self.problem.samples
-        for index in range(len(rest)):
-            far = lateness(self.problem, rest)[index + 1]
-            late = bool(far[1] > -far[0])
-            cut = (index + 1 + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
+        for index in range(1, len(rest)):
+            cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
             if rest[index, 0] < cut < rest[index, 1]:
                 below, above = halves(rest, index, cut)
                 self.add(above if late else below, self.root)
@@ -120,7 +120,7 @@ class _Tree:
 
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
-        box = _box(self.problem, zones, wider)
+        box = _box(self.problem, zones, wider.part.side, wider)
         if box is None:
             return
         if box.part.value > self.enough:
@@ -132,9 +132,9 @@ class _Tree:
             self.closed.append(box.part)
 
 
-def _box(problem: DesignProblem, zones: Array, wider: _Box | None = None) -> _Box | None:
+def _box(problem: DesignProblem, zones: Array, side: Side, wider: _Box | None = None) -> _Box | None:
     """The box with the smaller of its own bound and that of the wider box's multipliers; None if it is empty."""
-    made = zone_part(problem, zones, np.zeros(0) if wider is None else matters(problem, wider.relaxed.found))
+    made = zone_part(problem, zones, side, None if wider is None else matters(problem, wider.relaxed.found))
     if made is None:
         return None
     part, relaxed = made
@@ -146,9 +146,9 @@ def _box(problem: DesignProblem, zones: Array, wider: _Box | None = None) -> _Bo
 
 def _evened(problem: DesignProblem, box: _Box) -> _Box:
     """The same box with the averaged bound where all its schedules are nearly even, if that is smaller."""
-    tight = tightened(problem, box.part.zones)
+    tight = tightened(problem, box.part.zones, box.part.side)
     mean = problem.period / problem.samples
-    if tight is None or np.max(np.abs(lateness(problem, tight))) > _EVEN_ENOUGH * mean:
+    if turn(problem) > 0 or tight is None or np.max(np.abs(lateness(problem, tight))) > _EVEN_ENOUGH * mean:
         return box
-    part = averaged_part(problem, box.part.zones)
+    part = averaged_part(problem, box.part.zones, box.part.side)
     return box if part.value >= box.part.value else replace(box, rank=-part.value, part=part)

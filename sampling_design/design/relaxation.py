@@ -42,9 +42,13 @@ class Relaxation:
 def grid_size(problem: DesignProblem) -> int:
     """Grid times per period: as the spacing asks, and several per cycle of the fastest quadratic form."""
     fine = int(np.ceil(problem.period / problem.spacing))
+    return int(np.clip(max(min(fine, 96), 4 * problem.samples, least_points(problem)), 24, 960))
+
+
+def least_points(problem: DesignProblem) -> int:
+    """Eight grid times per cycle of the fastest quadratic form."""
     fastest = float(np.max(np.abs(np.linalg.eigvals(problem.plant.A).imag), initial=0.0))
-    cycles = problem.period * fastest / np.pi
-    return int(np.clip(max(min(fine, 96), 4 * problem.samples, np.ceil(8 * cycles)), 24, 960))
+    return int(np.ceil(8 * problem.period * fastest / np.pi))
 
 
 def _start_count(problem: DesignProblem) -> int:

@@ -1,4 +1,4 @@
-"""Bound of all schedules whose samples lie in given zones after a sample at 0.
+"""Bound of all schedules whose samples lie in given zones.
 
 A relaxation on points of the zones gives multipliers, a chain over time cells the bound. Of the windows
 that might matter only those are posed that do: each round adds the ones that the weights see least of.
@@ -22,16 +22,16 @@ from sampling_design.design.bound import (
     profile,
     roofs,
     rooted,
-    value_at,
 )
 from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import Relaxation, grams_at, solve_relaxation
+from sampling_design.design.relaxation import Relaxation, grams_at, least_points, solve_relaxation
 from sampling_design.design.zones import TINY
 
 Array = npt.NDArray[np.floating[Any]]
 
-_POINTS = 48  # grid times of one relaxation, spread over the zones
+_POINTS = 48  # grid times of one relaxation at least, spread over the zones
 _BETWEEN = 36  # window starts beside the zones' ends
+_REGULAR = 1e-12  # of its trace, added to a Gram matrix before it is divided by
 _TOLERANCE = 1e-5  # asked of the solver: hundreds of boxes, each with a bound that is true whatever it answers
 _FINEST = 20000  # cells per period at most
 _JUST_BESIDE = 1e-9  # of the period: a window that starts this much earlier still holds the sample
@@ -44,7 +44,7 @@ _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 @dataclass(frozen=True, eq=False)
 class ZoneRelaxation:
-    """Weights on points of the zones, the windows that matter, and which follower gains most from a cut."""
+    """Weights on points of the zones, and which sample's zone gains most from a cut, and where."""
 
     found: Relaxation
     index: int
@@ -52,22 +52,20 @@ class ZoneRelaxation:
 
 
 def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelaxation:
-    """Weights on points of the zones, a sample at 0; `hints` are window starts that mattered for a wider box."""
+    """Weights on points of the zones; `hints` are window starts that mattered for a wider box."""
     starts = _window_starts(problem, zones, hints)
-    grid, step = _points(zones)
-    times, owner = _with_starts(problem, zones, grid, starts)
-    every = np.ones((times.size, problem.plant.n_outputs), dtype=bool)
-    grams = grams_at(problem, times, starts, every)
-    anchor = grams_at(problem, np.zeros(1), starts, every[:1]).sum(axis=1)
+    times, owner, step = _points(problem, zones, starts)
+    grams = grams_at(problem, times, starts, problem.mask(times))
     rows, limits = _order_rows(problem, zones, times, step)
+    none = np.zeros((starts.size, *grams.shape[2:]))
     posed = np.arange(starts.size) < hints.size
     if not hints.size:
         posed[:: max(1, starts.size // _FIRST)] = True
     for _ in range(_ROUNDS if hints.size else _FIRST_ROUNDS):
         used = (owner < 0) | posed[owner]
-        parts = grams[posed][:, used], anchor[posed], (rows[:, used], limits), float(problem.samples - 1)
+        parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
         found = solve_relaxation(problem, times[used], starts[posed], *parts, tolerance=_TOLERANCE)
-        seen = anchor + np.einsum("mjab,j->mab", grams[:, used], found.weights)
+        seen = np.einsum("mjab,j->mab", grams[:, used], found.weights)
         sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])
         worst = np.argsort(sigma2, kind="stable")[:_ADDED]
         worst = worst[sigma2[worst] < found.value * (1 - _SEEN)]
@@ -77,26 +75,48 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelax
     return ZoneRelaxation(found, *_most_divided(problem, zones, found))
 
 
-def _with_starts(
-    problem: DesignProblem, zones: Array, grid: Array, starts: Array
-) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Grid times, and just after each window start the time where what it sees jumps up; whose it is, or -1."""
-    after = starts + 2 * _JUST_BESIDE * problem.period
-    held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
-    times = np.concatenate([grid, after[held]])
-    owner = np.concatenate([np.full(grid.size, -1), np.flatnonzero(held)])
-    order = np.argsort(times, kind="stable")
-    return times[order], owner[order]
-
-
 def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
     """Hints first; then just before and just after every zone, and some between, in [0, period)."""
     P = problem.period
-    early = np.append(0.0, zones[:, 0]) - _JUST_BESIDE * P
-    late = np.append(0.0, zones[:, 1] + _JUST_BESIDE * P)
+    early, late = zones[:, 0] - _JUST_BESIDE * P, zones[:, 1] + _JUST_BESIDE * P
     between = (np.arange(_BETWEEN) + 0.5) * (P / _BETWEEN)
     rest = np.unique(np.mod(np.concatenate([early, late, early - problem.window, between]), P))
     return np.concatenate([hints, rest[~np.isin(rest, hints)]])
+
+
+def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[Array, npt.NDArray[np.intp], float]:
+    """Allowed times in the zones, every end included, and the widest step between them.
+
+    Just after each window start, where what it sees jumps up, there is one more: whose it is, or -1, comes along.
+    """
+    joined: list[list[float]] = []
+    for a, b in zones:
+        if joined and a <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], float(b))
+        else:
+            joined.append([float(a), float(b)])
+    total = max(sum(b - a for a, b in joined), TINY * problem.period)
+    wanted = max(_POINTS, least_points(problem))
+    counts = [max(3, int(np.ceil(wanted * (b - a) / total)) + 1) for a, b in joined]
+    grid = [np.linspace(a, b, count) for (a, b), count in zip(joined, counts, strict=True)]
+    step = max((b - a) / (count - 1) for (a, b), count in zip(joined, counts, strict=True))
+    fixed = np.unique(np.concatenate([*grid, zones.ravel(), _ends(problem, zones)]))
+    after = np.concatenate([starts, starts + problem.period]) + 2 * _JUST_BESIDE * problem.period
+    held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
+    times = np.concatenate([fixed, after[held]])
+    owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(held) % starts.size])
+    order = np.argsort(times, kind="stable")
+    order = order[problem.mask(times[order]).any(axis=1)]
+    return times[order], owner[order], step
+
+
+def _ends(problem: DesignProblem, zones: Array) -> Array:
+    """Ends of the allowed intervals, as far as they lie in the zones; the later end just inside."""
+    if problem.is_shift_invariant:
+        return np.zeros(0)
+    inside = np.stack([problem.intervals[:, 0], problem.intervals[:, 1] - _JUST_BESIDE * problem.period])
+    ends = np.concatenate([inside.ravel() + lap * problem.period for lap in (0, 1)])
+    return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
 
 
 def _order_rows(problem: DesignProblem, zones: Array, times: Array, step: float) -> tuple[Array, Array]:
@@ -106,27 +126,10 @@ def _order_rows(problem: DesignProblem, zones: Array, times: Array, step: float)
     crowd = (t >= times[:, None] - tiny) & (t < times[:, None] + problem.spacing - tiny)
     reached = (t <= zones[:, 1:] + tiny)[:-1]
     ahead = (t < zones[:, :1] - tiny)[1:]
-    order = np.arange(1.0, k - 1)
+    order = np.arange(1.0, k)
     rows = np.vstack([crowd, -1.0 * reached, ahead])
     roof = max(1.0, step / problem.spacing)
     return rows, np.concatenate([np.full(len(crowd), roof), -order, order])
-
-
-def _points(zones: Array) -> tuple[Array, float]:
-    """Grid times in the union of the zones, every end included, and the widest step."""
-    joined: list[list[float]] = []
-    for a, b in zones:
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], float(b))
-        else:
-            joined.append([float(a), float(b)])
-    total = sum(b - a for a, b in joined)
-    parts, widest = [], 0.0
-    for a, b in joined:
-        count = max(3, int(np.ceil(_POINTS * (b - a) / total)) + 1)
-        parts.append(np.linspace(a, b, count))
-        widest = max(widest, (b - a) / (count - 1))
-    return np.unique(np.concatenate([*parts, zones.ravel()])), widest
 
 
 def matters(problem: DesignProblem, found: Relaxation) -> Array:
@@ -136,23 +139,22 @@ def matters(problem: DesignProblem, found: Relaxation) -> Array:
 
 
 def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float]:
-    """The follower whose early and late shares differ most for the windows that matter, and its mean time.
+    """The sample whose early and late shares differ most for the windows that matter, and its mean time.
 
-    The relaxation gains from mixing schedules what the least eigenvalue is concave. Were follower i early
+    The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
     in one half of them and late in the other, their Gram matrices would differ by D, and the mean of both
     lies above them by <Z, D W^-1 D> to second order: what a cut between the two takes away.
     """
     k = problem.samples
     held = np.isin(found.starts, matters(problem, found))
     starts, Z = found.starts[held], found.Z[held]
-    every = np.ones((found.times.size, problem.plant.n_outputs), dtype=bool)
-    grams = grams_at(problem, found.times, starts, every)
-    W = grams_at(problem, np.zeros(1), starts, every[:1]).sum(axis=1) + np.einsum("mjab,j->mab", grams, found.weights)
-    W = W + 1e-12 * np.trace(W, axis1=1, axis2=2)[:, None, None] * np.eye(W.shape[-1])
+    grams = grams_at(problem, found.times, starts, problem.mask(found.times))
+    W = np.einsum("mjab,j->mab", grams, found.weights)
+    W = W + _REGULAR * np.trace(W, axis1=1, axis2=2)[:, None, None] * np.eye(W.shape[-1])
     total = np.append(0.0, np.cumsum(found.weights))
-    total *= (k - 1) / max(float(total[-1]), 1e-300)
-    gains, cuts = np.zeros(k - 1), zones.mean(axis=1)
-    for i in range(k - 1):
+    total *= k / max(float(total[-1]), 1e-300)
+    gains, cuts = np.zeros(k), zones.mean(axis=1)
+    for i in range(k):
         share = np.maximum(np.minimum(total[1:], i + 1) - np.maximum(total[:-1], i), 0.0)
         if share.sum() <= 0:
             continue
@@ -169,22 +171,22 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tu
 
 
 def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) -> float:
-    """Bound sigma of every schedule with a sample at 0 whose followers lie in `zones`."""
+    """Bound sigma of every schedule whose samples lie in `zones`."""
     P = problem.period
     zone = np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1)
-    zone = np.clip(zone, 0.0, P)
     wide = float(np.max(zone[:, 1] - zone[:, 0]))
     fine = float(np.clip(wide / 6, P / _FINEST, P / cell_count(problem)))
     apart = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    width = problem.spacing / apart if apart else fine
-    arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), width, apart)
+    arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), problem.spacing / apart if apart else fine, apart)
     ends = arc.edges
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])
-    edges = piece_edges(P, np.concatenate([jump_times(problem, starts), marks]))
-    every = np.ones((edges.size - 1, problem.plant.n_outputs), dtype=bool)
-    roof = roofs(profile(problem, starts, Z, edges), every)
+    edges = piece_edges(P, np.concatenate([jump_times(problem, starts), np.mod(marks, P), problem.breakpoints]))
+    mask = problem.mask((edges[:-1] + edges[1:]) / 2)
+    roof = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
+    laps = np.arange(-1, int(np.ceil(arc.stop / P)) + 1)
+    line = np.append((edges[:-1] + P * laps[:, None]).ravel(), P * (laps[-1] + 1))
+    roof = np.tile(roof, laps.size)
     # open comparison: a piece that only touches a zone holds none of its times, and may lie beyond a jump
-    layers = [cell_values(arc, edges, np.where((edges[1:] > a) & (edges[:-1] < b), roof, -np.inf)) for a, b in zone]
-    alone = float(value_at(problem, starts, Z, np.zeros(1)).sum())
-    return rooted(alone + best_layers(layers, arc, P))
+    layers = [cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof, -np.inf)) for a, b in zone]
+    return rooted(best_layers(layers, arc, 2 * P))

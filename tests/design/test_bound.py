@@ -10,7 +10,7 @@ from sampling_design.design.averaged import averaged_bound
 from sampling_design.design.bounds import BoundPart, UpperBound
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.zone_bound import zone_bound
-from sampling_design.design.zones import origin_zones, tightened, turnable
+from sampling_design.design.zones import origin_zones, tightened, turn, zoned
 from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule
 
@@ -60,11 +60,14 @@ def origin_of(case, times, side):
     return int(np.argmin(late) if side == "late" else np.argmax(late))
 
 
-def early_half(case, times):
-    """A box of zones that holds the schedule seen from its early origin, and little else."""
-    after = np.sort(np.mod(times - times[origin_of(case, times, "early")], case.period))[1:]
-    zones = origin_zones(case, "early")
-    return tightened(case, np.clip(np.stack([after - 0.1, after + 0.2], axis=1), zones[:, :1], zones[:, 1:]))
+def near(case, times, side):
+    """A box of zones that holds the schedule counted from its origin, and little else."""
+    origin = origin_of(case, times, side)
+    counted = np.concatenate([times[origin:], times[:origin] + case.period])
+    if turn(case) == 0:
+        counted = counted - counted[0]
+    zones = origin_zones(case, side)
+    return tightened(case, np.clip(np.stack([counted - 0.1, counted + 0.2], axis=1), zones[:, :1], zones[:, 1:]), side)
 
 
 @pytest.mark.parametrize(("window", "period"), [(4.0, 4.0), (4.0, 3.2), (2.5, 4.0), (9.0, 4.0)])
@@ -77,11 +80,34 @@ def test_every_bound_exceeds_the_plain_sum(window, period):
     for times in schedules(case, rng):
         assert plain_sum(case, starts, Z, times) <= placed * (1 + 1e-8)
         turns = [plain_sum(case, starts, Z, times, origin) for origin in times]
-        for side, zones in (("late", tightened(case, origin_zones(case, "late"))), ("early", early_half(case, times))):
+        every = tightened(case, origin_zones(case, "late"), "late")
+        for side, zones in (("late", every), ("early", near(case, times, "early"))):
             averaged = averaged_bound(case, starts, Z, tilt, zones) ** 2
             assert np.mean(turns) <= averaged * (1 + 1e-8)
             origin = origin_of(case, times, side)
             assert turns[origin] <= zone_bound(case, starts, Z, zones) ** 2 * (1 + 1e-8)
+
+
+@pytest.mark.parametrize("forbidden", [[[1.2, 1.6]], [[0.0, 0.5], [1.0, 1.5], [2.0, 2.5], [3.0, 3.5]]])
+def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
+    rng = np.random.default_rng(11)
+    case = problem(forbidden=forbidden, available=(None, np.array([[0.5, 4.0]])), spacing=0.05)
+    starts, Z = multipliers(case, rng, 6)
+    tried = 0
+    for _ in range(4000):
+        times = np.sort(rng.integers(0, 40, 5) / 10)
+        gaps = np.diff(np.append(times, times[0] + 4.0))
+        if gaps.min() < 0.05 or not case.mask(times).any(axis=-1).all() or tried == 40:
+            continue
+        tried += 1
+        for side in ("late", "early"):
+            shift = turn(case) * np.floor(times[origin_of(case, times, side)] / turn(case))
+            moved = times - shift  # allowed there too: what is forbidden repeats
+            zones = near(case, moved, side)
+            assert plain_sum(case, starts, Z, np.mod(moved, 4.0)) <= zone_bound(case, starts, Z, zones) ** 2 * (
+                1 + 1e-8
+            )
+    assert tried == 40
 
 
 def test_bound_with_forbidden_fixed_and_partly_available_times():
@@ -131,7 +157,7 @@ def test_reachable_is_a_sliding_maximum():
 
 
 def test_multipliers_that_prove_nothing_give_an_infinite_bound():
-    case = problem()
+    case, closed = problem(), problem(forbidden=[[0.0, 1.0]])
     every = origin_zones(case, "late")
     good = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, every, np.zeros(4))
     assert np.isfinite(UpperBound(1.0, (good,)).value_for(case))
@@ -139,29 +165,30 @@ def test_multipliers_that_prove_nothing_give_an_infinite_bound():
     assert UpperBound(1.0, (indefinite,)).value_for(case) == np.inf
     assert BoundPart("averaged", np.zeros(1), np.eye(3)[None], every, np.zeros(2)).value_for(case) == np.inf
     less = every.copy()
-    less[2, 1] -= 0.1
+    less[3, 1] -= 0.1
     part = BoundPart("zones", np.zeros(1), np.eye(3)[None] / 3, less)
     assert np.isfinite(part.value_for(case))
-    assert UpperBound(1.0, (part,)).value_for(case) == np.inf  # a late third sample is left uncovered
-    assert (
-        UpperBound(1.0, (BoundPart("zones", np.zeros(1), np.eye(3)[None], every),), "early").value_for(case) == np.inf
-    )
-    assert not turnable(problem(forbidden=[[0.0, 1.0]]))
-    assert good.value_for(problem(forbidden=[[0.0, 1.0]])) == np.inf
-    assert UpperBound(1.0, (good,)).value_for(problem(forbidden=[[0.0, 1.0]])) == np.inf
+    assert UpperBound(1.0, (part,)).value_for(case) == np.inf  # a late fourth sample is left uncovered
+    other = BoundPart("zones", np.zeros(1), np.eye(3)[None], every, side="early")
+    assert UpperBound(1.0, (other,)).value_for(case) == np.inf
+    assert UpperBound(1.0, (other, good)).value_for(case) == np.inf
+    assert good.value_for(closed) == np.inf  # its laws ask for schedules that may be shifted
     assert good.value_for(problem(samples=4)) == np.inf
     assert UpperBound(1.0, ()).value_for(case) == np.inf
+    assert not zoned(problem(fixed=[0.0, 1.0]))
+    assert part.value_for(problem(fixed=[0.0, 1.0])) == np.inf
+    assert UpperBound(1.0, (part,)).value_for(problem(fixed=[0.0, 1.0])) == np.inf
 
 
 def test_a_part_without_schedules_bounds_them_by_nothing():
     case = problem()
     zones = origin_zones(case, "late")
-    zones[1] = 3.99, 4.0
+    zones[2] = 3.99, 4.0
     assert BoundPart("zones", np.zeros(1), np.eye(3)[None], zones).value_for(case) == 0.0
 
 
 def test_a_bound_survives_its_own_dictionary():
-    part = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, origin_zones(problem(), "late"), np.zeros(4), 2.0)
+    part = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, origin_zones(problem(), "late"), np.zeros(4))
     whole = UpperBound(2.0, (part,))
     again = UpperBound.from_dict(whole.to_dict())
     assert again.value == 2.0
@@ -170,4 +197,4 @@ def test_a_bound_survives_its_own_dictionary():
     with pytest.raises(ArgumentError, match="a bound's `method` must be placed, averaged or zones, got 'guess'"):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
     with pytest.raises(ArgumentError, match="a bound's `side` must be late or early, got 'left'"):
-        UpperBound.from_dict({**whole.to_dict(), "side": "left"})
+        UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "side": "left"}]})

@@ -138,6 +138,14 @@ def test_a_bound_never_grows_by_branching():
     assert designs[2].verify()
 
 
+def test_closed_times_are_branched_on_too():
+    requirement = Requirement(window=4.0, spacing=0.3, samples=5, forbidden=[[0.0, 1.2]])
+    design = design_schedule(oscillator(), requirement, starts=2, branches=40)
+    assert design.gap < 0.002
+    assert design.bound.method == "zones"
+    assert design.verify()
+
+
 def test_progress_rises_to_the_end_and_costs_are_summed():
     seen = []
     outputs = {"y1": {"cost": 2.5}}

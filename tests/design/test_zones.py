@@ -13,8 +13,9 @@ from sampling_design.design.zones import (
     lateness,
     origin_zones,
     tightened,
-    turnable,
+    turn,
     widest_gap,
+    zoned,
 )
 from tests.oracles.design import random_schedule
 
@@ -27,11 +28,12 @@ def problem(**changes):
     return DesignProblem(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), **(given | none | changes))
 
 
-def followers(times, side):
-    """Distances to the samples after the one from which all come late, or early, by definition."""
+def counted(times, side, shift=0.0):
+    """The samples counted from the one after which all come late, or early, that one in [0, shift], by definition."""
     late = times - np.arange(times.size) * P / times.size
     origin = int(np.argmin(late) if side == "late" else np.argmax(late))
-    return np.sort(np.mod(times - times[origin], P))[1:]
+    line = np.concatenate([times[origin:], times[:origin] + P])
+    return line - (line[0] if shift == 0.0 else shift * np.floor(line[0] / shift))
 
 
 def held(zones, distances):
@@ -49,81 +51,128 @@ def draws(count, seed=9):
 @pytest.mark.parametrize("side", SIDES)
 def test_from_some_sample_all_others_come_late_and_from_some_early(side):
     zones = origin_zones(problem(), side)
-    assert all(held(zones, followers(times, side)) for times in draws(60))
-    even = np.arange(1, COUNT) * P / COUNT
-    wrong = even - 0.05 if side == "late" else even + 0.05
+    assert all(held(zones, counted(times, side)) for times in draws(60))
+    even = np.arange(COUNT) * P / COUNT
+    wrong = even + (np.arange(COUNT) > 0) * (-0.05 if side == "late" else 0.05)
     assert not held(zones, wrong)
+
+
+DAYS = np.array([[0.0, 0.3], [0.8, 1.3], [1.8, 2.3], [2.8, 3.3], [3.8, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "shift"),
+    [
+        ({}, 0.0),
+        ({"fixed": np.array([1.0])}, 0.0),
+        ({"forbidden": np.array([[0.0, 1.0]])}, P),
+        ({"forbidden": DAYS}, 1.0),
+        ({"forbidden": np.array([[0.0, 0.5], [2.0, 2.5]])}, 2.0),
+        ({"forbidden": np.array([[0.0, 0.5], [2.0, 2.5]]), "available": (np.array([[0.0, 3.0]]),)}, P),
+        ({"available": (np.array([[0.0, 1.0], [2.0, 3.0]]),)}, 2.0),
+    ],
+)
+def test_a_requirement_may_be_turned_by_what_its_allowed_times_repeat_after(changes, shift):
+    case = problem(**changes)
+    assert turn(case) == pytest.approx(shift)
+    assert origin_zones(case, "late")[0] == pytest.approx([0.0, shift], abs=1e-9)
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_tightening_loses_no_schedule_and_sees_where_there_is_none(side):
     case, rng = problem(), np.random.default_rng(3)
-    kept = 0
     for times in draws(60):
-        after = followers(times, side)
-        box = np.sort(after[:, None] + rng.uniform(-0.4, 0.4, (COUNT - 1, 2)), axis=1)
-        box = np.stack([np.minimum(box[:, 0], after - 1e-12), np.maximum(box[:, 1], after + 1e-12)], axis=1)
-        tight = tightened(case, box)
-        kept += 1
-        assert held(tight, after)
-        assert np.all(tight[:, 0] >= np.maximum(box[:, 0], 0.0) - 1e-15)
-        assert np.all(tight[:, 1] <= np.minimum(box[:, 1], P) + 1e-15)
-    assert kept > 50
+        line = counted(times, side)
+        box = line[:, None] + np.sort(rng.uniform(-0.4, 0.4, (COUNT, 2)), axis=1)
+        box = np.stack([np.minimum(box[:, 0], line - 1e-12), np.maximum(box[:, 1], line + 1e-12)], axis=1)
+        tight = tightened(case, box, side)
+        assert held(tight, line)
+        assert np.all(tight[:, 0] >= box[:, 0] - 1e-15)
+        assert np.all(tight[:, 1] <= box[:, 1] + 1e-15)
     crowded = origin_zones(case, side)
-    crowded[0, 0] = P - (COUNT - 1) * SPACING + 1e-3
-    assert tightened(case, crowded) is None
+    crowded[1, 0] = P - (COUNT - 1) * SPACING + 1e-3
+    crowded[1, 1] = P
+    assert tightened(case, crowded, side) is None
 
 
-def test_a_box_cut_again_and_again_is_covered_and_one_piece_less_is_not():
-    case, rng = problem(), np.random.default_rng(4)
+@pytest.mark.parametrize("side", SIDES)
+def test_tightening_knows_closed_times(side):
+    case = problem(forbidden=DAYS, spacing=0.1)
+    root = origin_zones(case, side)
+    rng, seen = np.random.default_rng(6), 0
+    for _ in range(300):
+        times = np.sort(rng.integers(0, 4, COUNT) + rng.uniform(0.3, 0.8, COUNT))
+        gaps = np.diff(np.append(times, times[0] + P))
+        if gaps.min() < 0.1:
+            continue
+        line = counted(times, side, 1.0)
+        seen += 1
+        assert held(tightened(case, root, side), line)
+        box = np.stack([line - rng.uniform(0, 0.5, COUNT), line + rng.uniform(0, 0.5, COUNT)], axis=1)
+        tight = tightened(case, box, side)
+        assert held(tight, line)
+        inner = np.mod(tight, P)
+        assert case.mask(inner[:, 0] + 1e-9).all()  # both ends moved to times that are allowed
+        assert case.mask(inner[:, 1] - 1e-9).all()
+    assert seen > 20
+    night = root.copy()
+    night[2] = 1.85, 2.25
+    assert tightened(case, night, side) is None
+
+
+@pytest.mark.parametrize("changes", [{}, {"forbidden": DAYS, "spacing": 0.05}])
+def test_a_box_cut_again_and_again_is_covered_and_one_piece_less_is_not(changes):
+    case, rng = problem(**changes), np.random.default_rng(4)
     region = origin_zones(case, "late")
     boxes = [region]
-    for _ in range(25):
+    for _ in range(40):
         box = boxes.pop(int(rng.integers(len(boxes))))
-        index = int(rng.integers(COUNT - 1))
+        index = int(rng.integers(1, COUNT))
         boxes += halves(box, index, float(rng.uniform(*box[index])))
-    alive = [b for b in boxes if tightened(case, b) is not None]
-    assert covered(case, region, alive)
-    assert 5 < len(alive) < len(boxes)
+    alive = [b for b in boxes if tightened(case, b, "late") is not None]
+    assert covered(case, region, alive, "late")
+    assert 3 <= len(alive) < len(boxes)
     for gone in range(len(alive)):
-        assert not covered(case, region, alive[:gone] + alive[gone + 1 :])
+        assert not covered(case, region, alive[:gone] + alive[gone + 1 :], "late")
     inner = alive[0].copy()
-    inner[0, 1] = tightened(case, inner)[0].mean()
-    assert not covered(case, region, [inner, *alive[1:]])
+    inner[1, 1] = tightened(case, inner, "late")[1].mean()
+    assert not covered(case, region, [inner, *alive[1:]], "late")
 
 
 def test_boxes_that_no_cut_parts_are_not_taken_for_a_cover():
     case = problem(samples=3)
-    region = np.array([[0.3, 2.3], [0.6, 2.6]])
+    rest = [[0.0, 0.0]]
+    region = np.array([*rest, [1.4, 3.4], [2.8, 3.7]])
     pinwheel = [
-        np.array([[0.3, 1.3], [0.6, 2.1]]),
-        np.array([[0.3, 1.8], [2.1, 2.6]]),
-        np.array([[1.8, 2.3], [1.1, 2.6]]),
-        np.array([[1.3, 2.3], [0.6, 1.1]]),
+        np.array([*rest, [1.4, 2.4], [2.8, 3.3]]),
+        np.array([*rest, [1.4, 1.9], [3.3, 3.7]]),
+        np.array([*rest, [1.9, 3.4], [3.1, 3.7]]),
+        np.array([*rest, [2.4, 3.4], [2.8, 3.1]]),
     ]
-    assert not covered(case, region, pinwheel)
+    assert not covered(case, region, pinwheel, "late")
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_follower_zones_hold_the_followers_of_every_sample(side):
     case = problem()
     for times in draws(40):
-        after = followers(times, side)
-        zones = tightened(case, np.stack([after - 0.05, after + 0.1], axis=1))
+        line = counted(times, side)
+        zones = tightened(case, np.stack([line - 0.05, line + 0.1], axis=1), side)
         every = follower_zones(case, zones)
         for origin in times:
             assert held(every, np.sort(np.mod(times - origin, P))[1:])
         gaps = np.diff(np.append(times, times[0] + P))
         assert gaps.max() <= widest_gap(case, zones) + 1e-12
         late = lateness(case, zones)
-        shift = after - np.arange(1, COUNT) * P / COUNT
-        assert np.all((late[1:, 0] <= shift) & (shift <= late[1:, 1]))
+        shift = line - np.arange(COUNT) * P / COUNT
+        assert np.all((late[1:, 0] <= shift[1:]) & (shift[1:] <= late[1:, 1]))
         assert np.all(late[0] == 0.0)
 
 
-def test_only_requirements_that_may_be_shifted_are_turned():
-    assert turnable(problem())
-    assert turnable(problem(fixed=np.array([1.0])))
-    assert not turnable(problem(fixed=np.array([1.0, 2.0])))
-    assert not turnable(problem(available=(np.array([[0.0, 1.0]]),)))
-    assert not turnable(problem(samples=1))
+def test_zones_need_two_samples_and_none_that_is_fixed_elsewhere():
+    assert zoned(problem())
+    assert zoned(problem(fixed=np.array([1.0])))
+    assert zoned(problem(forbidden=DAYS))
+    assert not zoned(problem(fixed=np.array([1.0, 2.0])))
+    assert not zoned(problem(fixed=np.array([1.0]), forbidden=DAYS))
+    assert not zoned(problem(samples=1))

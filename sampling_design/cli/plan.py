@@ -86,6 +86,9 @@ def design(
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
     scaled: Annotated[bool, typer.Option("--scaled", help="Design for sigma in scaled coordinates.")] = False,
+    branches: Annotated[
+        int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="DATE", help="Date of time 0 (ISO 8601): writes calendar.csv and schedule.ics too."),
@@ -103,7 +106,8 @@ def design(
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
         rng = np.random.default_rng(settings.seed)
-        result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress)
+        given = {} if branches is None else {"branches": branches}
+        result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
         settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
     folder = settings.folder()

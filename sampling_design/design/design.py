@@ -255,10 +255,13 @@ class _Run:
 
     def searched(self, sized: Sized, low: float, high: float) -> ScheduleDesign:
         """Search and prove where the bound is known already."""
-        near = low + 0.9 * (high - low)
+        middle, near = low + 0.5 * (high - low), low + 0.95 * (high - low)
 
         def inner(fraction: float, message: str) -> None:
-            self.say(low + fraction * (near - low), message)
+            self.say(low + fraction * (middle - low), message)
+
+        def cutting(fraction: float, message: str) -> None:
+            self.say(middle + fraction * (near - middle), message)
 
         deadline, enough = self.began + self.seconds, sized.bound.value * (1 - _ENOUGH)
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
@@ -266,7 +269,7 @@ class _Run:
         chosen = sized.problem.mask(found.times)
         if sized.problem.is_costly:
             found, chosen = affordable(sized.problem, found, sized.relaxation, deadline)
-        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline)
+        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline, cutting)
         time_left = time.perf_counter() <= deadline
         schedule = self.schedule(sized.problem, found, chosen)
         self.say(near, "proving sigma over all window positions")

@@ -70,6 +70,15 @@ def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_design_narrows_the_bound_with_more_branches(shell):
+    arguments = ("design", plant("triple_integrator"), REQUIREMENTS / "triple_integrator.toml", "--json", "--branches")
+    bounds = [json.loads(shell(*arguments, count).out)["upper_bound"] for count in (0, 12)]
+    assert bounds[1] < 0.99 * bounds[0]
+    refused = shell(*arguments, -1)
+    assert refused.code == 2
+    assert "`branches`" in refused.err
+
+
 def test_design_writes_dates_from_a_start_date(shell, tmp_path):
     start = "2026-01-05T00:00+01:00"
     result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", tmp_path, "--start", start)

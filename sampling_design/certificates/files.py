@@ -14,7 +14,7 @@ import numpy as np
 from sampling_design import __version__, _checks, _files
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
-from sampling_design.plants.files import plant_from_dict, plant_to_dict
+from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -73,7 +73,7 @@ def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> 
     """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
     data: dict[str, Any] = {
         "format": FORMAT,
-        "plant": plant_to_dict(plant),
+        "plant": plant.to_dict(),
         **parts,
         "tool": {"name": "sampling_design", "version": __version__},
         "solver": None if solver is None else solver.to_dict(),

@@ -15,7 +15,6 @@ from sampling_design._record import short
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.files import plant_to_dict
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
@@ -33,7 +32,7 @@ def info(
     plant = sd.read_plant(plant_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     tables: list[Any] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
-    data: dict[str, Any] = {"plant": plant_to_dict(plant), "split": split.to_dict(), "counts": None}
+    data: dict[str, Any] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
     if split.retained.n_states:
         count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
         tables += [record_table(count), count.explain()]

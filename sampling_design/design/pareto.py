@@ -19,7 +19,6 @@ from sampling_design._record import Record, short
 from sampling_design.design.design import design_schedule
 from sampling_design.design.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
-from sampling_design.plants.files import plant_to_dict
 from sampling_design.plants.plant import Plant
 
 Progress = Callable[[float, str], None]
@@ -170,7 +169,7 @@ def _run(jobs: list[Any], workers: Executor | int | str | None) -> Iterator[Pare
 def _key(plant: Plant, requirement: Requirement, options: dict[str, Any]) -> str:
     """Digest of everything that a point depends on but its count."""
     asked = requirement.replace(samples=None, target_sigma=None).to_dict()
-    text = json.dumps([plant_to_dict(plant), asked, {k: repr(v) for k, v in sorted(options.items())}], sort_keys=True)
+    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in sorted(options.items())}], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -18,7 +18,6 @@ from sampling_design.design.requirement import Requirement
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.windows import WindowSigma, window_sigma
 from sampling_design.observability.zero_count import ZeroCountBound
-from sampling_design.plants.files import plant_to_dict
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.files import schedule_to_dict
@@ -160,7 +159,7 @@ class ScheduleDesign(Record):
             "format": "sampling-design/design/1",
             "status": self.status,
             "claim": self.claim.to_dict(),
-            "plant": plant_to_dict(self.plant),
+            "plant": self.plant.to_dict(),
             "requirement": self.requirement.to_dict(),
             "defaults_used": dict(self.defaults_used),
             "retained_states": self.split.retained.n_states,

@@ -10,20 +10,16 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design import _checks, _files
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 
-FORMAT = "sampling-design/plant/1"
-_MATRICES = ("A", "B", "C", "D", "G")
-_GROUPS = ("states", "outputs", "inputs", "disturbances")
 _COLUMNS = {"A": "states", "B": "inputs", "C": "states", "D": "inputs", "G": "disturbances"}
 _KEYS = ("names", "units", "scales")
-_TREE = ("format", "name", "time_unit", "matrices", *_GROUPS, "source")
-_FLAT = ("format", "name", "time_unit", *_MATRICES, *(f"{g}_{k}" for g in _GROUPS for k in _KEYS), "citation")
+_TREE = ("format", "name", "time_unit", "matrices", *GROUPS, "source")
+_FLAT = ("format", "name", "time_unit", *MATRICES, *(f"{g}_{k}" for g in GROUPS for k in _KEYS), "citation")
 
 
 def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Plant:
@@ -86,27 +82,7 @@ def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """
     where = os.fspath(path)
     encode = _by_suffix(where, {"toml": _as_toml, "json": _as_json, "mat": _as_mat, "npz": _as_npz})
-    return _files.write_bytes(where, encode(plant_to_dict(plant)))
-
-
-def plant_to_dict(plant: Plant) -> dict[str, Any]:
-    """Return a plant as the tree of the file format; defaults (no inputs, D = 0, G = identity) are left out."""
-    matrices = {"A": plant.A.tolist(), "C": plant.C.tolist()}
-    if plant.n_inputs:
-        matrices["B"] = plant.B.tolist()
-    if plant.n_inputs and not _same_bits(plant.D, np.zeros_like(plant.D)):
-        matrices["D"] = plant.D.tolist()
-    if plant.G.shape != plant.A.shape or not _same_bits(plant.G, np.eye(plant.n_states)):
-        matrices["G"] = plant.G.tolist()
-    tree: dict[str, Any] = {"format": FORMAT, "name": plant.name, "time_unit": plant.time_unit}
-    tree["matrices"] = {key: matrices[key] for key in _MATRICES if key in matrices}
-    for group in _GROUPS:
-        signals: Signals = getattr(plant, group)
-        if len(signals):
-            tree[group] = _signals_to_dict(signals)
-    if plant.source:
-        tree["source"] = {"citation": plant.source}
-    return tree
+    return _files.write_bytes(where, encode(plant.to_dict()))
 
 
 def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: str | None = None) -> Plant:
@@ -130,13 +106,13 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a plant file?")
     matrices = _table(data, "matrices")
-    _checks.known_keys("[matrices]", matrices, _MATRICES)
+    _checks.known_keys("[matrices]", matrices, MATRICES)
     missing = [key for key in ("A", "C") if key not in matrices]
     if missing:
         raise ArgumentError(f"`{missing[0]}` is missing in [matrices]. Was the file cut off?")
     source = _table(data, "source")
     _checks.known_keys("[source]", source, ("citation",))
-    groups = {group: _signals_from_dict(group, _table(data, group)) for group in _GROUPS}
+    groups = {group: _signals_from_dict(group, _table(data, group)) for group in GROUPS}
     arrays = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
     return Plant(
         **arrays,
@@ -189,19 +165,6 @@ def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:
         return Signals(table["names"], table.get("units", ()), table.get("scales"))
     except ArgumentError as error:
         raise ArgumentError(f"in the table [{group}]: {error}") from None
-
-
-def _signals_to_dict(signals: Signals) -> dict[str, Any]:
-    table: dict[str, Any] = {"names": list(signals.names)}
-    if any(signals.units):
-        table["units"] = list(signals.units)
-    if np.any(signals.scales != 1):
-        table["scales"] = signals.scales.tolist()
-    return table
-
-
-def _same_bits(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> bool:
-    return np.ascontiguousarray(a).tobytes() == np.ascontiguousarray(b).tobytes()
 
 
 def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
@@ -271,11 +234,11 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
         _checks.known_keys("the file", flat, _FLAT)
     except ArgumentError as error:
         raise _located(where, error) from None
-    tree: dict[str, Any] = {"format": FORMAT, "matrices": {key: flat[key] for key in _MATRICES if key in flat}}
+    tree: dict[str, Any] = {"format": FORMAT, "matrices": {key: flat[key] for key in MATRICES if key in flat}}
     for key in ("format", "name", "time_unit"):
         if key in flat:
             tree[key] = "".join(_words(flat[key]))
-    for group in _GROUPS:
+    for group in GROUPS:
         table: dict[str, Any] = {k: _words(flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat}
         if f"{group}_scales" in flat:
             table["scales"] = np.ravel(flat[f"{group}_scales"])
@@ -298,7 +261,7 @@ def _flat(tree: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
     for key, rows in tree["matrices"].items():
         flat[key] = np.array(_rows(rows, tree.get(_COLUMNS[key], {}).get("names")), dtype=np.float64)
-    for group in _GROUPS:
+    for group in GROUPS:
         for key, entries in tree.get(group, {}).items():
             flat[f"{group}_{key}"] = np.array(entries)
     if "source" in tree:

@@ -16,6 +16,11 @@ from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
+FORMAT = "sampling-design/plant/1"
+"""Of the tree that `Plant.to_dict` returns and a plant file holds."""
+
+MATRICES = ("A", "B", "C", "D", "G")
+GROUPS = ("states", "outputs", "inputs", "disturbances")
 _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
@@ -68,6 +73,15 @@ class Signals(Record):
     def labels(self) -> tuple[str, ...]:
         """Names with their units in brackets, for tables and axes."""
         return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a table of the plant file format; units and scales that say nothing are left out."""
+        table: dict[str, Any] = {"names": list(self.names)}
+        if any(self.units):
+            table["units"] = list(self.units)
+        if np.any(self.scales != 1):
+            table["scales"] = self.scales.tolist()
+        return table
 
     def _rows(self) -> list[tuple[str, str]]:
         return [(label, f"scale {short(s)}") for label, s in zip(self.labels(), self.scales, strict=True)]
@@ -274,10 +288,18 @@ class Plant(Record):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the tree of the plant file format (see `plants.files`)."""
-        from sampling_design.plants.files import plant_to_dict
-
-        return plant_to_dict(self)
+        """Return the tree of the plant file format; defaults (no inputs, D = 0, G = identity) are left out."""
+        given = {"A": self.A, "C": self.C}
+        if self.n_inputs:
+            given["B"] = self.B
+        if self.n_inputs and not _same_bits(self.D, np.zeros_like(self.D)):
+            given["D"] = self.D
+        if self.G.shape != self.A.shape or not _same_bits(self.G, np.eye(self.n_states)):
+            given["G"] = self.G
+        tree: dict[str, Any] = {"format": FORMAT, "name": self.name, "time_unit": self.time_unit}
+        tree["matrices"] = {key: given[key].tolist() for key in MATRICES if key in given}
+        tree |= {group: signals.to_dict() for group in GROUPS if len(signals := getattr(self, group))}
+        return tree | ({"source": {"citation": self.source}} if self.source else {})
 
     def _rows(self) -> list[tuple[str, str]]:
         groups = {k: ", ".join(getattr(self, k).names) or "-" for k in ("states", "inputs", "outputs", "disturbances")}
@@ -289,6 +311,10 @@ class Plant(Record):
             f"{self.name or 'A plant'} with {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs "
             f"and {self.n_disturbances} disturbances; time in {self.time_unit}."
         )
+
+
+def _same_bits(a: Array, b: Array) -> bool:
+    return np.ascontiguousarray(a).tobytes() == np.ascontiguousarray(b).tobytes()
 
 
 def _signals(key: str, value: Any, size: int) -> Signals:

@@ -186,7 +186,7 @@ def test_a_plant_in_other_units_is_judged_alike():
     plant = Plant(np.diag(scale) @ OSCILLATOR.A @ np.diag(1 / scale), OSCILLATOR.C / scale, G=np.diag(scale))
     data = data_of("gap-range")
     there = data_of("gap-range")
-    there["plant"] = sd.plants.files.plant_to_dict(plant)
+    there["plant"] = plant.to_dict()
     for key in ("P1", "P2"):
         there[key] = (np.array(data[key]) / scale / scale[:, None]).tolist()
     there["graph"]["P"] = [(np.array(P) / scale / scale[:, None]).tolist() for P in data["graph"]["P"]]

@@ -9,7 +9,7 @@ from scipy.io import savemat
 
 from sampling_design import ArgumentError, Plant, Signals, library, read_plant, write_plant
 from sampling_design.errors import FileFormatError
-from sampling_design.plants.files import plant_from_dict, plant_to_dict
+from sampling_design.plants.files import plant_from_dict
 
 SUFFIXES = ["toml", "json", "mat", "npz"]
 
@@ -48,7 +48,7 @@ def test_plants_without_states_survive(suffix, tmp_path):
 
 
 def test_defaults_are_left_out():
-    tree = plant_to_dict(Plant([[0.0]], [[1.0]]))
+    tree = Plant([[0.0]], [[1.0]]).to_dict()
     assert set(tree["matrices"]) == {"A", "C"}
     assert "inputs" not in tree
     assert "source" not in tree

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._linalg import generalised_max
 from sampling_design._record import Record, short
-from sampling_design.certificates import files
 from sampling_design.certificates.constants import ConstantList
 from sampling_design.certificates.export import constants_of
 from sampling_design.certificates.horizon import Horizon, horizon_of, output_information
+from sampling_design.certificates.seal import CLAIM, RESOLUTION, sealed, write_certificate
 from sampling_design.certificates.verdict import Verification, verdict_of
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
@@ -27,8 +27,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
-RESOLUTION = 1e-3
-"""`lam` is the supremum to within this fraction: (1 - RESOLUTION) P2/lam is proven to stay below Pi."""
+MATRICES = ("P1", "P2", "Qw", "R", "Qv")
+NUMBERS = ("eta", "lam", "lam_samples", "margin")
+"""What a file of this claim holds as it is, beside plant, times and witness."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Certificate(Record):
 
     def _file_parts(self) -> dict[str, Any]:
         """What the file says of claim and times."""
-        return {"claim": files.CLAIM, "times": files.times_to_dict(self.schedule)}
+        return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
 
     @classmethod
     def from_matrices(
@@ -240,7 +241,7 @@ class Certificate(Record):
         MissingExtraError
             If `rigorous` is asked for and python-flint is not installed.
         """
-        data = files.certificate_to_dict(self)
+        data = self.to_dict()
         if rigorous:
             from sampling_design.certificates.rigorous import verify_rigorously
 
@@ -249,11 +250,18 @@ class Certificate(Record):
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path."""
-        return files.write_certificate(self, path)
+        return write_certificate(self, path)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data as in the file, digest included."""
-        return files.certificate_to_dict(self)
+        seen = self.witness
+        parts: dict[str, Any] = {
+            **self._file_parts(),
+            **{key: getattr(self, key).tolist() for key in MATRICES},
+            **{key: getattr(self, key) for key in NUMBERS},
+            "witness": None if seen is None else {**vars(seen), "direction": list(seen.direction)},
+        }
+        return sealed(self.plant, parts, self.solver)
 
     @property
     def constants(self) -> ConstantList:
@@ -332,3 +340,11 @@ class Certificate(Record):
             f"the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
             f"window longer than {short(self.horizon().minimum)} contracts."
         )
+
+
+def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Any]:
+    """Return the `times` of a certificate file; outputs null means that every sample measures all of them."""
+    outputs = None if schedule.outputs is None else schedule.outputs.astype(int).tolist()
+    if isinstance(schedule, PeriodicSchedule):
+        return {"kind": "periodic", "gaps": schedule.gaps.tolist(), "first": schedule.first, "outputs": outputs}
+    return {"kind": "finite", "times": schedule.times.tolist(), "outputs": outputs}

@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
-from sampling_design.certificates.certificate import RESOLUTION, Certificate, Witness
+from sampling_design.certificates.certificate import Certificate, Witness
 from sampling_design.certificates.existence import require_certificate
+from sampling_design.certificates.given_weights import weights_of
 from sampling_design.certificates.riccati import Peak, at_peak, located, refine, supremum
+from sampling_design.certificates.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.weights import choose_rate, choose_weights
 from sampling_design.certificates.window_problem import AnySchedule, WindowProblem, noise_input, window_problem
 from sampling_design.errors import ArgumentError, CertificateError
@@ -24,30 +26,10 @@ from sampling_design.schedules.family import SamplingFamily
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-STATED_MARGIN = 1e-4
-"""Margin that a certificate states, Pi >= (1 + this) P1; what is left of the 1e-3 is for the proof."""
 FINEST = 16
 """How much finer the last look for a missed peak is than the first."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
-
-
-def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
-    """Return Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), so that R~ = diag(1/s_y^2)."""
-    noise = 2.0 * np.diag(1.0 / plant.outputs.scales**2)
-    return np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy()
-
-
-def weights_of(plant: Plant, Qw: Any, R: Any, Qv: Any) -> tuple[Array, Array, Array]:
-    """Return the weights as given, where None the default; one of R and Qv stands for both."""
-    w, r, _ = default_weights(plant)
-    one = r if R is None and Qv is None else (Qv if R is None else R)
-    p = plant.n_outputs
-    return (
-        _checks.symmetric("Qw", w if Qw is None else Qw, plant.n_disturbances),
-        _checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
-        _checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
-    )
 
 
 def certify_given(

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
-from sampling_design.certificates import files
 from sampling_design.certificates.constants import ConstantList
+from sampling_design.certificates.seal import DETECTABILITY_CLAIM, sealed, write_certificate
 from sampling_design.certificates.verdict import Verification, verdict_of
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim, SolverRecord
@@ -150,13 +150,13 @@ class DetectabilityCertificate(Record):
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path."""
-        return files.write_certificate(self, path)
+        return write_certificate(self, path)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data as in the file, digest included."""
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
-        parts = {"claim": files.DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
-        return files.sealed(self.plant, parts, self.solver)
+        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
+        return sealed(self.plant, parts, self.solver)
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit

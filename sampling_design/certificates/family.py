@@ -12,8 +12,6 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
-from sampling_design.certificates.certificate import RESOLUTION
-from sampling_design.certificates.certify import STATED_MARGIN, weights_of
 from sampling_design.certificates.family_certificate import FamilyCertificate
 from sampling_design.certificates.family_graphs import graph_of, in_plant_terms, levels_of_memory
 from sampling_design.certificates.family_program import Program
@@ -28,8 +26,10 @@ from sampling_design.certificates.family_proof import (
 )
 from sampling_design.certificates.family_proof import prove as proven_along
 from sampling_design.certificates.gap_graph import GapGraph, unrolled
+from sampling_design.certificates.given_weights import weights_of
 from sampling_design.certificates.refusal import narrowed, refute
 from sampling_design.certificates.riccati import steady_lap
+from sampling_design.certificates.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.weights import rate_range
 from sampling_design.certificates.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import short
-from sampling_design.certificates import files
 from sampling_design.certificates.certificate import Certificate
 from sampling_design.certificates.family_graphs import in_plant_terms
 from sampling_design.certificates.gap_graph import GapGraph, graph_from_dict
+from sampling_design.certificates.seal import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.schedules.family_files import family_from_dict, family_to_dict
@@ -83,7 +83,7 @@ class FamilyCertificate(Certificate):
         return end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1)
 
     def _file_parts(self) -> dict[str, Any]:
-        return {"claim": files.FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
+        return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
 
     def _rows(self) -> list[tuple[str, str]]:
         size = f"{self.graph.count - 1} node{'s' * (self.graph.count != 2)}, {len(self.graph.edges)} edges"

@@ -11,7 +11,6 @@ import numpy as np
 
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
-from sampling_design.certificates import files
 from sampling_design.certificates.ball_problem import (
     PROVEN,
     REFUTED,
@@ -25,11 +24,11 @@ from sampling_design.certificates.ball_problem import (
     reading,
 )
 from sampling_design.certificates.ball_proof import Windows
-from sampling_design.certificates.certificate import RESOLUTION
 from sampling_design.certificates.dissipation_rigorous import detectability
 from sampling_design.certificates.family_cover import COVERED
 from sampling_design.certificates.family_rigorous import family
 from sampling_design.certificates.refutation import refute
+from sampling_design.certificates.seal import CLAIM, DETECTABILITY_CLAIM, RESOLUTION, digest
 from sampling_design.certificates.verdict import Verification
 
 REPLAY = 1e-6
@@ -116,9 +115,9 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
 
 def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
     with reading():
-        if data["digest"] != files.digest(data):
+        if data["digest"] != digest(data):
             raise Unproven(REFUTED, "digest", "the digest does not fit the content: something was altered")
-        claim = (data["claim"], None if data["claim"] == files.DETECTABILITY_CLAIM else data["times"]["kind"])
+        claim = (data["claim"], None if data["claim"] == DETECTABILITY_CLAIM else data["times"]["kind"])
     if claim not in CLAIMS:
         raise Unproven(UNDECIDED, "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
     inequality, subject, slack = CLAIMS[claim](data, clock)
@@ -231,8 +230,8 @@ def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
 
 
 CLAIMS: dict[tuple[str, str | None], Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
-    ("assumption-7", "periodic"): assumption_7,
-    ("assumption-7", "finite"): assumption_7,
+    (CLAIM, "periodic"): assumption_7,
+    (CLAIM, "finite"): assumption_7,
     **{("family", kind): of_family for kind in COVERED},
-    (files.DETECTABILITY_CLAIM, None): detectability,
+    (DETECTABILITY_CLAIM, None): detectability,
 }

@@ -11,11 +11,12 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
-from sampling_design.certificates.certificate import RESOLUTION, Certificate
+from sampling_design.certificates.certificate import Certificate
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.family import Proposal, Search, certified
 from sampling_design.certificates.family_certificate import FamilyCertificate
 from sampling_design.certificates.family_graphs import MOST_NODES, in_plant_terms, levels_of_memory
+from sampling_design.certificates.seal import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.jitter import Jitter

@@ -7,8 +7,9 @@ from importlib import import_module
 from typing import Any
 
 from sampling_design._record import Record, short
+from sampling_design.certificates.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM
 
-CHECKERS = {"assumption-7": "checker", "family": "family_checker", "detectability": "dissipation_checker"}
+CHECKERS = {CLAIM: "checker", FAMILY_CLAIM: "family_checker", DETECTABILITY_CLAIM: "dissipation_checker"}
 """Claim of a certificate file and the module of this room that proves it, from plain data alone."""
 
 

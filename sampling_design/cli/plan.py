@@ -109,15 +109,20 @@ def design(
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
         settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
-    folder = settings.folder()
-    if folder is not None:
-        settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
-        if result.schedule is not None:
-            _schedule_files(settings, result, folder, start)
-            settings.wrote(save_picture(result, folder / "design.png"))
-    elif start is not None:
-        raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
+    _write_design(settings, result, start)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
+
+
+def _write_design(settings: Settings, result: Any, start: str | None) -> None:
+    folder = settings.folder()
+    if folder is None:
+        if start is not None:
+            raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
+        return
+    settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
+    if result.schedule is not None:
+        _schedule_files(settings, result, folder, start)
+        settings.wrote(save_picture(result, folder / "design.png"))
 
 
 def _schedule_files(settings: Settings, result: Any, folder: Path, start: str | None) -> None:

@@ -17,8 +17,8 @@ from sampling_design import (
     smallest_repair,
     tradeoff_curve,
 )
-from sampling_design.certificates import files
-from sampling_design.certificates.certify import weights_of
+from sampling_design.certificates import seal
+from sampling_design.certificates.given_weights import weights_of
 from sampling_design.certificates.window_gains import WindowSet
 from sampling_design.certificates.window_problem import window_problem
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
@@ -158,7 +158,7 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
 def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
     data = json.loads(json.dumps(given().to_dict()))
     change(data)
-    data["digest"] = files.digest(data)
+    data["digest"] = seal.digest(data)
     path = tmp_path / "c.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=words):

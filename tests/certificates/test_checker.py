@@ -20,7 +20,7 @@ from sampling_design import (
     certify_detectability,
     certify_family,
 )
-from sampling_design.certificates import checker, files
+from sampling_design.certificates import checker, seal
 from tests.oracles import riccati as oracle
 
 PATH = Path(checker.__file__)
@@ -38,7 +38,7 @@ def certificates():
 
 
 def redigested(data):
-    data["digest"] = files.digest(data)
+    data["digest"] = seal.digest(data)
     return data
 
 

@@ -24,7 +24,7 @@ from sampling_design import (
     named_plant,
     survival,
 )
-from sampling_design.certificates import checker, dissipation_checker, files
+from sampling_design.certificates import checker, dissipation_checker, seal
 from sampling_design.certificates.dissipation_checker import INEQUALITY, Refused
 from sampling_design.errors import CertificateError, FileFormatError
 from tests.oracles import dissipation as oracle
@@ -53,7 +53,7 @@ EACH = pytest.mark.parametrize("k", range(6))
 
 
 def redigested(data):
-    data["digest"] = files.digest(data)
+    data["digest"] = seal.digest(data)
     return data
 
 

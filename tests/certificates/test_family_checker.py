@@ -13,7 +13,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates import family_checker, files
+from sampling_design.certificates import family_checker, seal
 from sampling_design.certificates.checker import Refused
 from tests.oracles.families import step_holds
 
@@ -36,7 +36,7 @@ def data_of(kind):
 
 
 def verdict(data):
-    data["digest"] = files.digest(data)
+    data["digest"] = seal.digest(data)
     return family_checker.check(data)
 
 

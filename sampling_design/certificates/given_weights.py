@@ -1,0 +1,31 @@
+"""Weights as given, or by default from the scales of the plant's signals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+
+def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
+    """Return Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), so that R~ = diag(1/s_y^2)."""
+    noise = 2.0 * np.diag(1.0 / plant.outputs.scales**2)
+    return np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy()
+
+
+def weights_of(plant: Plant, Qw: Any, R: Any, Qv: Any) -> tuple[Array, Array, Array]:
+    """Return the weights as given, where None the default; one of R and Qv stands for both."""
+    w, r, _ = default_weights(plant)
+    one = r if R is None and Qv is None else (Qv if R is None else R)
+    p = plant.n_outputs
+    return (
+        _checks.symmetric("Qw", w if Qw is None else Qw, plant.n_disturbances),
+        _checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
+        _checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
+    )

@@ -1,0 +1,55 @@
+"""What every certificate file holds, whatever it claims: format, plant, tool, solver, and a digest over all of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any, Protocol
+
+from sampling_design import __version__, _files
+from sampling_design.evidence import SolverRecord
+from sampling_design.plants.plant import Plant
+
+FORMAT = "sampling-design/certificate/1"
+CLAIM = "assumption-7"
+FAMILY_CLAIM = "family"
+DETECTABILITY_CLAIM = "detectability"
+
+RESOLUTION = 1e-3
+"""`lam` is the supremum to within this fraction: (1 - RESOLUTION) P2/lam is proven to stay below Pi."""
+STATED_MARGIN = 1e-4
+"""Margin that a certificate states, Pi >= (1 + this) P1; what is left of `RESOLUTION` is for the proof."""
+
+
+class Recorded(Protocol):
+    """A record that has plain data."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+
+
+def digest(data: dict[str, Any]) -> str:
+    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
+    rest = {key: value for key, value in data.items() if key != "digest"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> dict[str, Any]:
+    """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "plant": plant.to_dict(),
+        **parts,
+        "tool": {"name": "sampling_design", "version": __version__},
+        "solver": None if solver is None else solver.to_dict(),
+    }
+    data["digest"] = digest(data)
+    return data
+
+
+def write_certificate(certificate: Recorded, path: str | os.PathLike[str]) -> Path:
+    """Write a certificate as JSON, whole or not at all; return the path."""
+    return _files.write_text(path, _files.to_json(certificate.to_dict()))

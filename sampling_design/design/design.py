@@ -15,6 +15,7 @@ from sampling_design._units import time_factor
 from sampling_design.design.bounds import UpperBound, first_bound
 from sampling_design.design.branching import narrowed
 from sampling_design.design.costs import affordable, relax_costly
+from sampling_design.design.exchange import even
 from sampling_design.design.posing import pose, resolve
 from sampling_design.design.problem import DesignProblem
 from sampling_design.design.relaxation import Relaxation, relax_placed
@@ -23,11 +24,14 @@ from sampling_design.design.schedule_design import ScheduleDesign, designed_plan
 from sampling_design.design.search import Found, search
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.evidence import SolverRecord
+from sampling_design.observability.windows import WindowSigma
 from sampling_design.observability.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
 
+Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 
 STARTS = 8
@@ -271,9 +275,9 @@ class _Run:
             found, chosen = affordable(sized.problem, found, sized.relaxation, deadline)
         bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline, cutting)
         time_left = time.perf_counter() <= deadline
-        schedule = self.schedule(sized.problem, found, chosen)
         self.say(near, "proving sigma over all window positions")
-        proof = prove(self.split, schedule, self.requirement, self.rtol)
+        proven = [self.proven(sized.problem, times, mask) for times, mask in _candidates(sized.problem, found, chosen)]
+        schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         sigma = stated(proof, self.requirement)
         return ScheduleDesign(
             schedule=schedule,
@@ -293,15 +297,16 @@ class _Run:
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
 
-    def schedule(self, problem: DesignProblem, found: Found, mask: npt.NDArray[np.bool_]) -> PeriodicSchedule:
-        """The found times as a schedule; outputs are listed only where a sample leaves some out."""
-        return PeriodicSchedule.from_times(
-            found.times,
+    def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:
+        """The times as a schedule, outputs listed only where a sample leaves some out, and what it proves."""
+        schedule = PeriodicSchedule.from_times(
+            times,
             problem.period,
             None if mask.all() else mask,
             time_unit=self.plant.time_unit,
             output_names=self.plant.outputs.names,
         )
+        return schedule, prove(self.split, schedule, self.requirement, self.rtol)
 
     def fewest(self) -> ScheduleDesign:
         """The fewest samples whose proven sigma reaches the target; counts whose bound falls short are skipped."""
@@ -345,6 +350,20 @@ class _Run:
         needed = int(np.ceil(0.98 * float(self.requirement.target_sigma or 0) ** 2 / mean))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
+
+
+def _candidates(problem: DesignProblem, found: Found, chosen: Mask) -> list[tuple[Array, Mask]]:
+    """What to prove: the best found, and even spacing where samples may enter at the instant at which others leave.
+
+    Even spacing is best there if its times are exact to the last bit; the search does not count on that.
+    """
+    candidates = [(found.times, chosen)]
+    ratio = problem.window * problem.samples / problem.period
+    exact = abs(ratio - round(ratio)) < 1e-9 and problem.window % problem.period > 0
+    if exact and problem.is_shift_invariant and not problem.is_costly:
+        times = even(problem, 0.0)
+        candidates += [] if times is None else [(times, problem.mask(times))]
+    return candidates
 
 
 def _out_of_reach(

@@ -38,7 +38,7 @@ def spread(problem: DesignProblem, shares: Array) -> Array | None:
     """Free samples at these shares (in [0, 1)) of the allowed time, fixed ones beside them, repaired."""
     lengths = np.diff(problem.intervals, axis=1)[:, 0]
     ends = np.cumsum(lengths)
-    marks = shares * ends[-1] * (1 - 1e-12)
+    marks = shares * ends[-1]
     place = np.minimum(np.searchsorted(ends, marks, side="right"), lengths.size - 1)
     return repaired(problem, np.concatenate([problem.fixed, problem.intervals[place, 1] - (ends[place] - marks)]))
 

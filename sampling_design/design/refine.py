@@ -22,6 +22,7 @@ Array = npt.NDArray[np.floating[Any]]
 
 _KEPT = 3.0  # windows whose sigma^2 exceeds this times the least one cannot become worst in a trusted step
 _MOST_WINDOWS = 40  # the worst ones; a step that forgets another one is refused by the evaluation after it
+_GAIN = 1e-10  # relative: moves for less than rounding only spoil times that are exact
 _SUBSPACE = 4  # directions per window, the least seen ones: a larger inequality costs far more and says little more
 
 
@@ -44,7 +45,7 @@ def refined(
             if not is_admissible(problem, wrapped):
                 continue
             value = float(worst_sigma2(problem, wrapped[None, :])[0])
-            if value > sigma2:
+            if value > sigma2 * (1 + _GAIN):
                 gained = True
                 small = value <= sigma2 * (1 + 1e-7)
                 times, sigma2 = wrapped, value

@@ -20,19 +20,25 @@ Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 
+_WHOLE = 1e-11  # of the period: what lies this near to each other lies together
+
+
 class SlidingSums:
     """Running sums over the laps of schedules `times` (B, k), sorted in [0, period), measured by `mask` (B, k, p)."""
 
     def __init__(self, rows: ScaledRows, times: Array, mask: Mask, period: float) -> None:
         self.rows, self.period = rows, period
+        ratio = rows.window / period
+        self.repeats = bool(abs(ratio - round(ratio)) <= _WHOLE * max(ratio, 1.0))
+        self.length = rows.window - (0.0 if self.repeats else 2 * _WHOLE * period)
         laps = np.arange(-1, int(np.ceil(rows.window / period - 1e-9)) + 2)
         self.apart = 2 * period * (laps.size + 1)  # more than any row of times spans
         self.s = (times[:, None, :] + period * laps[:, None]).reshape(times.shape[0], -1)
         measured = np.tile(mask, (1, laps.size, 1))
-        self.block = np.ceil(self.s / rows.window)
+        self.block = np.ceil(self.s / self.length)
         c = rows.C * measured[..., None]
         self.tail = self._tails(np.swapaxes(c, -1, -2) @ c)
-        r = np.clip(self.s - (self.block - 1) * rows.window, 0.0, rows.window)
+        r = np.clip(self.s - (self.block - 1) * self.length, 0.0, rows.window)
         c = rows.rows(r) * measured[..., None]
         self.head = self._heads(np.swapaxes(c, -1, -2) @ c)
 
@@ -62,9 +68,13 @@ class SlidingSums:
         return np.asarray(total)
 
     def at(self, starts: Array, left: Mask) -> Array:
-        """Gram matrices (B, q, n, n) of windows (a, a + T], or [a, a + T) where `left` (q,), a = `starts` (B, q)."""
-        tiny, T = 1e-11 * self.period, self.rows.window
-        a = np.mod(starts, self.period) + np.where(left, -tiny, tiny)
+        """Gram matrices (B, q, n, n) of windows (a, a + T], or [a, a + T) where `left` (q,), a = `starts` (B, q).
+
+        Where the window is no multiple of the period, a sample that leaves may meet another that enters at the same
+        instant, but not to the last bit: neither is counted then, for the proof will find the instant between them.
+        """
+        tiny, T = _WHOLE * self.period, self.length
+        a = np.mod(starts, self.period) + np.where(left & self.repeats, -tiny, tiny)
         first, stop = self._places(a, left), self._places(a + T, left)
         row, held = np.arange(a.shape[0])[:, None], stop > first
         i, j = np.minimum(first, self.s.shape[1] - 1), np.maximum(stop - 1, 0)

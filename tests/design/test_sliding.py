@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sampling_design import Plant
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.positions import positions, window_grams, worst_sigma2
 from sampling_design.design.problem import DesignProblem
 from tests.oracles.design import random_schedule, window_sigma_scan
@@ -24,13 +24,15 @@ def posed(name, window, period, samples, spans=None):
 
 
 def plain(problem, times, mask, a, left):
-    """sum of c'c over the laps of samples in (a, a + T], or [a, a + T), by definition."""
+    """sum of c'c over the laps of samples in (a, a + T], or [a, a + T); in (a, a + T) where laps do not repeat in T."""
     A, C, S = problem.plant.A, problem.plant.C, problem.rows.S
     total, tiny = np.zeros((A.shape[0],) * 2), 1e-10 * problem.period
+    ratio = problem.window / problem.period
+    begin, end = (tiny, -tiny) if ratio != round(ratio) else (-tiny, -tiny) if left else (tiny, tiny)
     for t, measured in zip(times, mask, strict=True):
         for lap in range(-3, 9):
             r = t + lap * problem.period - a
-            if (-tiny < r < problem.window - tiny) if left else (tiny < r < problem.window + tiny):
+            if begin < r < problem.window + end:
                 c = C[measured] @ expm(A * r) @ S
                 total += c.T @ c
     return total
@@ -71,3 +73,24 @@ def test_a_batch_is_its_schedules_one_by_one():
 def test_a_window_without_samples_sees_nothing():
     problem = posed("fast growth and fast decay", 1.0, 4.0, 2)
     assert worst_sigma2(problem, np.array([[0.0, 0.5], [0.0, 2.0]])).tolist() == [0.0, 0.0]
+
+
+def test_a_sample_that_enters_as_another_leaves_is_not_counted_on():
+    problem = posed("chain of three", 4.0, 3.0, 6)
+    even = np.arange(6) / 2
+    shaken = even + 1e-7 * np.random.default_rng(1).normal(size=6)
+    found = worst_sigma2(problem, np.stack([even, shaken]))
+    assert found[0] == pytest.approx(found[1], rel=1e-4)
+    later = even.copy()
+    later[2] += 1e-3
+    assert worst_sigma2(problem, later[None])[0] == pytest.approx(found[0], rel=0.05)
+
+
+@pytest.mark.parametrize("period", [3.0, 3.5])
+def test_even_spacing_is_proven_where_its_times_are_exact(period):
+    plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
+    samples = int(2 * period)
+    design = design_schedule(plant, Requirement(window=4.0, period=period, spacing=0.3, samples=samples), starts=1)
+    assert np.array_equal(design.schedule.gaps, np.full(samples, 0.5))
+    assert design.gap < 0.005
+    assert design.verify()

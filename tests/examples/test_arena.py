@@ -48,7 +48,9 @@ def test_a_missing_peer_is_a_row_of_its_own(monkeypatch):
         monkeypatch.setitem(sys.modules, module, None)
     one = table.Table("title", "question", ("case", "method", "first", "time", "ours", "off", "error", "bound"))
     windows.regular(one, quick=True)
-    assert [row[1] for row in one.rows] == ["sampling_design", "do-mpc: not installed"]
+    methods = [row[1] for row in one.rows]
+    assert methods.count("do-mpc: not installed") == len(methods) / 2
+    assert sum(method.startswith("sampling_design") for method in methods) == len(methods) / 2
     (whole,) = records.run(quick=True)
     assert [row[1] for row in whole.rows].count("filterpy: not installed") == 2
 

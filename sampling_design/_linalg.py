@@ -13,6 +13,11 @@ Array = npt.NDArray[np.float64]
 _TAYLOR_DEGREE = 18
 _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
 
+SHORT = 0.25
+"""|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
+
+_GRAMIAN_DEGREE = 16
+
 
 def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
     """Return e^{A t} for every t in `times`, shape (N, n, n); A real or complex.
@@ -41,15 +46,12 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
     n = A.shape[0]
     size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
     squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
-    unit = A / norm
-    powers = np.empty((_TAYLOR_DEGREE + 1, n, n), dtype=A.dtype)
-    powers[0] = np.eye(n)
-    coefficients = np.ones((_TAYLOR_DEGREE + 1, t.size))
+    terms = exponential_terms(A, norm, _TAYLOR_DEGREE + 1)
+    coefficients = np.ones((len(terms), t.size))
     scaled = np.ldexp(t * norm, -squarings)
-    for k in range(1, _TAYLOR_DEGREE + 1):
-        powers[k] = powers[k - 1] @ unit / k
+    for k in range(1, len(terms)):
         np.multiply(coefficients[k - 1], scaled, out=coefficients[k])
-    result = (coefficients.T @ powers.reshape(len(powers), -1)).reshape(-1, n, n)
+    result = (coefficients.T @ terms.reshape(len(terms), -1)).reshape(-1, n, n)
     for s in range(int(squarings.max())):
         todo = np.flatnonzero(squarings > s)
         if todo.size == t.size:
@@ -58,6 +60,28 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
             part = result[todo]
             result[todo] = part @ part
     return np.asarray(result)
+
+
+def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Array:
+    """Return (A/norm)^k / k! for k < `count`: e^{A h} is their sum with factors (norm h)^k."""
+    terms = np.empty((count, *A.shape), dtype=A.dtype)
+    terms[0], unit = np.eye(A.shape[0]), A / norm
+    for k in range(1, count):
+        terms[k] = terms[k - 1] @ unit / k
+    return terms
+
+
+def gramian_terms(shifted: Array, noise: Array, norm: float) -> Array:
+    """Return terms whose sum with factors h (norm h)^k is int_0^h F_s N F_s' ds, F_s = e^{A_eta s}, if |A_eta h| <= SHORT.
+
+    They are N_k/(k+1)! with N_0 = N = `noise`, N_{k+1} = (A_eta N_k + N_k A_eta')/norm, A_eta = `shifted`.
+    """
+    terms = np.empty((_GRAMIAN_DEGREE, *noise.shape))
+    current = np.array(noise, dtype=np.float64)
+    for k in range(_GRAMIAN_DEGREE):
+        terms[k] = current = current / (k + 1)
+        current = (shifted @ current + current @ shifted.T) / norm
+    return terms
 
 
 def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.0) -> tuple[Array, Array]:
@@ -79,18 +103,11 @@ def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.
         return plain, np.zeros((h.size, n, n))
     shifted = A + (eta / 2) * np.eye(n)
     norm = max(float(np.linalg.norm(shifted, 1)), 1e-300)
-    doublings = np.maximum(0, np.ceil(np.log2(np.maximum(h * norm / 0.25, 1e-300)))).astype(int)
+    doublings = np.maximum(0, np.ceil(np.log2(np.maximum(h * norm / SHORT, 1e-300)))).astype(int)
     step = np.ldexp(h, -doublings)
-    # W_h = sum_k h^{k+1}/(k+1)! N_k with N_0 = N, N_{k+1} = A_eta N_k + N_k A_eta'; |2 A_eta h| <= 1/2
-    degree = 16
-    terms = np.empty((degree, n * n))
-    current = np.array(noise, dtype=np.float64)
-    for k in range(degree):
-        current = current / (k + 1)
-        terms[k] = current.ravel()
-        current = (shifted @ current + current @ shifted.T) / norm
-    coefficients = np.vander(step * norm, degree, increasing=True) * step[:, None]
-    W = (coefficients @ terms).reshape(-1, n, n)
+    terms = gramian_terms(shifted, noise, norm)
+    coefficients = np.vander(step * norm, len(terms), increasing=True) * step[:, None]
+    W = (coefficients @ terms.reshape(len(terms), -1)).reshape(-1, n, n)
     F = expm_batch(shifted, step)
     for s in range(int(doublings.max())):
         todo = np.flatnonzero(doublings > s)

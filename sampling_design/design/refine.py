@@ -21,7 +21,7 @@ from sampling_design.design.problem import DesignProblem
 Array = npt.NDArray[np.floating[Any]]
 
 _KEPT = 3.0  # windows whose sigma^2 exceeds this times the least one cannot become worst in a trusted step
-_MOST_WINDOWS = 40  # the worst ones; a step that forgets another one is refused by the evaluation after it
+_MOST_WINDOWS = 20  # the worst ones; a step that forgets another one is refused by the evaluation after it
 _GAIN = 1e-10  # relative: moves for less than rounding only spoil times that are exact
 _SUBSPACE = 4  # directions per window, the least seen ones: a larger inequality costs far more and says little more
 

@@ -28,6 +28,7 @@ KICKS = 4
 
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain
+_NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
 _HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 _FIRST_STEPS = 12  # of that first refinement
@@ -139,7 +140,7 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     if free == 0:
         return
     for _ in range(most):
-        if run.is_over or idle == _PATIENCE:
+        if run.is_over or idle == _PATIENCE or run.value >= (_NEAR * run.enough) ** 2:
             return
         idle += 1
         shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])

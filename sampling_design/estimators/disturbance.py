@@ -7,6 +7,9 @@ omega = L^+ int e^{As} G w ds lies between the support functions of the box of w
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -18,11 +21,11 @@ from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
-CELL = 0.05
+CELL = 0.1
 """Cells of the gap have |A|_2 times length at most this; the remainder terms below are then a few per cent at worst."""
 
 CELL_RANGE = (16, 2048)
-"""Least and largest number of cells per gap."""
+"""Least and largest number of cells per gap, to within a factor of two: a cell's length is a power of two."""
 
 
 class DisturbanceReach:
@@ -39,7 +42,7 @@ class DisturbanceReach:
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
-        self._size = float(np.linalg.norm(self.plant.A, 2))
+        self._kernels = Kernels(self.plant)
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
             if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
@@ -71,7 +74,7 @@ class DisturbanceReach:
         width = flow.root.shape[1]
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
         if self.w.rows.shape[0] or self.w.bounded.size:
-            lower, upper = support_box(self.plant, flow, *self._box, self._size)
+            lower, upper = support_box(self._kernels, flow, *self._box)
         balls: tuple[Ball, ...] = ()
         if np.isfinite(self._radius):
             length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
@@ -91,44 +94,68 @@ class DisturbanceReach:
         return ConvexSet.known(-whole, whole, rows, offsets, balls)
 
 
-def support_box(plant: Plant, flow: Flow, lower: Array, upper: Array, size: float) -> tuple[Array, Array]:
-    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`; `size` = |A|_2.
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """e^{As} G in the middle of equal cells from s = 0 on, (n, K, q), and the norms of its columns, (K, q)."""
+
+    length: float
+    moved: Array
+    norms: Array
+
+
+class Kernels:
+    """e^{As} G on grids that all gaps share; a grid is refined by halves and remembered."""
+
+    def __init__(self, plant: Plant):
+        self.plant, self.size = plant, float(np.linalg.norm(plant.A, 2))
+        self._grids: dict[float, _Cells] = {}
+
+    def over(self, gap: float) -> _Cells:
+        """Return the cells that cover a gap; the last one may end beyond it."""
+        longest, shortest = (gap / number for number in CELL_RANGE)
+        wanted = min(CELL / self.size, longest) if self.size > 0 else longest
+        length = 2.0 ** math.floor(math.log2(max(wanted, shortest)))
+        count = math.ceil(gap / length)
+        known = self._grids.get(length)
+        if known is None or known.norms.shape[0] < count:
+            known = self._grids[length] = self._grid(length, count)
+        return _Cells(length, known.moved[:, :count], known.norms[:count])
+
+    def _grid(self, length: float, count: int) -> _Cells:
+        """At least `count` cells, by doubling."""
+        (half,) = expm_batch(self.plant.A, [length / 2])
+        moved, power = (half @ self.plant.G)[:, None, :], half @ half
+        while moved.shape[1] < count:
+            moved = np.concatenate([moved, np.tensordot(power, moved, 1)], axis=1)
+            power = power @ power
+        return _Cells(length, moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved)))
+
+
+def support_box(kernels: Kernels, flow: Flow, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`.
 
     Notes
     -----
     *Method.* With phi(s) = L^+ e^{As} G and w = middle + deviation, the middle is exact and the deviation adds at
-    most int |phi| half. Per cell of length d, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and d^2/4 |phi'(m)| more
-    where phi may change sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|.
+    most int |phi| half. Per cell of length d and middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and
+    d^2/4 |phi'(m)| more where phi may change sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of the last
+    cell only the part up to the gap's end counts.
     """
+    cells, n = kernels.over(flow.gap), flow.F.shape[0]
+    d, K, q = cells.length, *cells.norms.shape
+    first = flow.whiten @ kernels.plant.A
+    both = np.concatenate([flow.whiten, first]) @ cells.moved.reshape(n, -1)
+    phi, slope = both.reshape(2, -1, K, q)
+    bend = np.linalg.norm(first @ kernels.plant.A, axis=1) * np.exp(kernels.size * d / 2)
+    second = bend[:, None, None] * cells.norms
+    upto = np.full((K, 1), d)
+    upto[-1] = flow.gap - (K - 1) * d
+    beyond = upto - d / 2  # the cell as seen from its middle: from -d/2 to here
+    size, rise = np.abs(phi), np.abs(slope)
+    turning = size < rise * (d / 2) + second * (d * d / 8)
+    level = np.abs(upto * phi + (beyond**2 - d * d / 4) / 2 * slope)
+    parts = np.where(turning, upto * size + (beyond * np.abs(beyond) + d * d / 4) / 2 * rise, level)
+    parts += (beyond**3 + d**3 / 8) / 6 * second
     middle, half = (lower + upper) / 2, (upper - lower) / 2
-    count = int(np.clip(np.ceil(size * flow.gap / CELL), *CELL_RANGE))
-    d = flow.gap / count
-    moved = _middles(plant, d, count)
-    first = flow.whiten @ plant.A
-    phi, slope = np.abs(flow.whiten @ moved), np.abs(first @ moved)
-    bend = np.linalg.norm(first @ plant.A, axis=1) * np.exp(size * d / 2)
-    second = np.outer(bend, np.sqrt(np.einsum("ij,ij->j", moved, moved)))
-    turning = phi < slope * d / 2 + second * d * d / 8
-    parts = d * phi + d**3 / 24 * second + np.where(turning, d * d / 4 * slope, 0.0)
-    centre, reach = _steady(plant, flow, middle), parts.reshape(parts.shape[0], count, -1).sum(axis=1) @ half
+    centre, reach = flow.whiten @ (flow.integral @ (kernels.plant.G @ middle)), parts.sum(axis=1) @ half
     return centre - reach, centre + reach
-
-
-def _middles(plant: Plant, d: float, count: int) -> Array:
-    """e^{A (k + 1/2) d} G for k < count side by side, (n, count q), by doubling."""
-    half = expm_batch(plant.A, [d / 2])[0]
-    moved, power = half @ plant.G, half @ half
-    while moved.shape[1] < count * plant.n_disturbances:
-        moved = np.concatenate([moved, power @ moved], axis=1)
-        power = power @ power
-    return moved[:, : count * plant.n_disturbances]
-
-
-def _steady(plant: Plant, flow: Flow, w: Array) -> Array:
-    """L^+ int_0^h e^{As} G w ds for a constant w, exactly."""
-    n = plant.n_states
-    if not w.any():
-        return np.zeros(flow.whiten.shape[0])
-    block = np.zeros((n + 1, n + 1))
-    block[:n, :n], block[:n, n] = plant.A, plant.G @ w
-    return np.asarray(flow.whiten @ expm_batch(block, [flow.gap])[0, :n, n])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design.estimators.composed_flow import ComposedFlow
 from sampling_design.estimators.weights import Weights
 
 Array = npt.NDArray[np.float64]
@@ -33,17 +34,17 @@ class Flow:
         Discounted noise Gramian and a root, W = root root'.
     whiten : (n, n)
         Pseudo-inverse of the root: omega = whiten d is the least omega with root omega = d.
-    inputs : (n, m)
-        int_0^h e^{A s} B ds.
+    integral, inputs : (n, n), (n, m)
+        int_0^h e^{A s} ds, and that times B.
     information : (3, n, n) or None
         W^-1, W^-1 F, F'W^-1 F; None where W is singular or badly conditioned.
     """
 
-    __slots__ = ("F", "W", "gap", "growth", "information", "inputs", "root", "whiten")
+    __slots__ = ("F", "W", "gap", "growth", "information", "inputs", "integral", "root", "whiten")
 
     def __init__(self, gap: float, growth: float, matrices: tuple[Array, ...], information: Array | None):
         self.gap, self.growth, self.information = gap, growth, information
-        self.F, self.W, self.root, self.whiten, self.inputs = matrices
+        self.F, self.W, self.root, self.whiten, self.integral, self.inputs = matrices
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
@@ -61,6 +62,7 @@ class FlowTable:
     def __init__(self, weights: Weights, constant_w: bool = False):
         self.weights, self.constant_w = weights, constant_w
         self._table: OrderedDict[float, Flow] = OrderedDict()
+        self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta)
 
     def __len__(self) -> int:
         return len(self._table)
@@ -79,38 +81,26 @@ class FlowTable:
         return found
 
     def _fill(self, gaps: list[float]) -> None:
-        plant, weights = self.weights.plant, self.weights
-        F, W = discounted_flow(plant.A, weights.noise, gaps, weights.eta)
-        inputs = self.integrals(plant.B, gaps)
+        weights = self.weights
+        F, integral, W = self._flow.over(gaps)
         if self.constant_w:
-            root = self._constant_root(gaps)
+            root = self._constant_root(integral, gaps)
             whiten = np.linalg.pinv(root)
             W = root @ np.swapaxes(root, 1, 2)
             information: list[Array | None] = [None] * len(gaps)
         else:
             root, whiten, information = _roots(F, W)
-        for k, gap in enumerate(gaps):
-            growth = float(np.exp(weights.eta * gap))
-            matrices = (F[k], W[k], root[k], whiten[k], inputs[k])
-            self._table[gap] = Flow(gap, growth, matrices, information[k])
+        parts = zip(F, W, root, whiten, integral, integral @ weights.plant.B, strict=True)
+        for gap, matrices, info in zip(gaps, parts, information, strict=True):
+            self._table[gap] = Flow(gap, math.exp(weights.eta * gap), matrices, info)
 
-    def integrals(self, matrix: Array, gaps: list[float]) -> Array:
-        """int_0^h e^{A s} ds times `matrix`, per gap, from one augmented exponential."""
-        n, m = matrix.shape
-        if m == 0:
-            return np.zeros((len(gaps), n, 0))
-        block = np.zeros((n + m, n + m))
-        block[:n, :n], block[:n, n:] = self.weights.plant.A, matrix
-        return np.ascontiguousarray(expm_batch(block, gaps)[:, :n, n:])
-
-    def _constant_root(self, gaps: list[float]) -> Array:
+    def _constant_root(self, integral: Array, gaps: list[float]) -> Array:
         """Root of the noise that is constant over each gap: cost |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2."""
         plant, weights = self.weights.plant, self.weights
         length = discounted_length(weights.eta, np.asarray(gaps))
         half = np.linalg.solve(np.linalg.cholesky(weights.w), np.eye(plant.n_disturbances)).T
-        per_gap = self.integrals(plant.G, gaps) @ half
         scale = np.sqrt(np.where(length > 0, length, 1.0))
-        return np.asarray(per_gap / scale[:, None, None])
+        return np.asarray(integral @ (plant.G @ half) / scale[:, None, None])
 
 
 def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
@@ -125,18 +115,16 @@ def _roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:
     Both go through the correlation matrix D^-1 W D^-1, D^2 = diag(W): units and the powers of h between
     position and velocity drop out, so that what is called ill-conditioned is so in every unit.
     """
-    n = W.shape[-1]
     size = np.sqrt(np.einsum("kii->ki", W))
     unit = np.where(size > 0, size, 1.0)
-    correlation = W / unit[:, :, None] / unit[:, None, :]
-    values, vectors = np.linalg.eigh(correlation)
-    tolerance = n * np.finfo(float).eps
-    kept = np.where(values > tolerance, values, 0.0)
-    root = unit[:, :, None] * vectors * np.sqrt(kept)[:, None, :]
-    good = (values[:, 0] * CONDITION_LIMIT > values[:, -1]) & np.all(size > 0, axis=1)
-    inverse = np.where(kept > 0, 1 / np.sqrt(np.where(kept > 0, kept, 1.0)), 0.0)
-    half = np.swapaxes(vectors, 1, 2) * inverse[:, :, None] / unit[:, None, :]
-    forward = half @ F
-    half_t, forward_t = np.swapaxes(half, 1, 2), np.swapaxes(forward, 1, 2)
-    blocks = np.stack([half_t @ half, half_t @ forward, forward_t @ forward], axis=1)
+    values, vectors = np.linalg.eigh(W / (unit[:, :, None] * unit[:, None, :]))
+    good = (values[:, 0] * CONDITION_LIMIT > values[:, -1]) & (size > 0).all(axis=1)
+    kept = values > W.shape[-1] * np.finfo(float).eps
+    scale = np.sqrt(np.where(kept, values, 1.0))
+    root = unit[:, :, None] * vectors * np.where(kept, scale, 0.0)[:, None, :]
+    half = vectors.transpose(0, 2, 1) * np.where(kept, 1 / scale, 0.0)[:, :, None] / unit[:, None, :]
+    both = np.concatenate([half, half @ F], axis=2)
+    squares = both.transpose(0, 2, 1) @ both
+    n = W.shape[-1]
+    blocks = np.stack([squares[:, :n, :n], squares[:, :n, n:], squares[:, n:, n:]], axis=1)
     return root, half, [block if ok else None for block, ok in zip(blocks, good, strict=True)]

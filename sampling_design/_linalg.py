@@ -72,9 +72,9 @@ def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Ar
 
 
 def gramian_terms(shifted: Array, noise: Array, norm: float) -> Array:
-    """Return terms whose sum with factors h (norm h)^k is int_0^h F_s N F_s' ds, F_s = e^{A_eta s}, if |A_eta h| <= SHORT.
+    """Return N_k/(k+1)! with N_0 = N = `noise`, N_{k+1} = (A_eta N_k + N_k A_eta')/norm, A_eta = `shifted`.
 
-    They are N_k/(k+1)! with N_0 = N = `noise`, N_{k+1} = (A_eta N_k + N_k A_eta')/norm, A_eta = `shifted`.
+    Their sum with factors h (norm h)^k is int_0^h F_s N F_s' ds, F_s = e^{A_eta s}, as long as |A_eta h| <= SHORT.
     """
     terms = np.empty((_GRAMIAN_DEGREE, *noise.shape))
     current = np.array(noise, dtype=np.float64)

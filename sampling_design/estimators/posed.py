@@ -126,7 +126,7 @@ def _cones(maps: dict[int, tuple[Signal, Array]]) -> tuple[list[tuple[Array, Arr
     cones: list[tuple[Array, Array, float]] = []
     owners: list[tuple[Signal, int]] = []
     for signal, over in maps.values():
-        for chosen, places in signal.groups():
+        for chosen, places in () if signal.boxed else signal.groups():
             for ball in chosen.round_balls:
                 for place in places:
                     cones.append(

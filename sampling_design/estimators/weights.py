@@ -72,6 +72,12 @@ class Weights:
         """Norms of the roots of `y` and of `prior`."""
         return float(np.linalg.norm(self.y_root)), float(np.linalg.norm(self.prior_factor))
 
+    @cached_property
+    def peaks(self) -> tuple[float, float]:
+        """Largest eigenvalues of `v` and of `y`."""
+        one = np.ones(())
+        return _energy(self.v, one), _energy(self.y, one)
+
     def prior_energy(self, bound: Array | None) -> float:
         """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
         return _energy(self.prior, bound)
@@ -85,12 +91,11 @@ class Weights:
 
         `kept` says that v is a variable of the problem, so that its own weight counts instead of R~.
         """
-        weight = self.v if kept else self.y
         if bound is None:
             return np.where(masks.any(axis=1), np.inf, 0.0)
         if bound.ndim == 0:
-            return np.where(masks.any(axis=1), _energy(weight, bound), 0.0)
-        scaled = masks * bound
+            return np.where(masks.any(axis=1), self.peaks[0 if kept else 1] * float(bound) ** 2, 0.0)
+        weight, scaled = self.v if kept else self.y, masks * bound
         return np.asarray(np.einsum("ki,ij,kj->k", scaled, np.abs(weight), scaled))
 
 

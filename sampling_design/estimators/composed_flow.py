@@ -1,0 +1,105 @@
+"""The flow of one plant over any gap, put together from remembered pieces, so that irregular gaps cost little.
+
+With base 64 and a short unit of time h_0 every gap is h = r + sum_j d_j 64^j h_0, 0 <= r < h_0. Over r three short
+Taylor polynomials do, whose terms are the plant's; the flows over d_j 64^j h_0 are remembered; and with
+F_h = e^{Ah}, E_h = int_0^h e^{As} ds, W_h = int_0^h e^{eta s} e^{As} N e^{A's} ds two gaps make one:
+    F_{a+b} = F_b F_a,    E_{a+b} = E_b + F_b E_a,    W_{a+b} = W_b + e^{eta b} F_b W_a F_b'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import SHORT, expm_batch, exponential_terms, gramian_terms, symmetrise
+
+Array = npt.NDArray[np.float64]
+
+BASE = 64
+"""Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
+
+
+class ComposedFlow:
+    """F, E and W over gaps, for A, the intensity N of the noise and the rate eta >= 0.
+
+    Notes
+    -----
+    *Numerical aspects.* Every term of W is positive semidefinite, and nothing overflows before F or W does. Each
+    remembered F is an exponential of its own: F is as exact as `expm_batch` makes it.
+    """
+
+    def __init__(self, A: Array, noise: Array, eta: float):
+        n = A.shape[0]
+        shifted = A + (eta / 2) * np.eye(n)
+        self._norm = max(float(np.linalg.norm(M, 1)) for M in (A, shifted, np.full((1, 1), 1e-300)))
+        self._A, self._n, self._eta = A, n, eta
+        self._unit = float(np.exp2(np.floor(np.log2(SHORT / self._norm))))  # a power of two: counting is exact
+        powers = exponential_terms(A, self._norm)
+        order = np.arange(1, len(powers) + 1)[:, None, None]
+        # side by side, here and in every piece: [F, E, W]
+        terms = np.concatenate([powers, powers / order, gramian_terms(shifted, noise, self._norm)], axis=2)
+        self._degree, self._terms = len(terms), terms.reshape(len(terms), -1)
+        self._levels: list[Array] = []
+
+    def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Return F, E and W for every gap, each (N, n, n)."""
+        h, n = np.asarray(gaps, dtype=np.float64), self._n
+        count = np.floor(h / self._unit)
+        passed = h - count * self._unit
+        flow, level, unit = self._short(passed), 0, self._unit
+        while count.any():
+            count, digits = np.divmod(count, BASE)
+            flow = self._composed(flow, self._pieces(level, digits.astype(int)), passed)
+            passed = passed + digits * unit
+            level, unit = level + 1, unit * BASE
+        return flow[:, :, :n], flow[:, :, n : 2 * n], symmetrise(flow[:, :, 2 * n :])
+
+    def _short(self, h: Array) -> Array:
+        """Flows over gaps up to a unit."""
+        factors = np.vander(h * self._norm, self._degree, increasing=True)
+        flow = (factors @ self._terms).reshape(h.size, self._n, -1)
+        flow[:, :, self._n :] *= h[:, None, None]
+        return flow
+
+    def _composed(self, late: Array, early: Array, length: Array | float) -> Array:
+        """Flows over `early` and then over `late`, which lasts `length`."""
+        n = self._n
+        flow = np.empty(np.broadcast_shapes(late.shape, early.shape))
+        F = late[..., :n]
+        np.matmul(F, early[..., : 2 * n], out=flow[..., : 2 * n])
+        grown = F * np.exp(self._eta / 2 * np.asarray(length))[..., None, None]
+        np.matmul(grown @ early[..., 2 * n :], np.swapaxes(grown, -1, -2), out=flow[..., 2 * n :])
+        flow[..., n:] += late[..., n:]
+        return flow
+
+    def _pieces(self, level: int, digits: npt.NDArray[np.intp]) -> Array:
+        """Flows over `digits` units of 64^level h_0; the table grows until it holds them all."""
+        if level == len(self._levels):
+            self._levels.append(self._first(level))
+        if len(self._levels[level]) <= digits.max():
+            self._grow(level, int(digits.max()) + 1)
+        return np.asarray(self._levels[level][digits])
+
+    def _first(self, level: int) -> Array:
+        """Flows over no and over one unit of a level."""
+        if level == 0:
+            return self._short(np.array([0.0, self._unit]))
+        self._grow(level - 1, BASE)
+        half = self._levels[level - 1][BASE // 2]
+        one = self._composed(half, half, self._unit * float(BASE) ** level / 2)
+        return np.stack([self._levels[0][0], one])
+
+    def _grow(self, level: int, count: int) -> None:
+        """Remember `count` pieces of a level or a few more, by doubling; what overflows is beyond those asked for."""
+        table, unit, n = self._levels[level], self._unit * float(BASE) ** level, self._n
+        size = 1 << (count - 1).bit_length()
+        with np.errstate(over="ignore", invalid="ignore"):
+            F = expm_batch(self._A, unit * np.arange(size))
+            while (known := len(table)) < size:
+                whole = self._composed(table[-1], table[1], (known - 1) * unit)
+                more = self._composed(whole, table, known * unit)
+                more[:, :, :n] = F[known : 2 * known]
+                table = np.concatenate([table, more])
+        self._levels[level] = table

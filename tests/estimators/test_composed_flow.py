@@ -1,0 +1,83 @@
+"""Flows put together from pieces, against 60-digit arithmetic and against the flow over the whole gap at once."""
+
+import mpmath
+import numpy as np
+import pytest
+
+from sampling_design._linalg import discounted_flow
+from sampling_design.estimators.composed_flow import ComposedFlow
+
+PLANTS = {
+    "oscillator": [[0.0, 1.0], [-1.0, 0.0]],
+    "triple integrator": np.diag([1.0, 1.0], 1),
+    "nothing moves": np.zeros((2, 2)),
+    "unstable": [[0.5, 1.0], [-1.0, 0.5]],
+    "stable for this rate at most": -np.eye(2),
+    "four states": [[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]],
+    "fast and slow": [[-100.0, 3.0], [0.0, -0.01]],
+}
+GAPS = (0.0, 1e-6, 0.013, 0.25, 1.3, 7.7, 20.0)
+
+
+def noise(n):
+    G = np.random.default_rng(n).normal(size=(n, n - 1))
+    return G @ G.T
+
+
+def exact(A, N, eta, h):
+    """F, E, W by block exponentials in 60 digits more than they lose."""
+    n = len(A)
+    with mpmath.workdps(60 + int(2 * np.linalg.norm(A, 1) * h)):
+        plant, intensity, one = mpmath.matrix(A.tolist()), mpmath.matrix(N.tolist()), mpmath.eye(n)
+        shifted = plant + mpmath.mpf(eta) / 2 * one
+        steps, loan = mpmath.zeros(2 * n), mpmath.zeros(2 * n)
+        steps[:n, :n], steps[:n, n:] = plant, one
+        loan[:n, :n], loan[:n, n:], loan[n:, n:] = -shifted, intensity, shifted.T
+        steps, loan = (mpmath.expm(M * mpmath.mpf(h), method="taylor") for M in (steps, loan))
+        found = (steps[:n, :n], steps[:n, n:], loan[n:, n:].T * loan[:n, n:])
+        return [np.array(M.tolist(), dtype=float) for M in found]
+
+
+def off(found, expected):
+    return np.linalg.norm(found - expected) / (np.linalg.norm(expected) or 1.0)
+
+
+@pytest.mark.parametrize("eta", [0.0, 2.0])
+@pytest.mark.parametrize("name", PLANTS)
+def test_agrees_with_sixty_digits(name, eta):
+    A = np.array(PLANTS[name], float)
+    gaps = [h for h in GAPS if np.linalg.norm(A, 1) * h < 200]
+    found = zip(*ComposedFlow(A, noise(len(A)), eta).over(gaps), strict=True)
+    for h, matrices in zip(gaps, found, strict=True):
+        for one, other in zip(matrices, exact(A, noise(len(A)), eta, h), strict=True):
+            assert off(one, other) < 5e-14
+
+
+@pytest.mark.parametrize("rate", [1e-1, 1e4, 1e8])
+def test_a_stiff_plant_over_gaps_of_many_sizes(rate):
+    """As exact as the flow at once, which loses |A|h eps: compared at what both keep."""
+    A, N = np.array([[-rate, 0.3 * rate], [0.0, -0.1]]), np.eye(2)
+    gaps = [1e-9, 1e-3, 0.7, 5.0, 90.0]
+    F, _, W = ComposedFlow(A, N, 0.05).over(gaps)
+    kept = 1e-14 * max(10.0, rate * 90.0)
+    for h, one, two, plain, gramian in zip(gaps, F, W, *discounted_flow(A, N, gaps, 0.05), strict=True):
+        assert off(one, plain) < kept, h
+        assert off(two, gramian) < kept, h
+        assert np.linalg.eigvalsh(two)[0] > 0
+    assert np.isfinite(F).all()
+
+
+def test_what_is_remembered_changes_nothing_but_rounding():
+    A, rng = np.array(PLANTS["four states"], float), np.random.default_rng(0)
+    worn = ComposedFlow(A, np.eye(4), 0.3)
+    for h in 10 ** rng.uniform(-3, 2, 40):
+        one, other = worn.over([h, 0.4, 17.0]), ComposedFlow(A, np.eye(4), 0.3).over([h])
+        assert all(off(a[0], b[0]) < 1e-13 for a, b in zip(one, other, strict=True))
+
+
+def test_pieces_beyond_all_numbers_do_no_harm():
+    """The last piece remembered on the way to e^{600} is e^{1008}."""
+    F, E, W = ComposedFlow(np.array([[1.0]]), np.array([[1e-300]]), 0.0).over([600.0])
+    assert F[0, 0, 0] == pytest.approx(np.exp(600.0), rel=1e-11)
+    assert E[0, 0, 0] == pytest.approx(np.exp(600.0), rel=1e-11)
+    assert W[0, 0, 0] == pytest.approx(np.exp(1200.0 - 300 * np.log(10.0)) / 2, rel=1e-11)

@@ -17,6 +17,7 @@ from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.convex_set import Ball, ConvexSet
 from sampling_design.estimators.flows import CACHE_SIZE, Flow, FlowTable, discounted_length
+from sampling_design.estimators.weights import Weights
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +43,7 @@ class DisturbanceReach:
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
-        self._kernels = Kernels(self.plant)
+        self._responses = Responses(self.plant)
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
             if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
@@ -74,7 +75,7 @@ class DisturbanceReach:
         width = flow.root.shape[1]
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
         if self.w.rows.shape[0] or self.w.bounded.size:
-            lower, upper = support_box(self._kernels, flow, *self._box)
+            lower, upper = support_box(self._responses, self.weights, flow, *self._box)
         balls: tuple[Ball, ...] = ()
         if np.isfinite(self._radius):
             length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
@@ -103,8 +104,8 @@ class _Cells:
     norms: Array
 
 
-class Kernels:
-    """e^{As} G on grids that all gaps share; a grid is refined by halves and remembered."""
+class Responses:
+    """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for."""
 
     def __init__(self, plant: Plant):
         self.plant, self.size = plant, float(np.linalg.norm(plant.A, 2))
@@ -131,7 +132,7 @@ class Kernels:
         return _Cells(length, moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved)))
 
 
-def support_box(kernels: Kernels, flow: Flow, lower: Array, upper: Array) -> tuple[Array, Array]:
+def support_box(responses: Responses, weights: Weights, flow: Flow, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return lower and upper bounds on omega over all w with `lower` <= w(t) <= `upper`.
 
     Notes
@@ -139,14 +140,15 @@ def support_box(kernels: Kernels, flow: Flow, lower: Array, upper: Array) -> tup
     *Method.* With phi(s) = L^+ e^{As} G and w = middle + deviation, the middle is exact and the deviation adds at
     most int |phi| half. Per cell of length d and middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and
     d^2/4 |phi'(m)| more where phi may change sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of the last
-    cell only the part up to the gap's end counts.
+    cell only the part up to the gap's end counts. Nor is any entry's deviation more than that of |omega|, which the
+    cost bounds: over many fast time constants the cells say less than that.
     """
-    cells, n = kernels.over(flow.gap), flow.F.shape[0]
+    cells, n = responses.over(flow.gap), flow.F.shape[0]
     d, K, q = cells.length, *cells.norms.shape
-    first = flow.whiten @ kernels.plant.A
+    first = flow.whiten @ responses.plant.A
     both = np.concatenate([flow.whiten, first]) @ cells.moved.reshape(n, -1)
     phi, slope = both.reshape(2, -1, K, q)
-    bend = np.linalg.norm(first @ kernels.plant.A, axis=1) * np.exp(kernels.size * d / 2)
+    bend = np.linalg.norm(first @ responses.plant.A, axis=1) * np.exp(responses.size * d / 2)
     second = bend[:, None, None] * cells.norms
     upto = np.full((K, 1), d)
     upto[-1] = flow.gap - (K - 1) * d
@@ -157,5 +159,7 @@ def support_box(kernels: Kernels, flow: Flow, lower: Array, upper: Array) -> tup
     parts = np.where(turning, upto * size + (beyond * np.abs(beyond) + d * d / 4) / 2 * rise, level)
     parts += (beyond**3 + d**3 / 8) / 6 * second
     middle, half = (lower + upper) / 2, (upper - lower) / 2
-    centre, reach = flow.whiten @ (flow.integral @ (kernels.plant.G @ middle)), parts.sum(axis=1) @ half
+    most = math.sqrt(float(half @ np.abs(weights.w) @ half) * float(discounted_length(weights.eta, flow.gap)))
+    centre = flow.whiten @ (flow.integral @ (responses.plant.G @ middle))
+    reach = np.minimum(parts.sum(axis=1) @ half, most)
     return centre - reach, centre + reach

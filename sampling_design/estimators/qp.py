@@ -20,8 +20,7 @@ from sampling_design.estimators.window import Window
 
 ENGINES = ("auto", "active set", "conic", "reference")
 
-
-FEW = 0.2
+FEW = 0.1
 """Share of the rows up to which those that matter are sought one by one; beyond, all are taken at once."""
 
 SATISFIED = 1e-10

@@ -5,9 +5,26 @@ Nothing here knows the code it judges.
 
 from __future__ import annotations
 
+from functools import wraps
+
 import numpy as np
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
+
+
+def once(integral):
+    """Each integral is done once: windows and prefixes of a record share their gaps."""
+    known = {}
+
+    @wraps(integral)
+    def remembered(*args):
+        key = tuple((np.shape(a), np.asarray(a, float).tobytes()) for a in args)
+        if key not in known:
+            known[key] = integral(*args)
+            known[key].flags.writeable = False
+        return known[key]
+
+    return remembered
 
 
 def transition(A, h):
@@ -15,11 +32,13 @@ def transition(A, h):
     return expm(np.asarray(A) * h)
 
 
+@once
 def input_integral(A, B, h):
     """int_0^h e^{A s} B ds by adaptive quadrature."""
     return quad_vec(lambda s: expm(A * s) @ B, 0.0, h, epsabs=1e-13, epsrel=1e-13)[0]
 
 
+@once
 def noise_integral(A, N, h, eta):
     """int_0^h e^{eta s} e^{A s} N e^{A' s} ds by adaptive quadrature."""
     return quad_vec(lambda s: np.exp(eta * s) * expm(A * s) @ N @ expm(A.T * s), 0.0, h, epsabs=1e-14, epsrel=1e-13)[0]

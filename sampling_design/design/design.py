@@ -332,6 +332,8 @@ class _Run:
             found = self.searched(sized, share, min(1.0, share + 1 / (high - low + 1)))
             if found.sigma >= target:
                 return replace(found, notes=(*found.notes, _fewest_note(samples, ruled_out, target)))
+            if found.upper_bound < target and ruled_out == samples - 1:  # the narrowed bound falls short too
+                ruled_out = samples
             best = found if best is None or found.sigma > best.sigma else best
         if best is None and last is not None:
             best = self.searched(last, 0.5, 1.0)

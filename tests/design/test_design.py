@@ -57,6 +57,14 @@ def test_a_target_is_reached_with_the_fewest_samples():
     assert "4 is the fewest: the bound rules out 1.3 with 3" in design.notes[-1]
 
 
+def test_the_narrowed_bound_rules_out_what_the_first_one_leaves_open():
+    requirement = Requirement(window=10.0, period=10.0, spacing=0.5, target_sigma=0.445)
+    chain = Plant(np.eye(3, k=1), [[1.0, 0.0, 0.0]])
+    notes = [design_schedule(chain, requirement, starts=1, branches=b).notes[-1] for b in (0, 20)]
+    assert notes[0].startswith("6 is the fewest that was found; the bound rules out 0.445 up to 4 only")
+    assert notes[1] == "6 is the fewest: the bound rules out 0.445 with 5"
+
+
 def test_a_target_out_of_reach_names_what_was_found():
     requirement = Requirement(window=2 * np.pi, spacing=0.2, target_sigma=5.0, samples={"at_most": 5})
     with pytest.raises(

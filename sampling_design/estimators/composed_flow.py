@@ -40,7 +40,7 @@ class ComposedFlow:
         order = np.arange(1, len(powers) + 1)[:, None, None]
         # side by side, here and in every piece: [F, E, W]
         terms = np.concatenate([powers, powers / order, gramian_terms(shifted, noise, self._norm)], axis=2)
-        self._degree, self._terms = len(terms), terms.reshape(len(terms), -1)
+        self._powers, self._terms = np.arange(len(terms)), terms.reshape(len(terms), -1)
         self._levels: list[Array] = []
 
     def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
@@ -58,19 +58,18 @@ class ComposedFlow:
 
     def _short(self, h: Array) -> Array:
         """Flows over gaps up to a unit."""
-        factors = np.vander(h * self._norm, self._degree, increasing=True)
+        factors = (h * self._norm)[:, None] ** self._powers
         flow = (factors @ self._terms).reshape(h.size, self._n, -1)
         flow[:, :, self._n :] *= h[:, None, None]
         return flow
 
     def _composed(self, late: Array, early: Array, length: Array | float) -> Array:
-        """Flows over `early` and then over `late`, which lasts `length`."""
+        """Flows over `early` (one or more) and then over `late` (one, or as many), which lasts `length`."""
         n = self._n
-        flow = np.empty(np.broadcast_shapes(late.shape, early.shape))
-        F = late[..., :n]
+        flow, F = np.empty_like(early), late[..., :n]
         np.matmul(F, early[..., : 2 * n], out=flow[..., : 2 * n])
         grown = F * np.exp(self._eta / 2 * np.asarray(length))[..., None, None]
-        np.matmul(grown @ early[..., 2 * n :], np.swapaxes(grown, -1, -2), out=flow[..., 2 * n :])
+        np.matmul(grown @ early[..., 2 * n :], grown.swapaxes(-1, -2), out=flow[..., 2 * n :])
         flow[..., n:] += late[..., n:]
         return flow
 

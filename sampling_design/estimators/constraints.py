@@ -49,16 +49,6 @@ class Constraints:
         """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
         return ((window.y - window.feedthrough - nodes @ self.plant.C.T) * window.masks) @ self._gain.T
 
-    def omegas(self, window: Window, nodes: Array) -> Array:
-        """Return the least omega of every gap for given states, (N, width)."""
-        deviation = nodes - window.reference
-        moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect
-        return np.asarray(np.matmul(self._whitened(window), moved[:, :, None])[:, :, 0])
-
-    def _whitened(self, window: Window) -> Array:
-        width = window.flows[0].root.shape[1] if window.flows else 0
-        return np.array([flow.whiten for flow in window.flows]).reshape(-1, width, self.plant.n_states)
-
     def demands(self, window: Window, free: Solution) -> Demands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
         nodes = free.nodes
@@ -69,10 +59,10 @@ class Constraints:
         if self.keeps_v:
             signals += self._noisy_signals(window, nodes)
         if self.reach is not None and window.flows:
-            whiten = self._whitened(window)
-            names = self._omega_names if whiten.shape[1] == self.plant.n_states else self.plant.disturbances.names
-            sets, at = [self.reach.over(flow) for flow in window.flows], np.arange(1, window.times.size)
-            base, before = self.omegas(window, nodes), -np.matmul(whiten, window.F)
+            whiten = np.array([flow.whiten for flow in window.flows])
+            base, before = _omegas(window, nodes, whiten), -np.matmul(whiten, window.F)
+            names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
+            sets = self.reach.over(window.flows)
             signals.append(Signal("w_set", window.times[1:], names, base, sets, at, whiten, before))
         return Demands(free.spread, signals, *nodes.shape)
 
@@ -89,3 +79,10 @@ class Constraints:
             y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
             found.append(Signal("y_set", times, names, y, [self.y], at, plant.C + here, own=own, seen=seen))
         return found
+
+
+def _omegas(window: Window, nodes: Array, whiten: Array) -> Array:
+    """The least omega of every gap for given states, (N, width)."""
+    deviation = nodes - window.reference
+    moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect
+    return np.asarray(np.matmul(whiten, moved[:, :, None])[:, :, 0])

@@ -86,7 +86,7 @@ def _improved(
         program.parts.append(x[j + 1] == flow.F @ x[j] + flow.root @ omega[j] + missing / scale)
         program.add_square(root[j + 1] * point.omega[j], root[j + 1] * omega[j])
         if constraints.reach is not None:
-            program.keep_inside(constraints.reach.over(flow), point.omega[j], omega[j])
+            program.keep_inside(constraints.reach.over([flow])[0], point.omega[j], omega[j])
     if constraints.x is not None:
         for at, step in zip(point.x, x, strict=True):
             program.keep_inside(constraints.x, at, step)

@@ -44,7 +44,7 @@ def test_box_and_ball(name, eta, h):
     plant = Plant(A, np.eye(A.shape[0]), G=G)
     weights, _ = build_weights(plant, Qw=np.diag(rng.uniform(0.5, 2.0, q)), eta=eta)
     table = FlowTable(weights)
-    (flow,) = table.get([h])
+    (flow, _) = flows = table.get([h, h / 3])  # where the two share a grid each gets its own part of it
     low, high = -rng.uniform(0.2, 1.0, q), rng.uniform(0.5, 2.0, q)
 
     def in_box(push, rng):
@@ -54,8 +54,10 @@ def test_box_and_ball(name, eta, h):
         length = np.linalg.norm(push, axis=1, keepdims=True)
         return 0.7 * push / np.where(length > 0, length, 1.0)
 
-    box = DisturbanceReach(table, ConvexSet.box(low, high)).over(flow)
-    ball = DisturbanceReach(table, ConvexSet.ball(0.7, dimension=q)).over(flow)
+    box, _ = DisturbanceReach(table, ConvexSet.box(low, high)).over(flows)
+    alone, _ = DisturbanceReach(table, ConvexSet.box(low, high)).over([flow, flow])
+    np.testing.assert_allclose([box.lower, box.upper], [alone.lower, alone.upper], rtol=1e-12)
+    (ball,) = DisturbanceReach(table, ConvexSet.ball(0.7, dimension=q)).over([flow])
     reach = 0.0
     for d in displacements(A, G, h, eta, in_box, rng, 60):
         omega = flow.whiten @ d
@@ -81,8 +83,8 @@ def test_half_spaces_bound_through_their_bounding_box():
     triangle = ConvexSet.halfspaces([[-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]], [0.0, 0.0, 1.0])
     table = FlowTable(weights)
     (flow,) = table.get([1.0])
-    found = DisturbanceReach(table, triangle).over(flow)
-    square = DisturbanceReach(table, ConvexSet.box([0.0, 0.0], [1.0, 1.0])).over(flow)
+    found = DisturbanceReach(table, triangle).over([flow])[0]
+    square = DisturbanceReach(table, ConvexSet.box([0.0, 0.0], [1.0, 1.0])).over([flow])[0]
     assert np.allclose(found.lower, square.lower, atol=1e-5)
     assert np.allclose(found.upper, square.upper, atol=1e-5)
     assert np.all(found.upper >= square.upper - 1e-12)
@@ -92,10 +94,8 @@ def test_a_ball_within_a_box_uses_both():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     table = FlowTable(build_weights(plant)[0])
     (flow,) = table.get([1.0])
-    both = DisturbanceReach(table, ConvexSet.ball(1.0, dimension=2) & ConvexSet.box([-0.2, -3.0], [0.2, 3.0])).over(
-        flow
-    )
-    box = DisturbanceReach(table, ConvexSet.box([-0.2, -1.0], [0.2, 1.0])).over(flow)
-    ball = DisturbanceReach(table, ConvexSet.ball(1.0, dimension=2)).over(flow)
+    disc = ConvexSet.ball(1.0, dimension=2)
+    sets = (disc & ConvexSet.box([-0.2, -3.0], [0.2, 3.0]), ConvexSet.box([-0.2, -1.0], [0.2, 1.0]), disc)
+    both, box, ball = (DisturbanceReach(table, chosen).over([flow])[0] for chosen in sets)
     assert np.allclose([both.lower, both.upper], [box.lower, box.upper])
     assert both.balls[0].radius == ball.balls[0].radius

@@ -19,11 +19,11 @@ Array = npt.NDArray[np.float64]
 
 
 class Constraints:
-    """The sets of one estimator, and how a window feels them."""
+    """The sets of one estimator, and what they ask of a window."""
 
     def __init__(self, table: FlowTable, x: Any, y: Any, v: Any, w: Any):
         plant = table.weights.plant
-        self.table, self.plant, self.weights = table, plant, table.weights
+        self.plant, self.weights = plant, table.weights
         self.x = convex_set("x_set", x, plant.n_states)
         self.y = convex_set("y_set", y, plant.n_outputs)
         self.v = convex_set("v_set", v, plant.n_outputs)

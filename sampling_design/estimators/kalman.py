@@ -124,12 +124,11 @@ class KalmanFilter(OpenLoopEstimator):
         inside = [node for node in nodes[1:] if node.t > nodes[0].t]
         opening = nodes[1] if nodes[1].t == nodes[0].t else nodes[0]
         rows = [opening, *inside]
-        first = np.zeros((0, self.plant.n_states))
         window = build_window(
             self.weights,
             np.array([node.t for node in rows]),
             [node.flow for node in inside if node.flow is not None],
-            np.array([node.drift for node in inside]).reshape(first.shape[0] + len(inside), self.plant.n_states),
+            np.array([node.drift for node in inside]).reshape(-1, self.plant.n_states),
             np.array([nodes[0].x, *(node.x for node in inside)]),
             *(np.array([getattr(node, key) for node in rows]) for key in ("y", "mask", "feedthrough")),
         )

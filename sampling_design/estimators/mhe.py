@@ -18,7 +18,8 @@ from sampling_design.estimators.guarantee import choose_horizon
 from sampling_design.estimators.history import Node, State
 from sampling_design.estimators.open_loop import OpenLoopEstimator
 from sampling_design.estimators.qp import ENGINES, solve_constrained
-from sampling_design.estimators.smoother import Solution, smooth
+from sampling_design.estimators.smoother import smooth
+from sampling_design.estimators.solution import Solution
 from sampling_design.estimators.weights import build_weights
 from sampling_design.estimators.window import Window, build_window
 from sampling_design.plants.plant import Plant
@@ -28,12 +29,11 @@ Array = npt.NDArray[np.float64]
 SAME_TIME = 1e-12
 """A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""
 
-
 W_MODELS = ("outer", "constant")
 
 
 class Start(NamedTuple):
-    """Where a window begins: time, prior, covariance there, bound on the prior term, root of P^-1, nodes inside."""
+    """Where a window begins: time, prior, bound on the prior term, root of P^-1 (None for P2's), nodes inside."""
 
     s: float
     x: Array
@@ -69,7 +69,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     carried_weight : bool
         Weigh the prior with its own information Pi(t - M) instead of P2: full rate for every horizon.
     x_set, y_set, v_set, w_set : ConvexSet or (lower, upper), optional
-        Constraints on states, noise-free-model outputs with v, noise, and disturbance.
+        Constraints on the state x, the modelled output C x + D u + v, the noise v, and the disturbance w.
     check_spacing : float, optional
         Impose the state constraints also between samples, at points at most this far apart.
     w_model : "outer" or "constant"

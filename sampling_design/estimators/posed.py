@@ -66,9 +66,9 @@ class Demands:
 
     def violated(self, values: list[Array], tolerance: float) -> list[Mask]:
         """Return, per block of rows, those that `values` break by more than `tolerance` times the signal's size."""
-        by_signal, found = dict(zip(map(id, self.signals), values, strict=True)), []
+        by_signal, found = dict(zip(self.signals, values, strict=True)), []
         for rows in self.rows:
-            value = by_signal[id(rows.signal)]
+            value = by_signal[rows.signal]
             seen = rows.of(value)
             limit = tolerance * max(1.0, float(np.abs(value).max()))
             found.append((rows.lower - seen > limit) | (seen - rows.upper > limit))
@@ -91,7 +91,7 @@ class Demands:
         if chosen is None:
             maps = self._maps()
             blocks, (cones, owners) = self.rows, _cones(maps)
-            parts = [rows.of(maps[id(rows.signal)][1]) for rows in blocks]
+            parts = [rows.of(maps[rows.signal]) for rows in blocks]
         else:
             blocks = [rows.only(mask) for rows, mask in zip(self.rows, chosen, strict=True) if mask.any()]
             parts = [self._spread(rows) for rows in blocks]
@@ -105,12 +105,12 @@ class Demands:
         lower, upper = (lower - base) / scales, (upper - base) / scales
         return LeastDistance(self.size, A / scales[:, None], lower, upper, cones, scales, blocks, owners)
 
-    def _maps(self) -> dict[int, tuple[Signal, Array]]:
+    def _maps(self) -> dict[Signal, Array]:
         """Every signal with its map from z."""
         T = self.spread.maps()
         if self.size > self.states:
             T = np.concatenate([T, np.zeros((*T.shape[:2], self.size - self.states))], axis=2)
-        return {id(signal): (signal, signal.maps(T, self.states)) for signal in self.signals}
+        return {signal: signal.maps(T, self.states) for signal in self.signals}
 
     def _spread(self, rows: Rows) -> Array:
         """The rows over z: those over the states times T, those over the noise as they are."""
@@ -121,11 +121,11 @@ class Demands:
         return found
 
 
-def _cones(maps: dict[int, tuple[Signal, Array]]) -> tuple[list[tuple[Array, Array, float]], list[tuple[Signal, int]]]:
+def _cones(maps: dict[Signal, Array]) -> tuple[list[tuple[Array, Array, float]], list[tuple[Signal, int]]]:
     """The balls as cones over z, and the signal and the place of each."""
     cones: list[tuple[Array, Array, float]] = []
     owners: list[tuple[Signal, int]] = []
-    for signal, over in maps.values():
+    for signal, over in maps.items():
         for chosen, places in () if signal.boxed else signal.groups():
             for ball in chosen.round_balls:
                 for place in places:

@@ -53,9 +53,8 @@ class ScheduleWatch:
         """Time and row of the sample due after `before` (at or after it where `first`); None past the end."""
         slack = self._slack(before)
         limit = before - slack if first else before + slack
-        side: Literal["left", "right"] = (
-            "left" if first else "right"
-        )  # at time 0 the slack is 0: `before` is not due again
+        # at time 0 the slack is 0, and yet a sample at `before` must not be due again
+        side: Literal["left", "right"] = "left" if first else "right"
         lap = self.schedule.times
         if isinstance(self.schedule, Schedule):
             k = int(np.searchsorted(lap, limit, side))

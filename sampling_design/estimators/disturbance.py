@@ -186,7 +186,6 @@ def _absolute_integrals(responses: Responses, d: float, gaps: Array, whiten: Arr
     beyond = upto - d / 2  # the cell as seen from its middle: from -d/2 to here
     size, rise = np.abs(phi), np.abs(slope)
     turning = size < rise * (d / 2) + second * (d * d / 8)
-    level = np.abs(upto * phi + (beyond**2 - d * d / 4) / 2 * slope)
-    parts = np.where(turning, upto * size + (beyond * np.abs(beyond) + d * d / 4) / 2 * rise, level)
-    parts += (beyond**3 + d**3 / 8) / 6 * second
+    moments = (beyond * np.abs(beyond) + d * d / 4) / 2, (d * d / 4 - beyond**2) / 2  # of |s - m|, and of m - s
+    parts = upto * size + np.where(turning, *moments) * rise + (beyond**3 + d**3 / 8) / 6 * second
     return np.asarray(parts.sum(axis=2))

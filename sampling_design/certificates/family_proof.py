@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, symmetrise
+from sampling_design._linalg import symmetrise
 from sampling_design.certificates.gap_graph import GapGraph
-from sampling_design.certificates.window_problem import noise_input, whitened_rows
+from sampling_design.certificates.window_problem import growing_flow, noise_input, whitened_rows
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.floating[Any]]
@@ -51,10 +51,8 @@ class Dynamics:
         return self.A.shape[0]
 
     def flow(self, durations: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return F = e^{(A + eta/2) h} and W_h for each duration."""
-        h = np.atleast_1d(np.asarray(durations, dtype=np.float64))
-        plain, W = discounted_flow(self.A, self.noise, h, self.eta)
-        return plain * np.exp(self.eta * h / 2)[:, None, None], W
+        """Return F and W of `growing_flow` for each duration."""
+        return growing_flow(self.A, self.noise, self.eta, durations)
 
     def information(self, outputs: tuple[bool, ...]) -> Array:
         """C'R~C of a sample of these outputs."""

@@ -25,6 +25,13 @@ LIVE_NOISE_RTOL = 1e-12
 """A null direction of Qw counts as unused when |G d| is below this fraction of |G|."""
 
 
+def growing_flow(A: Array, noise: Array, eta: float, durations: npt.ArrayLike) -> tuple[Array, Array]:
+    """Return F = e^{(A + eta/2) h} and W_h for each duration, so that Y(t + h) = F Y F' + W."""
+    h = np.atleast_1d(np.asarray(durations, dtype=np.float64))
+    plain, W = discounted_flow(A, noise, h, eta)
+    return plain * np.exp(eta * h / 2)[:, None, None], W
+
+
 @dataclass(frozen=True, eq=False)
 class WindowProblem:
     """Everything the recursion needs: flow, whitened output rows per sample, gaps, and where windows may start.
@@ -55,10 +62,8 @@ class WindowProblem:
         return self.A.shape[0]
 
     def flow(self, durations: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return F = e^{(A + eta/2) h} and W_h for each duration, so that Y(t + h) = F Y F' + W."""
-        h = np.atleast_1d(np.asarray(durations, dtype=np.float64))
-        plain, W = discounted_flow(self.A, self.noise, h, self.eta)
-        return plain * np.exp(self.eta * h / 2)[:, None, None], W
+        """Return F and W of `growing_flow` for each duration."""
+        return growing_flow(self.A, self.noise, self.eta, durations)
 
     def sample_starts(self) -> tuple[Index, Array]:
         """Return (index, remaining) of the windows of Def 2: from time 0 and from each sample."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design import bound
@@ -97,9 +98,9 @@ def bounds_of_cells(cells: int) -> Callable[[], object]:
 
 CURVES: dict[str, tuple[str, tuple[int, ...], Callable[[int], Callable[[], object]], int]] = {
     "whole design, 4 states": ("samples per period", COUNTS, lambda k: designs(4, k), 2),
-    "worst sigma of 20 schedules": ("samples per period", COUNTS, evaluations, 5),
+    "worst sigma of 20 schedules": ("samples per period", COUNTS, evaluations, 15),
     "bound from given multipliers": ("samples per period", COUNTS, bounds_of_count, 3),
-    "relaxation": ("grid times", GRID, relaxations, 3),
+    "relaxation": ("grid times", GRID, relaxations, 9),
     "bound, time cells": ("grid times", CELLS, bounds_of_cells, 3),
     "whole design, 16 samples": ("retained states", STATES, lambda n: designs(n, 16), 2),
 }
@@ -131,6 +132,9 @@ def main() -> None:
         low = min(line.get_ydata()[0] for line in ax.get_lines())
         first = min(line.get_xdata()[0] for line in ax.get_lines())
         ax.loglog([first, sizes[-1]], [low, low * sizes[-1] / first], ":", color="#b8b8b8", label="linear")
+        ticks = (100, 1000, 10000) if what == "grid times" else sizes
+        ax.set_xticks(ticks, [str(size) for size in ticks])
+        ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(what)
         ax.set_ylabel("CPU time [s]")
         ax.legend(fontsize="x-small", frameon=False)

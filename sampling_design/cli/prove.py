@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import sampling_design as sd
+from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
@@ -67,7 +68,7 @@ def certify(
     families = {k: v for k, v in given.items() if v is not None}
     if detectability:
         _refuse_samples(schedule_file, families)
-        _detectability(settings, plant, certificate_file, {"rate": eta, "budget": noise_budget})
+        _detectability(settings, plant, certificate_file, eta, noise_budget)
         return
     times = _times(settings, plant, schedule_file, families)
     with settings.progress("certify") as progress:
@@ -89,9 +90,13 @@ def _refuse_samples(schedule: Path | None, families: dict[str, Any]) -> None:
         raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")
 
 
-def _detectability(settings: Settings, plant: Any, path: Path | None, asked: dict[str, float | None]) -> None:
+def _detectability(
+    settings: Settings, plant: Any, path: Path | None, eta: float | None, noise_budget: float | None
+) -> None:
     """Certify the plant alone, at the rate and within the budget that are asked for."""
-    certificate = sd.certify_detectability(plant, **{key: value for key, value in asked.items() if value is not None})
+    rate = None if eta is None else positive("eta", eta)
+    given = {} if noise_budget is None else {"budget": positive("noise-budget", noise_budget)}
+    certificate = sd.certify_detectability(plant, rate, **given)
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:

@@ -214,3 +214,10 @@ def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path)
         assert result.err.count("\n") == 1
     with pytest.raises(ArgumentError, match="which promises nothing about samples: make one with"):
         sampling_certificate(file, read_plant(OSCILLATOR))
+
+
+@pytest.mark.parametrize(("flag", "name"), [("--eta", "eta"), ("--noise-budget", "noise-budget")])
+def test_numbers_of_detectability_are_refused_by_the_name_that_was_typed(shell, flag, name):
+    result = shell("certify", OSCILLATOR, "--detectability", flag, -1)
+    assert result.code == 2
+    assert f"`{name}` must be positive, got -1.0" in result.err

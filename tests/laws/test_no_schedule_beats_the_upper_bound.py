@@ -5,6 +5,10 @@ import pytest
 from scipy.optimize import differential_evolution
 
 from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design.bounds import UpperBound, placed_part
+from sampling_design.design.branching import narrowed
+from sampling_design.design.posing import pose
+from sampling_design.design.relaxation import relax_placed
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
 
 OSCILLATOR = ([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -67,3 +71,21 @@ def test_the_bound_is_tight_for_four_samples_on_the_oscillator():
     design = designed(OSCILLATOR, 2 * np.pi, 0.2, 4)
     assert design.upper_bound == pytest.approx(np.sqrt(2), rel=1e-6)
     assert design.sigma == pytest.approx(np.sqrt(2), rel=2e-3)
+
+
+CLOSED = [[0.0, 0.3], [1.0, 1.3], [2.0, 2.3], [3.0, 3.3]]
+
+
+@pytest.mark.parametrize("forbidden", [[], [[0.5, 1.5]], CLOSED])
+@pytest.mark.parametrize("window", [4.0, 3.0])
+@pytest.mark.parametrize("case", [OSCILLATOR, INTEGRATOR, UNSTABLE])
+def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, window, forbidden):
+    requirement = Requirement(window=window, period=4.0, spacing=0.4, samples=3, forbidden=forbidden)
+    problem = pose(Plant(*case), requirement, 3)
+    first = UpperBound(np.inf, (placed_part(problem, relax_placed(problem)),))
+    best, _ = best_on_grid(*case, 4.0, window, 0.4, 3, 20, forbidden)
+    loose, tight = (narrowed(problem, first, best, steps, rtol=0.0) for steps in (3, 60))
+    assert best <= tight.value * (1 + 1e-9) <= loose.value * (1 + 2e-9)
+    assert {part.method for part in tight.parts} <= {"zones", "averaged"}
+    assert tight.value_for(problem) == pytest.approx(tight.value)
+    assert UpperBound(tight.value, tight.parts[1:]).value_for(problem) == np.inf  # one box less covers too little

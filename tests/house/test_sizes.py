@@ -1,4 +1,4 @@
-"""Rooms stay small: files of at most 400 lines, functions of at most 40 lines of code."""
+"""Rooms stay small: files of at most 500 lines, functions of at most 60 lines of code."""
 
 import ast
 import io
@@ -9,8 +9,8 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "sampling_design"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-FILE_WALL = 400
-FUNCTION_WALL = 40
+FILE_WALL = 500
+FUNCTION_WALL = 60
 
 
 def code_lines(text: str) -> set[int]:

@@ -16,7 +16,7 @@ from sampling_design.certificates.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 _RATES = ("eta", "c_w", "c_y", "margin")
@@ -73,15 +73,10 @@ def load_certificate(
         found = certificate_from_dict(data, where)
     except ArgumentError as error:
         raise FileFormatError(f"{where}: is no certificate: {error}", where) from None
-    if plant is not None and not same_plant(plant, found.plant):
-        raise CertificateError(f"{where}: certifies another plant ({found.plant.name or 'unnamed'}).", path=where)
+    if plant is not None and (other := first_difference(plant, found.plant)):
+        who = found.plant.name or "unnamed"
+        raise CertificateError(f"{where}: certifies another plant ({who}): {other}.", path=where)
     return found
-
-
-def same_plant(first: Plant, second: Plant) -> bool:
-    """Whether A, C, G and the time unit agree to the last bit; names and inputs do not enter a certificate."""
-    alike = all(np.array_equal(getattr(first, key), getattr(second, key)) for key in ("A", "C", "G"))
-    return alike and first.time_unit == second.time_unit
 
 
 def certificate_from_dict(

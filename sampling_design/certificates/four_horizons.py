@@ -12,8 +12,8 @@ from sampling_design.certificates.contraction import least_contracting, spectral
 from sampling_design.certificates.horizon import Horizon
 from sampling_design.certificates.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.certificates.window_problem import AnySchedule
-from sampling_design.errors import SamplingDesignError
-from sampling_design.plants.plant import Plant
+from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
@@ -120,6 +120,8 @@ def four_horizons(
 
     Raises
     ------
+    ArgumentError
+        If what is given belongs to another plant.
     CertificateError
         If no certificate exists.
 
@@ -138,6 +140,9 @@ def four_horizons(
     >>> chain > paper > sharp > true
     True
     """
+    for name, given in (("certificate", certificate), ("proof_constants", proof_constants)):
+        if given is not None and (other := first_difference(plant, given.plant)):
+            raise ArgumentError(f"`{name}` belongs to another plant: {other}.")
     exact = certify(plant, schedule) if certificate is None else certificate
     note = ""
     proof = proof_constants

@@ -22,7 +22,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.modes import ModalSplit, split_modes
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -272,12 +272,12 @@ def _detectability(
 ) -> DetectabilityCertificate:
     """The one that was given, the one of a given gain, or the best of the sweep."""
     if given is not None:
-        same = all(np.array_equal(getattr(given.plant, key), getattr(retained, key)) for key in "ACG")
-        if not same or gain is not None or Q is not None:
+        if other := first_difference(retained, given.plant):
             raise ArgumentError(
-                "`detectability` must belong to the retained part, split_modes(plant).retained, and excludes "
-                "`gain` and `Q`."
+                f"`detectability` must belong to the retained part, split_modes(plant).retained: {other}."
             )
+        if gain is not None or Q is not None:
+            raise ArgumentError("`detectability` excludes `gain` and `Q`: it has its own.")
         return given
     if gain is not None or Q is not None:
         return detectability_from_proof(retained, gain, Q)

@@ -18,7 +18,7 @@ from sampling_design.certificates.family_certificate import FamilyCertificate
 from sampling_design.certificates.family_graphs import MOST_NODES, in_plant_terms, levels_of_memory
 from sampling_design.certificates.seal import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.sampling_set import SamplingSet
@@ -251,8 +251,8 @@ def survival(
     schedule = planned.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a PeriodicSchedule: losses and delays are counted without end.")
-    if not all(np.array_equal(getattr(plant, key), getattr(planned.plant, key)) for key in ("A", "C", "G")):
-        raise ArgumentError("`certificate` certifies another plant.")
+    if other := first_difference(plant, planned.plant):
+        raise ArgumentError(f"`certificate` certifies another plant: {other}.")
     M = planned.horizon().length if length is None else _checks.positive("length", length)
     limit = float(np.exp(planned.eta * M))
     if planned.lam_proven >= limit:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._linalg import symmetrise
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, first_difference
 
 Array = npt.NDArray[np.float64]
 COSTS = ("certificate", "paper")
@@ -176,5 +176,5 @@ def build_weights(
 
 def _refuse_other_plant(plant: Plant, certificate: Any) -> None:
     theirs = getattr(certificate, "plant", None)
-    if theirs is not None and not all(np.array_equal(getattr(theirs, M), getattr(plant, M)) for M in "ACG"):
-        raise ArgumentError("`certificate` belongs to another plant: its A, C or G differ from those of `plant`.")
+    if theirs is not None and (other := first_difference(plant, theirs)):
+        raise ArgumentError(f"`certificate` belongs to another plant: {other}.")

@@ -220,6 +220,22 @@ class Plant(Record):
         result = exponential(self.A)(t)
         return result[0] if np.ndim(t) == 0 else result
 
+    def same_dynamics(self, other: Plant) -> bool:
+        """Whether A, C, G agree to the last bit and the time unit is the same.
+
+        That is what a certificate, an estimator's guarantee or a report is about; B, D, names, scales and source do
+        not enter. The same motion written in another time unit holds other numbers, so it is not the same here.
+
+        Examples
+        --------
+        >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+        >>> plant.same_dynamics(Plant(plant.A, plant.C, B=[[0.0], [1.0]], name="driven"))
+        True
+        >>> plant.same_dynamics(Plant(plant.A, plant.C, time_unit="h"))
+        False
+        """
+        return not first_difference(self, other)
+
     def scaled(self) -> Plant:
         """Return the plant in scaled coordinates x~ = x/s_x, y~ = y/s_y, u~ = u/s_u, w~ = w/s_w, scales one."""
         x, y, u, w = (s.scales for s in (self.states, self.outputs, self.inputs, self.disturbances))
@@ -311,6 +327,23 @@ class Plant(Record):
             f"{self.name or 'A plant'} with {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs "
             f"and {self.n_disturbances} disturbances; time in {self.time_unit}."
         )
+
+
+def first_difference(mine: Plant, theirs: Plant) -> str:
+    """Return in what the dynamics of `theirs` differ first from those of `mine`, as a clause; "" if they are the same.
+
+    See `Plant.same_dynamics`.
+    """
+    if mine.time_unit != theirs.time_unit:
+        return f"its time unit is {theirs.time_unit!r}, not {mine.time_unit!r}"
+    for key in ("A", "C", "G"):
+        a, b = getattr(mine, key), getattr(theirs, key)
+        if a.shape != b.shape:
+            return f"its {key} has shape {b.shape}, not {a.shape}"
+        if not np.array_equal(a, b):
+            i, j = (int(k) for k in np.argwhere(a != b)[0])
+            return f"its {key}[{i}, {j}] is {float(b[i, j])!r}, not {float(a[i, j])!r}"
+    return ""
 
 
 def _same_bits(a: Array, b: Array) -> bool:

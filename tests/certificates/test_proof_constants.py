@@ -188,7 +188,7 @@ def test_given_detectability_replaces_the_sweep():
     assert margin(proof, [1.0]) > 1
     with pytest.raises(ArgumentError, match="must belong to the retained part"):
         constants_from_proof(DOUBLE, EACH_SECOND, detectability=given)
-    with pytest.raises(ArgumentError, match="must belong to the retained part"):
+    with pytest.raises(ArgumentError, match="excludes `gain` and `Q`"):
         constants_from_proof(OSCILLATOR, EACH_SECOND, detectability=given, gain=[[1.0], [0.0]])
 
 

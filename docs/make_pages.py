@@ -128,7 +128,7 @@ def room_page(room: str) -> str:
     if modules:
         lines += ["## Interface", ""]
     for module, names in modules.items():
-        lines += [f"### `{room}/{module.split('.', 1)[1]}.py`", ""]
+        lines += [f"### `{module.replace('.', '/')}.py`", ""]
         for name in names:
             lines += interface_of(name, getattr(sampling_design, name))
     if room == "plants":

@@ -23,9 +23,9 @@ import pytest
 
 MAKERS = {
     "certificates.certify": ("certify_given",),
-    "certificates.family": ("certified", "without_states"),
-    "certificates.proof_constants": ("ProofConstants.certificate",),
-    "certificates.detectability": ("proven",),
+    "certificates.families.certify_family": ("certified", "without_states"),
+    "certificates.paper.proof_constants": ("ProofConstants.certificate",),
+    "certificates.detectability.best_rate": ("proven",),
 }
 """Functions that return a finished certificate; a law walks the package for constructors outside of them."""
 FOLDER = "SAMPLING_DESIGN_CERTIFICATES"
@@ -80,7 +80,7 @@ def _watched(maker: Any) -> Any:
 
 def check_proven(folder: Path, least: int) -> list[dict[str, Any]]:
     """Assert that at least so many certificates were written into a folder and that each is proven; return them."""
-    from sampling_design.certificates.rigorous import verify_rigorously
+    from sampling_design.certificates.rigorous.decide import verify_rigorously
 
     made = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
     assert len(made) >= least, f"{len(made)} certificates were made, {least} at least were expected"
@@ -128,7 +128,7 @@ class Rigour:
 
     def decide(self, made: tuple[Path, str]) -> dict[str, Any]:
         """Decide one file; a proven one need not be decided again in this run."""
-        from sampling_design.certificates.rigorous import verify_rigorously
+        from sampling_design.certificates.rigorous.decide import verify_rigorously
 
         path, test = made
         data, began = json.loads(path.read_text()), time.process_time()

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
-from sampling_design.certificates.certificate import Certificate, Witness
-from sampling_design.certificates.existence import require_certificate
-from sampling_design.certificates.given_weights import weights_of
-from sampling_design.certificates.riccati import Peak, at_peak, located, refine, supremum
-from sampling_design.certificates.seal import RESOLUTION, STATED_MARGIN
-from sampling_design.certificates.weights import choose_rate, choose_weights
-from sampling_design.certificates.window_problem import AnySchedule, WindowProblem, noise_input, window_problem
+from sampling_design.certificates.exact.certificate import Certificate, Witness
+from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
+from sampling_design.certificates.exact.weight_choice import choose_rate, choose_weights
+from sampling_design.certificates.exact.window_problem import AnySchedule, WindowProblem, noise_input, window_problem
+from sampling_design.certificates.existence.periodic import require_certificate
+from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
@@ -174,7 +174,7 @@ def certify(
     True
     """
     if isinstance(schedule, SamplingFamily):
-        from sampling_design.certificates.family import certify_family
+        from sampling_design.certificates.families.certify_family import certify_family
 
         given: dict[str, Any] = {"eta": eta, "P2": P2, "Qw": Qw, "R": R, "Qv": Qv}
         return certify_family(plant, schedule, **given, budget=budget, progress=progress)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks, _files
-from sampling_design.certificates.certificate import MATRICES, NUMBERS, Certificate, Witness
-from sampling_design.certificates.dissipation import DetectabilityCertificate
-from sampling_design.certificates.family_certificate import FamilyCertificate, parts_from_dict
-from sampling_design.certificates.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, FORMAT, digest
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
+from sampling_design.certificates.families.family_certificate import FamilyCertificate, parts_from_dict
+from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, FORMAT, digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict

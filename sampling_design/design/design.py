@@ -12,20 +12,20 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._units import time_factor
-from sampling_design.design.bounds import UpperBound, first_bound
-from sampling_design.design.branching import narrowed
-from sampling_design.design.costs import affordable, relax_costly
-from sampling_design.design.exchange import even
-from sampling_design.design.posing import pose, resolve
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import Relaxation, relax_placed
-from sampling_design.design.requirement import Requirement
+from sampling_design.design.bounds.branching import narrowed
+from sampling_design.design.bounds.evidence import UpperBound, first_bound
+from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.posing import pose, resolve
+from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
-from sampling_design.design.search import Found, search
+from sampling_design.design.search.costs import affordable, relax_costly
+from sampling_design.design.search.fedorov_exchange import even
+from sampling_design.design.search.local_search import Found, search
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.evidence import SolverRecord
-from sampling_design.observability.windows import WindowSigma
-from sampling_design.observability.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule

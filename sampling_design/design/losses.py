@@ -12,10 +12,10 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.design.design import bounded
-from sampling_design.design.posing import repeated
+from sampling_design.design.problem.posing import repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.observability.windows import WindowSigma
+from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]

@@ -17,7 +17,7 @@ from sampling_design import _checks
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._record import Record, short
 from sampling_design.design.design import design_schedule
-from sampling_design.design.requirement import Requirement
+from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.plants.plant import Plant
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from sampling_design._record import Record, short
-from sampling_design.design.bounds import UpperBound
-from sampling_design.design.exchange import is_admissible
-from sampling_design.design.posing import pose
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.requirement import Requirement
+from sampling_design.design.bounds.evidence import UpperBound
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.posing import pose
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.evidence import Claim, SolverRecord
-from sampling_design.observability.windows import WindowSigma, window_sigma
-from sampling_design.observability.zero_count import ZeroCountBound
+from sampling_design.observability.count.zero_count import ZeroCountBound
+from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.files import schedule_to_dict

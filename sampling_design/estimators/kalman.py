@@ -11,12 +11,12 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._linalg import symmetrise
-from sampling_design.estimators.estimator import Estimate, EstimateRecord, Sample
-from sampling_design.estimators.history import Node, State
-from sampling_design.estimators.open_loop import ROUNDING, OpenLoopEstimator
-from sampling_design.estimators.smoother import smooth
-from sampling_design.estimators.weights import build_weights
-from sampling_design.estimators.window import build_window
+from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Sample
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator
+from sampling_design.estimators.window.smoother import smooth
+from sampling_design.estimators.window.window_problem import build_window
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ from sampling_design import _checks, _files
 from sampling_design._record import Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.estimator import EstimateRecord
+from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]

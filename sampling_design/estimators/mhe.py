@@ -10,18 +10,18 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints import Constraints
-from sampling_design.estimators.convex_set import ConvexSet
-from sampling_design.estimators.estimator import Sample, Status
-from sampling_design.estimators.flows import Flow
-from sampling_design.estimators.guarantee import choose_horizon
-from sampling_design.estimators.history import Node, State
-from sampling_design.estimators.open_loop import OpenLoopEstimator
-from sampling_design.estimators.qp import ENGINES, solve_constrained
-from sampling_design.estimators.smoother import smooth
-from sampling_design.estimators.solution import Solution
-from sampling_design.estimators.weights import build_weights
-from sampling_design.estimators.window import Window, build_window
+from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
+from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.flows import Flow
+from sampling_design.estimators.online.estimator import Sample, Status
+from sampling_design.estimators.online.guarantee import choose_horizon
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.open_loop import OpenLoopEstimator
+from sampling_design.estimators.window.smoother import smooth
+from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_problem import Window, build_window
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]

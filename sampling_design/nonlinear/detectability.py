@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.flows import discounted_length
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim
 from sampling_design.nonlinear.model import NonlinearPlant, own_box
 from sampling_design.nonlinear.simulation import Integrator

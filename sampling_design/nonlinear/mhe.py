@@ -11,9 +11,9 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.estimator import Estimate, Sample, Status
-from sampling_design.estimators.history import Node, State
-from sampling_design.estimators.online import OnlineEstimator
+from sampling_design.estimators.online.estimator import Estimate, Sample, Status
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
 from sampling_design.nonlinear.simulation import Integrator, require_inside

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.flows import discounted_length
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import NonlinearWeights

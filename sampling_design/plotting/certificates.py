@@ -8,11 +8,11 @@ import numpy as np
 
 from sampling_design._linalg import discounted_flow
 from sampling_design._record import short
-from sampling_design.certificates.certificate import Certificate
-from sampling_design.certificates.family_certificate import FamilyCertificate
-from sampling_design.certificates.four_horizons import FourHorizons
-from sampling_design.certificates.information import InformationCurve, information_curve
-from sampling_design.certificates.window_problem import noise_input
+from sampling_design.certificates.compare.four_horizons import FourHorizons
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.information import InformationCurve, information_curve
+from sampling_design.certificates.exact.window_problem import noise_input
+from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.plotting import style
 
 _COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)

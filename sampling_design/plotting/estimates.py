@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design.estimators.estimator import FAILURES, EstimateRecord
+from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.plotting import style
 
 

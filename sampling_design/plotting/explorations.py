@@ -10,7 +10,7 @@ from sampling_design._record import short
 from sampling_design.design.losses import SampleLosses
 from sampling_design.design.pareto import ParetoFront
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.worst_case import WorstCaseSigma
+from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plotting import style
 
 

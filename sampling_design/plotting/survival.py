@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design._record import short
-from sampling_design.certificates.survival import Survival
+from sampling_design.certificates.compare.robustness import Survival
 from sampling_design.plotting import style
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design._record import short
-from sampling_design.observability.windows import WindowSigma
+from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plotting import style
 
 

@@ -13,7 +13,7 @@ from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
-from sampling_design.observability.windows import WindowSigma, window_sigma
+from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

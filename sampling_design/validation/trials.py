@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.estimator import Estimate, Estimator
+from sampling_design.estimators.online.estimator import Estimate, Estimator
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.error_map import Inputs, Rows
 from sampling_design.validation.timeline import Timeline, exact_flow

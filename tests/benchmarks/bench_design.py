@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, library
-from sampling_design.design.bound import placed_bound
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import relax_placed
+from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.bounds.weak_duality import placed_bound
+from sampling_design.design.problem.numbers import DesignProblem
 
 
 def daylight(days):
@@ -56,5 +56,5 @@ def test_cost_grows_with_states(benchmark, states):
 def test_cost_of_the_bound_grows_with_grid_times(benchmark, cells, monkeypatch):
     problem = DesignProblem(oscillators(4), 6.28, 6.28, 0.3, 12, np.zeros((0, 2)), np.zeros(0), (None,))
     found = relax_placed(problem)
-    monkeypatch.setattr("sampling_design.design.bound.CELLS", cells)
+    monkeypatch.setattr("sampling_design.design.bounds.weak_duality.CELLS", cells)
     assert once(benchmark, lambda: placed_bound(problem, found.starts, found.Z)) > 0

@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import differential_evolution, shgo
 
 from sampling_design import PeriodicSchedule, Requirement, design_schedule, library, split_modes, window_sigma
-from sampling_design.design.posing import pose, resolve
-from sampling_design.design.positions import worst_sigma2
+from sampling_design.design.problem.posing import pose, resolve
+from sampling_design.design.problem.positions import worst_sigma2
 
 DOCS = Path(__file__).parents[2] / "docs"
 TIMES = 10

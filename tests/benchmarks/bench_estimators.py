@@ -12,10 +12,10 @@ import pytest
 from scipy.linalg import solveh_banded
 
 from sampling_design import KalmanFilter, MovingHorizonEstimator, Plant
-from sampling_design.estimators.reference import solve_reference
-from sampling_design.estimators.smoother import information_band, smooth, solve_banded
-from sampling_design.estimators.square_root import solve_square_root
-from sampling_design.estimators.window import Window
+from sampling_design.estimators.constraints.reference import solve_reference
+from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
+from sampling_design.estimators.window.square_root import solve_square_root
+from sampling_design.estimators.window.window_problem import Window
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])

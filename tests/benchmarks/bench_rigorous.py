@@ -13,10 +13,10 @@ from sampling_design import (
     window_sigma,
     worst_case_sigma,
 )
-from sampling_design.certificates.rigorous import verify_rigorously
-from sampling_design.observability.pieces import window_pieces
-from sampling_design.observability.rigorous import prove_window_sigma
-from sampling_design.observability.rigorous_worst import prove_worst_sigma
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.observability.windows.balls import prove_window_sigma
+from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 

@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from sampling_design import Plant, Requirement, design_schedule
-from sampling_design.design import bound
-from sampling_design.design.positions import worst_sigma2
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.relaxation import relax_placed
+from sampling_design.design.bounds import weak_duality as bound
+from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.positions import worst_sigma2
 
 DOCS = Path(__file__).parents[2] / "docs"
 PERIOD = 6.28

@@ -17,10 +17,10 @@ from sampling_design import (
     smallest_repair,
     tradeoff_curve,
 )
-from sampling_design.certificates import seal
-from sampling_design.certificates.given_weights import weights_of
-from sampling_design.certificates.window_gains import WindowSet
-from sampling_design.certificates.window_problem import window_problem
+from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.window_gains import WindowSet
+from sampling_design.certificates.exact.window_problem import window_problem
+from sampling_design.certificates.form import seal
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from tests.oracles import riccati as oracle
 

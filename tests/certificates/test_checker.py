@@ -20,7 +20,8 @@ from sampling_design import (
     certify_detectability,
     certify_family,
 )
-from sampling_design.certificates import checker, seal
+from sampling_design.certificates import checker
+from sampling_design.certificates.form import seal
 from tests.oracles import riccati as oracle
 
 PATH = Path(checker.__file__)

@@ -13,7 +13,7 @@ from sampling_design import (
     detectability_from_proof,
     named_plant,
 )
-from sampling_design.certificates import detectability as room
+from sampling_design.certificates.detectability import best_rate as room
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
 from sampling_design.evidence import SolverRecord
 from tests.oracles.proof_constants import dissipation_top

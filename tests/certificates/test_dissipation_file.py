@@ -24,8 +24,9 @@ from sampling_design import (
     named_plant,
     survival,
 )
-from sampling_design.certificates import checker, dissipation_checker, seal
+from sampling_design.certificates import checker, dissipation_checker
 from sampling_design.certificates.dissipation_checker import INEQUALITY, Refused
+from sampling_design.certificates.form import seal
 from sampling_design.errors import CertificateError, FileFormatError
 from tests.oracles import dissipation as oracle
 
@@ -253,7 +254,7 @@ def test_just_feasible_passes_and_just_infeasible_does_not(k, key):
 
 
 def rigorously(data):
-    from sampling_design.certificates.rigorous import verify_rigorously
+    from sampling_design.certificates.rigorous.decide import verify_rigorously
 
     return verify_rigorously(data)
 

@@ -7,9 +7,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates import family
-from sampling_design.certificates.family_graphs import MOST_NODES, graph_of, in_plant_terms, levels_of_memory
-from sampling_design.certificates.gap_graph import graph_from_dict, unrolled
+from sampling_design.certificates.families import certify_family as family
+from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms, levels_of_memory
+from sampling_design.certificates.families.path_complete import graph_from_dict, unrolled
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -13,8 +13,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates import family_checker, seal
+from sampling_design.certificates import family_checker
 from sampling_design.certificates.checker import Refused
+from sampling_design.certificates.form import seal
 from tests.oracles.families import step_holds
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

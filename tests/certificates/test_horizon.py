@@ -12,7 +12,7 @@ from sampling_design import (
     least_contracting,
     spectral_radius,
 )
-from sampling_design.certificates.contraction import error_map
+from sampling_design.certificates.compare.contraction import error_map
 from sampling_design.errors import ArgumentError, CertificateError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates.refusal import narrowed
+from sampling_design.certificates.existence.counterexample import narrowed
 from sampling_design.errors import CertificateError, UndecidedError
 from tests.oracles.families import largest_lambda
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, certify
-from sampling_design.certificates.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
-from sampling_design.certificates.window_problem import noise_input, window_problem
+from sampling_design.certificates.exact.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
+from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, SolverError
 from tests.oracles import riccati as oracle
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design.certificates.ball_problem import Frame, Laps, Unproven, Weights, noise
-from sampling_design.certificates.ball_proof import Windows, settled
-from sampling_design.certificates.refutation import refute
-from sampling_design.certificates.rigorous import _decided, assumption_7, attained, targets, verify_rigorously
+from sampling_design.certificates.rigorous.ball_problem import Frame, Laps, Unproven, Weights, noise
+from sampling_design.certificates.rigorous.ball_proof import Windows, settled
+from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
+from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.errors import CertificateError, MissingExtraError
 from tests.certificates.test_checker import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle

@@ -17,10 +17,10 @@ from sampling_design import (
 )
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock
-from sampling_design.certificates.ball_problem import Unproven
-from sampling_design.certificates.dissipation_rigorous import INEQUALITY, decided, detectability, downhill
-from sampling_design.certificates.rigorous import verify_rigorously
-from sampling_design.certificates.seal import digest
+from sampling_design.certificates.form.seal import digest
+from sampling_design.certificates.rigorous.ball_problem import Unproven
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.certificates.rigorous.dissipation_balls import INEQUALITY, decided, detectability, downhill
 from tests.oracles import dissipation as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

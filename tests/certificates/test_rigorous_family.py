@@ -20,11 +20,11 @@ from sampling_design import (
 )
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock
-from sampling_design.certificates.ball_problem import Unproven, Weights
-from sampling_design.certificates.family import certify_family
-from sampling_design.certificates.family_cover import FileGraph, Lap, covers
-from sampling_design.certificates.family_rigorous import Intervals, check_times
-from sampling_design.certificates.rigorous import verify_rigorously
+from sampling_design.certificates.families.certify_family import certify_family
+from sampling_design.certificates.rigorous.ball_problem import Unproven, Weights
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.certificates.rigorous.family_balls import Intervals, check_times
+from sampling_design.certificates.rigorous.family_cover import FileGraph, Lap, covers
 from tests.certificates.test_checker import redigested
 from tests.oracles import riccati as oracle
 

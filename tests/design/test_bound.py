@@ -5,12 +5,12 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Plant
-from sampling_design.design import bound
-from sampling_design.design.averaged import averaged_bound
-from sampling_design.design.bounds import BoundPart, UpperBound
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.zone_bound import zone_bound
-from sampling_design.design.zones import origin_zones, tightened, turn, zoned
+from sampling_design.design.bounds import weak_duality as bound
+from sampling_design.design.bounds.averaged import averaged_bound
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound
+from sampling_design.design.bounds.zone_bound import zone_bound
+from sampling_design.design.bounds.zones import origin_zones, tightened, turn, zoned
+from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule
 

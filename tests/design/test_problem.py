@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, split_modes
-from sampling_design.design.posing import pose, resolve
+from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -141,7 +141,7 @@ def test_an_unseen_mode_is_refused_by_name():
 
 
 def test_a_search_without_a_start_says_so(monkeypatch):
-    monkeypatch.setattr("sampling_design.design.search.is_admissible", lambda problem, times: False)
+    monkeypatch.setattr("sampling_design.design.search.local_search.is_admissible", lambda problem, times: False)
     with pytest.raises(SolverError, match="No admissible start was found for 3 samples") as caught:
         design_schedule(OSCILLATOR, Requirement(**BASE))
     assert caught.value.status == "no start"

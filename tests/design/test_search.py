@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.design.exchange import is_admissible, packed, shares_of, spread
-from sampling_design.design.positions import worst_sigma2
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.refine import refined
-from sampling_design.design.relaxation import relax_placed
-from sampling_design.design.search import _kick, _Refinement, search
+from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.search.fedorov_exchange import is_admissible, packed, shares_of, spread
+from sampling_design.design.search.local_search import _kick, _Refinement, search
+from sampling_design.design.search.refine import refined
 
 
 def problem(**changes):

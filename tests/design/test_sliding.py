@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
-from sampling_design.design.positions import positions, window_grams, worst_sigma2
-from sampling_design.design.problem import DesignProblem
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.positions import positions, window_grams, worst_sigma2
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 PLANTS = {

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.design.problem import DesignProblem
-from sampling_design.design.zones import (
+from sampling_design.design.bounds.zones import (
     SIDES,
     covered,
     follower_zones,
@@ -17,6 +16,7 @@ from sampling_design.design.zones import (
     widest_gap,
     zoned,
 )
+from sampling_design.design.problem.numbers import DesignProblem
 from tests.oracles.design import random_schedule
 
 P, SPACING, COUNT = 4.0, 0.3, 6

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sampling_design._linalg import discounted_flow
-from sampling_design.estimators.composed_flow import ComposedFlow
+from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 
 PLANTS = {
     "oscillator": [[0.0, 1.0], [-1.0, 0.0]],

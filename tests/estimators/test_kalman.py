@@ -13,7 +13,7 @@ from sampling_design import (
     standard_mhe,
 )
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.estimator import Estimator
+from sampling_design.estimators.online.estimator import Estimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 

@@ -9,7 +9,7 @@ import pytest
 
 from sampling_design import GuaranteeWarning, Plant, certify
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.convex_set import ConvexSet
+from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -403,7 +403,7 @@ def test_nothing_is_kept_from_before_the_oldest_snapshot():
 
 
 def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch):
-    from sampling_design.estimators import qp
+    from sampling_design.estimators.constraints import qp
 
     mhe = MovingHorizonEstimator(PLANT, horizon=4.0, x_set=(-0.2, 0.2), **BOUNDS)
     first = mhe.update(1.0, [0.1])
@@ -418,7 +418,7 @@ def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch
 
 def test_the_least_horizon_is_that_of_the_proven_lambda():
     from sampling_design import PeriodicSchedule, certify
-    from sampling_design.estimators.guarantee import default_horizon, least_horizon
+    from sampling_design.estimators.online.guarantee import default_horizon, least_horizon
 
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     certificate = certify(plant, PeriodicSchedule([1.0]), eta=0.4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.estimators.convex_set import ConvexSet
+from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import fine_grid
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.estimators.constraints import Constraints
-from sampling_design.estimators.convex_set import ConvexSet
-from sampling_design.estimators.least_distance import active_set, conic, infeasibility
+from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.constraints.least_distance import active_set, conic, infeasibility
+from sampling_design.estimators.constraints.qp import solve_constrained
+from sampling_design.estimators.constraints.reference import solve_reference
+from sampling_design.estimators.constraints.window_constraints import Constraints
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.qp import solve_constrained
-from sampling_design.estimators.reference import solve_reference
-from sampling_design.estimators.smoother import solve_banded
-from sampling_design.estimators.square_root import solve_square_root
+from sampling_design.estimators.window.smoother import solve_banded
+from sampling_design.estimators.window.square_root import solve_square_root
 
 AGREED = 1e-8
 TWICE = (1.0, 1e-5)  # solved and refined once: enough for 1e-9 where all multipliers are unique

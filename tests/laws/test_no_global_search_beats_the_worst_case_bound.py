@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import differential_evolution, shgo
 
 from sampling_design import Plant
-from sampling_design.observability.worst_case import worst_case_sigma
+from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.oracles.worst_case import from_steps, sigma_of_times
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import differential_evolution
 
 from sampling_design import Plant, Requirement, design_schedule
-from sampling_design.design.bounds import UpperBound, placed_part
-from sampling_design.design.branching import narrowed
-from sampling_design.design.posing import pose
-from sampling_design.design.relaxation import relax_placed
+from sampling_design.design.bounds.branching import narrowed
+from sampling_design.design.bounds.evidence import UpperBound, placed_part
+from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.problem.posing import pose
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
 
 OSCILLATOR = ([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.observability.worst_case import worst_case_sigma
+from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.oracles.worst_case import brute_force, is_admissible
 

@@ -3,7 +3,7 @@ import pytest
 
 from sampling_design import ArgumentError, Plant, critical_length
 from sampling_design.errors import NotObservableError
-from sampling_design.observability.critical_length import _compound
+from sampling_design.observability.count.critical_length import _compound
 from tests.oracles import zero_count as oracle
 
 PAIR = [1j, -1j]

@@ -3,7 +3,7 @@ import pytest
 
 from sampling_design import ArgumentError, Plant, require_observable, unseen_modes
 from sampling_design.errors import NotObservableError
-from sampling_design.observability.pbh import observable_rank
+from sampling_design.observability.count.pbh import observable_rank
 
 
 def planted(seed, hidden):

@@ -21,10 +21,10 @@ from sampling_design import (
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import precision
 from sampling_design.errors import MissingExtraError
-from sampling_design.observability import rigorous_worst
-from sampling_design.observability.pieces import window_pieces
-from sampling_design.observability.rigorous import exact_times, prove_window_sigma
-from sampling_design.observability.rigorous_worst import WorstCase, prove_worst_sigma
+from sampling_design.observability.windows.balls import exact_times, prove_window_sigma
+from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.observability.worst_case import balls as rigorous_worst
+from sampling_design.observability.worst_case.balls import WorstCase, prove_worst_sigma
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.observability.spaced_paths import least_path, sums_so_far, sums_to_go
-from sampling_design.observability.spaced_rows import SpacedRows
-from sampling_design.observability.spaced_tables import Tables
+from sampling_design.observability.worst_case.spaced_paths import least_path, sums_so_far, sums_to_go
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_tables import Tables
 
 
 def least_through(cost, i, point):

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, window_sigma
 from sampling_design.errors import ArgumentError
-from sampling_design.observability import bracket
+from sampling_design.observability.windows import bracket
 from sampling_design.plants import library
 from tests.oracles.observability import scan_windows, sigma_of_window
 

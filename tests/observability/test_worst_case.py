@@ -7,13 +7,13 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.observability import spaced_sphere
-from sampling_design.observability.sampled import sigma_min
-from sampling_design.observability.spaced_rows import SpacedRows
-from sampling_design.observability.spaced_search import search_worst, worst_of
-from sampling_design.observability.spaced_sphere import prove_worst
-from sampling_design.observability.spaced_tables import Tables
-from sampling_design.observability.worst_case import worst_case_sigma
+from sampling_design.observability.windows.sampled import sigma_min
+from sampling_design.observability.worst_case import spaced_sphere
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_search import search_worst, worst_of
+from sampling_design.observability.worst_case.spaced_sphere import prove_worst
+from sampling_design.observability.worst_case.spaced_tables import Tables
+from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.oracles.worst_case import brute_force, is_admissible, sigma_of_times
 

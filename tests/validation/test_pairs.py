@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design.certificates.certificate import Certificate
+from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.validation.pairs import Pairs, random_pairs, sides, worst_pair
 from sampling_design.validation.timeline import build_timeline
 from tests.oracles.validation import step

@@ -1,0 +1,165 @@
+"""One table of four horizons: by the paper's chain, exact with its theorem, exact and sharp, and the true one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sampling_design._record import Record, short
+from sampling_design.certificates.certify import certify
+from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.window_problem import AnySchedule
+from sampling_design.certificates.form.horizon import Horizon
+from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
+from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+
+@dataclass(frozen=True)
+class HorizonRow:
+    """One line of the table; gains are those of RGES at the recommended length, None where there is none.
+
+    Attributes
+    ----------
+    name, source : str
+    minimum : float or None [time]
+        M must exceed this (the yardstick: the least M at which the true error map contracts).
+    horizon : Horizon or None
+    note : str
+    """
+
+    name: str
+    source: str
+    minimum: float | None
+    horizon: Horizon | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FourHorizons(Record):
+    """Four horizons of one plant on one schedule.
+
+    Attributes
+    ----------
+    rows : tuple of HorizonRow
+        Paper chain with Thm 9, exact certificate with Thm 9, with the sharper theorem, true contraction.
+    certificate : Certificate
+        The exact one.
+    proof : ProofConstants or None
+        None where the paper's hypotheses fail or the schedule is finite.
+    radius : float or None
+        Spectral radius of the true error map over one window of the recommended sharp length.
+    """
+
+    rows: tuple[HorizonRow, ...]
+    certificate: Certificate
+    proof: ProofConstants | None
+    radius: float | None
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.certificate.plant.time_unit
+        found = []
+        for row in self.rows:
+            bound = row.note if row.minimum is None else f"M > {short(row.minimum, 4)} {unit}"
+            gains = row.horizon
+            if gains is not None:
+                bound += f", C_x {short(gains.C_x, 3)}, C_w {short(gains.C_w, 3)}, C_v {short(gains.C_v, 3)}"
+            found.append((row.name, bound))
+        return found
+
+    def explain(self) -> str:
+        """Compare the four."""
+        known = [f"{row.name}: {short(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
+        return "The window must exceed, by " + "; ".join(known) + "."
+
+    def cells(self) -> list[list[str]]:
+        """The table's rows as text: name, source, M >, C_x, C_w, C_v."""
+        return [[row.name, row.source, *_cells(row)] for row in self.rows]
+
+    def to_markdown(self) -> str:
+        """Return the table as markdown."""
+        lines = ["| horizon | source | M > | C_x | C_w | C_v |", "|---|---|---|---|---|---|"]
+        lines += ["| " + " | ".join(cells) + " |" for cells in self.cells()]
+        return "\n".join(lines) + "\n"
+
+    def to_latex(self) -> str:
+        """Return the table as a LaTeX `tabular`."""
+        lines = [r"\begin{tabular}{llrrrr}", r"  horizon & source & $M >$ & $C_x$ & $C_w$ & $C_v$ \\ \hline"]
+        lines += ["  " + " & ".join(cells) + r" \\" for cells in self.cells()]
+        return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def _cells(row: HorizonRow) -> list[str]:
+    least = "-" if row.minimum is None else short(row.minimum, 4)
+    gains = row.horizon
+    return [least, *(["-"] * 3 if gains is None else [short(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
+
+
+def four_horizons(
+    plant: Plant,
+    schedule: AnySchedule,
+    certificate: Certificate | None = None,
+    proof_constants: Any = None,
+) -> FourHorizons:
+    """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and sharp, true contraction.
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+    certificate : Certificate, optional
+        Default `certify(plant, schedule)`.
+    proof_constants : ProofConstants, optional
+        Default `constants_from_proof(plant, schedule)`; where the paper's hypotheses fail the row says why.
+
+    Returns
+    -------
+    FourHorizons
+
+    Raises
+    ------
+    ArgumentError
+        If what is given belongs to another plant.
+    CertificateError
+        If no certificate exists.
+
+    Notes
+    -----
+    *Claim.* The first three are proven bounds. The last is the least window among sums of gaps from which on the
+    spectral radius of the estimator's error map (no constraints, no noise) stays below one; it bounds nothing, it is
+    the yardstick.
+
+    Examples
+    --------
+    >>> from sampling_design.schedules.schedule import PeriodicSchedule
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> table = four_horizons(oscillator, PeriodicSchedule([1.0]))
+    >>> chain, paper, sharp, true = (row.minimum for row in table.rows)
+    >>> chain > paper > sharp > true
+    True
+    """
+    for name, given in (("certificate", certificate), ("proof_constants", proof_constants)):
+        if given is not None and (other := first_difference(plant, given.plant)):
+            raise ArgumentError(f"`{name}` belongs to another plant: {other}.")
+    exact = certify(plant, schedule) if certificate is None else certificate
+    note = ""
+    proof = proof_constants
+    if proof is None:
+        try:
+            proof = constants_from_proof(plant, schedule)
+        except SamplingDesignError as error:
+            note = f"the paper's hypotheses fail: {error}"
+    periodic = isinstance(exact.schedule, PeriodicSchedule) and bool(plant.n_states)
+    sharp, paper = exact.horizon("sharp"), exact.horizon("paper")
+    chain = None if proof is None else proof.certificate().horizon("paper")
+    true = least_contracting(exact) if periodic else None
+    rows = (
+        HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, chain, note),
+        HorizonRow("exact, Theorem 9", "Riccati and Theorem 9", paper.minimum, paper),
+        HorizonRow("exact, sharp", "Riccati and the sharper theorem", sharp.minimum, sharp),
+        HorizonRow("true contraction", "spectral radius", true, None, "" if periodic else "a finite schedule has none"),
+    )
+    radius = spectral_radius(exact, sharp.length) if periodic else None
+    return FourHorizons(rows, exact, proof, radius)

@@ -1,0 +1,320 @@
+"""How much a planned schedule may be broken before its certificate is: timing errors and lost samples."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.certificates.certify import certify
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.families.certify_family import Proposal, Search, certified
+from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms, levels_of_memory
+from sampling_design.certificates.form.seal import RESOLUTION
+from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.schedules.jitter import Jitter
+from sampling_design.schedules.lost_samples import LostSamples
+from sampling_design.schedules.sampling_set import SamplingSet
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Progress = Callable[[float, str], None]
+
+RADIUS_RTOL = 0.02
+"""Width of the bisection on the radius, as a fraction of the largest one that keeps the order of samples."""
+LARGEST_PART = 0.999
+"""The radius stays below this fraction of half the least gap: there samples could change places."""
+JITTER_MEMORY = 2
+"""Levels of memory that are tried for jitter."""
+MOST_UNKNOWNS = 1200
+"""Unknowns of one semidefinite program; a graph with more is taken with less memory."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One timing error: its lambda with the unchanged weights, and whether it survives.
+
+    Where it does not, lambda is that of the semidefinite program on its grid of gaps (infinite: none).
+    """
+
+    amount: float
+    lam: float
+    survives: bool
+
+
+@dataclass(frozen=True)
+class Losses:
+    """At most `most` of any `of` consecutive samples lost: lambda and survival as for `Trial`."""
+
+    most: int
+    of: int
+    lam: float
+    survives: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Survival(Record):
+    """Timing errors and losses under which a certificate survives.
+
+    It survives if a family certificate with the same P2, Qw, R, Qv and eta holds whose lambda still lets the same
+    horizon contract, lambda e^{-eta M} < 1: the estimator need not be changed in anything.
+
+    Attributes
+    ----------
+    certificate : Certificate
+        Of the planned schedule.
+    length : float [time]
+        The horizon M.
+    limit : float
+        e^{eta M}: the certificate survives up to this lambda.
+    radius : float [time]
+        Proven: every sample may be this much early or late.
+    broken : float [time]
+        The least radius that was tried without success, or where samples could change places.
+    trials : tuple of Trial
+        Radii in order, with their lambda.
+    losses : tuple of Losses
+        All counts that were tried.
+    jittered : FamilyCertificate or None
+        The certificate at `radius`, `verify()` passed; None if radius = 0.
+    thinned : tuple of FamilyCertificate
+        One for each entry of `tolerated`, `verify()` passed.
+    closed : bool
+        False if the budget ran out: what is proven stays proven, but more may survive.
+    """
+
+    certificate: Certificate
+    length: float
+    limit: float
+    radius: float
+    broken: float
+    trials: tuple[Trial, ...]
+    losses: tuple[Losses, ...]
+    jittered: FamilyCertificate | None
+    thinned: tuple[FamilyCertificate, ...]
+    closed: bool
+
+    @property
+    def tolerated(self) -> tuple[tuple[int, int], ...]:
+        """(d, w): at most d of any w consecutive samples may be lost, w the least for each d."""
+        return tuple((c.family.most, c.family.of) for c in self.thinned)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the certificates; a lambda that does not exist is None."""
+
+        def plain(entry: Trial | Losses) -> dict[str, Any]:
+            data = asdict(entry)
+            return {**data, "lam": data["lam"] if np.isfinite(data["lam"]) else None}
+
+        return {
+            "horizon": self.length,
+            "limit": self.limit,
+            "radius": self.radius,
+            "broken": self.broken,
+            "tolerated": [list(pair) for pair in self.tolerated],
+            "trials": [plain(trial) for trial in self.trials],
+            "losses": [plain(loss) for loss in self.losses],
+            "closed": self.closed,
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.certificate.plant.time_unit
+        lost = ", ".join(f"{d} of any {w}" for d, w in self.tolerated) or "none"
+        beyond = (
+            f"not proven at {short(self.broken)} {unit}" if self.broken > self.radius else "all that keeps the order"
+        )
+        return [
+            ("timing error up to", f"{short(self.radius)} {unit} proven, {beyond}"),
+            ("losses up to", lost),
+            ("horizon kept", f"{short(self.length)} {unit}"),
+            ("lambda, planned", short(self.certificate.lam)),
+            ("lambda, limit", short(self.limit)),
+            ("searches closed", "yes" if self.closed else "no, the budget ran out"),
+        ]
+
+    def explain(self) -> str:
+        """Say what may go wrong without harm."""
+        unit = self.certificate.plant.time_unit
+        lost = " or ".join(f"{d} of any {w}" for d, w in self.tolerated)
+        late = f"every sample is up to {short(self.radius)} {unit} early or late" if self.radius else ""
+        thin = f"samples are on time and up to {lost} are lost" if lost else ""
+        if not late and not thin:
+            return "With weights and horizon unchanged, no timing error and no loss was found that is harmless."
+        return (
+            f"With weights and horizon ({short(self.length)} {unit}) unchanged, the guarantee still holds if "
+            f"{', or if '.join(part for part in (late, thin) if part)}."
+        )
+
+
+class _Breaker:
+    """Families around one schedule, judged with the weights of its certificate."""
+
+    def __init__(self, certificate: Certificate, limit: float, deadline: float) -> None:
+        self.certificate, self.limit, self.deadline = certificate, limit, deadline
+        c = certificate
+        self.plant, self.weights = c.plant, (c.Qw, c.R, c.Qv)
+        self.late = False
+
+    def judge(self, family: Any, levels: list[int]) -> tuple[float, Proposal | None]:
+        """The lambda of a family, and its proposal if it survives; infinite where there is none."""
+        best = np.inf
+        for level in levels:
+            if time.perf_counter() > self.deadline:
+                self.late = True
+                break
+            search = Search(self.plant, in_plant_terms(self.plant, family), self.weights, self.certificate.P2, np.inf)
+            try:
+                found = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
+            except SamplingDesignError:
+                break  # the graph of this level is too large, or the nominal schedule on the edge
+            best = min(best, found.lam)
+            if isinstance(found, Proposal) and found.lam / (1 - RESOLUTION) < self.limit:
+                return found.lam, found
+        return best, None
+
+    def loss_level(self, family: LostSamples) -> int:
+        """As much memory as the unknowns allow."""
+        n, lap = self.plant.n_states, len(self.certificate.schedule)
+        for level in reversed(range(levels_of_memory(family))):
+            words = sum(_choose(family.most + level, k) for k in range(family.most + 1))
+            if words * lap <= MOST_NODES and words * lap * n * (n + 1) // 2 <= MOST_UNKNOWNS:
+                return level
+        return 0
+
+
+def _choose(n: int, k: int) -> int:
+    from math import comb
+
+    return comb(n, k)
+
+
+def survival(
+    plant: Plant,
+    certificate: Any,
+    *,
+    length: float | None = None,
+    longest: int = 8,
+    budget: float = 60.0,
+    progress: Progress | None = None,
+) -> Survival:
+    """Return the largest timing error and the most losses under which a certificate survives.
+
+        lambda(family) e^{-eta M} < 1,    family = all schedules with every sample at most r early or late,
+                                          or with at most d of any w consecutive samples lost
+
+    Parameters
+    ----------
+    plant : Plant
+    certificate : Certificate or ScheduleDesign
+        On a PeriodicSchedule; a design is certified first.
+    length : float, optional [time]
+        The horizon M that is to be kept. Default: `certificate.horizon().length`.
+    longest : int
+        Losses are counted among at most this many consecutive samples.
+    budget : float [seconds]
+        The searches stop there; `closed` says so.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    Survival
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is not periodic, the certificate is another plant's, or the horizon is too short even for
+        the schedule as planned.
+
+    Notes
+    -----
+    *Claim.* Survival is proven at `radius` and for `tolerated` (family certificates, verified); that more does not
+    survive is not claimed, for family certificates are sufficient. *Method.* Bisection on the radius; for every d
+    the least w.
+
+    Examples
+    --------
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> planned = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[0.5, 0.0], [0.0, 0.5]])
+    >>> found = survival(oscillator, planned, longest=3)
+    >>> found.radius > 0.1, found.jittered.verify().passed
+    (True, True)
+    """
+    report = progress or (lambda fraction, message: None)
+    planned = certificate if isinstance(certificate, Certificate) else certify(plant, certificate.schedule)
+    schedule = planned.schedule
+    if not isinstance(schedule, PeriodicSchedule):
+        raise ArgumentError("`certificate` must be on a PeriodicSchedule: losses and delays are counted without end.")
+    if other := first_difference(plant, planned.plant):
+        raise ArgumentError(f"`certificate` certifies another plant: {other}.")
+    M = planned.horizon().length if length is None else _checks.positive("length", length)
+    limit = float(np.exp(planned.eta * M))
+    if planned.lam_proven >= limit:
+        least = planned.horizon().minimum
+        raise ArgumentError(
+            f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
+        )
+    most = _checks.whole("longest", longest, 2)
+    breaker = _Breaker(planned, limit, time.perf_counter() + _checks.positive("budget", budget))
+    radius, broken, trials, best = _largest_radius(breaker, schedule, report)
+    losses, thinned = _most_losses(breaker, schedule, most, report)
+    jittered = None if best is None else _proven(breaker, Jitter(schedule, radius), best)
+    return Survival(
+        planned, M, limit, radius, broken, tuple(trials), tuple(losses), jittered, tuple(thinned), not breaker.late
+    )
+
+
+def _proven(breaker: _Breaker, family: Any, found: Proposal) -> FamilyCertificate:
+    family = in_plant_terms(breaker.plant, family)
+    return certified(breaker.plant, family, breaker.weights, breaker.certificate.P2, found)
+
+
+def _largest_radius(
+    breaker: _Breaker, schedule: PeriodicSchedule, report: Progress
+) -> tuple[float, float, list[Trial], Proposal | None]:
+    top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
+    low, high, best = 0.0, top, None
+    trials = [Trial(0.0, breaker.certificate.lam, True)]
+    radius = top
+    while high - low > RADIUS_RTOL * top and not breaker.late:
+        report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
+        lam, found = breaker.judge(Jitter(schedule, radius), list(range(JITTER_MEMORY)))
+        if breaker.late:
+            break
+        trials.append(Trial(radius, lam, found is not None))
+        low, high, best = (radius, high, found) if found is not None else (low, radius, best)
+        if low == top:
+            break
+        radius = (low + high) / 2
+    return low, high, sorted(trials, key=lambda trial: trial.amount), best
+
+
+def _most_losses(
+    breaker: _Breaker, schedule: PeriodicSchedule, longest: int, report: Progress
+) -> tuple[list[Losses], list[FamilyCertificate]]:
+    """For d = 1, 2, ... the least w for which d of any w may be lost, until there is none."""
+    tried: list[Losses] = []
+    kept: list[FamilyCertificate] = []
+    for d in range(1, longest):
+        report(0.5 + 0.5 * d / longest, f"{d} lost")
+        best = None
+        low, high = d, longest + 1  # w = low fails (all lost), w = high is not asked for
+        w = longest
+        while high - low > 1 and not breaker.late:
+            family = LostSamples(schedule, d, w)
+            lam, found = breaker.judge(family, [breaker.loss_level(family)])
+            if breaker.late:
+                break
+            tried.append(Losses(d, w, lam, found is not None))
+            low, high, best = (low, w, (family, found)) if found is not None else (w, high, best)
+            w = (low + high) // 2
+        if best is None or best[1] is None:
+            break
+        kept.append(_proven(breaker, *best))
+    return sorted(tried, key=lambda loss: (loss.most, loss.of)), kept

@@ -1,0 +1,123 @@
+"""Horizon against noise gain: the infimum of the horizon is not attained, so the choice is a curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.certificates.certify import certify
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.window_problem import AnySchedule
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+BUDGETS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TradeoffCurve(Record):
+    """One certificate per noise budget.
+
+    Attributes
+    ----------
+    budgets : (k,) array
+    horizons : (k,) array [time]
+        M must exceed these, by the sharper theorem.
+    C_w, C_v : (k,) arrays
+        Noise gains of each.
+    lam : (k,) array
+    certificates : tuple of Certificate
+    """
+
+    budgets: Array
+    horizons: Array
+    C_w: Array
+    C_v: Array
+    lam: Array
+    certificates: tuple[Certificate, ...]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        columns = zip(self.budgets, self.horizons, self.C_w, self.C_v, strict=True)
+        return [
+            (f"budget {short(b, 4)}", f"M > {short(M)}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
+            for b, M, w, v in columns
+        ]
+
+    def explain(self) -> str:
+        """Say what the curve trades."""
+        return (
+            f"From a budget of {short(self.budgets[0])} to {short(self.budgets[-1])} the horizon falls from "
+            f"{short(self.horizons[0])} to {short(self.horizons[-1])} while the noise gain rises from "
+            f"{short(self.C_w[0], 3)} to {short(self.C_w[-1], 3)}."
+        )
+
+
+def tradeoff_curve(
+    plant: Plant,
+    schedule: AnySchedule,
+    eta: float,
+    budgets: npt.ArrayLike = BUDGETS,
+    *,
+    Qw: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    Qv: npt.ArrayLike | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> TradeoffCurve:
+    """Return the least horizon against the noise budget, at one rate.
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+    eta : float [1/time]
+    budgets : (k,) array
+        Increasing, above 1: how many times its least the noise gain may be.
+    Qw, R, Qv : arrays, optional
+        As for `certify`.
+    progress : callable, optional
+
+    Returns
+    -------
+    TradeoffCurve
+
+    Raises
+    ------
+    ArgumentError
+        If the budgets do not increase.
+
+    Notes
+    -----
+    *Method.* `certify` at each budget. *Claim.* Every point is a proven certificate; that no smaller horizon exists at
+    that budget is not claimed.
+
+    Examples
+    --------
+    >>> from sampling_design.schedules.schedule import PeriodicSchedule
+    >>> curve = tradeoff_curve(Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.4, budgets=[2.0, 8.0])
+    >>> bool(curve.horizons[1] < curve.horizons[0])
+    True
+    """
+    steps = _checks.vector("budgets", budgets)
+    if not steps.size or np.any(np.diff(steps) <= 0):
+        raise ArgumentError("`budgets` must increase strictly and hold at least one value.")
+    found = []
+    for k, step in enumerate(steps):
+        if progress is not None:
+            progress(k / steps.size, f"budget {step:g}")
+        found.append(certify(plant, schedule, eta=eta, Qw=Qw, R=R, Qv=Qv, budget=float(step)))
+    horizons = [made.horizon() for made in found]
+    return TradeoffCurve(
+        steps,
+        _checks.freeze([h.minimum for h in horizons]),
+        _checks.freeze([h.C_w for h in horizons]),
+        _checks.freeze([h.C_v for h in horizons]),
+        _checks.freeze([made.lam for made in found]),
+        tuple(found),
+    )

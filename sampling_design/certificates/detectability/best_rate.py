@@ -1,0 +1,351 @@
+"""Detectability (Thm 10): the best rate and gains from the dissipation inequality, and the constants of the proof."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_are, solve_continuous_lyapunov
+
+from sampling_design import _checks, _conic
+from sampling_design._linalg import symmetrise
+from sampling_design._record import short
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
+from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
+from sampling_design.observability.count.pbh import unseen_modes
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+MARGIN = 1e-4
+"""The inequality is solved at the rate (1 + margin) eta and claimed at eta: strict by far more than rounding."""
+STATED = 0.25
+"""Part of that margin which the certificate states: (1 + STATED margin) eta is the rate that `verify` proves."""
+FLOOR = 1e-3
+"""Part of |G|^2 added as noise in every direction: one that no noise reaches would get infinite weight."""
+BUDGET = 10.0
+"""c_w and c_y at most this many times the least that any positive rate asks for."""
+RATE_TOLERANCE = 1e-5
+"""Relative width at which the bisection on the rate ends; the lower end is certified."""
+ROUNDING = 1e-9
+"""Constants of the proof are moved to the safe side by this part of themselves: the Young inequality may be tight."""
+
+_NO_SOLUTION = (
+    "The Riccati equation at rate {rate} has no stabilising solution in floating point. "
+    "An unseen mode is too close to the limit: ask for a smaller rate or a smaller `margin`."
+)
+
+
+def certify_detectability(
+    plant: Plant,
+    rate: float | None = None,
+    *,
+    c_w: float | None = None,
+    c_y: float | None = None,
+    budget: float = BUDGET,
+    margin: float = MARGIN,
+    floor: float = FLOOR,
+    method: str = "riccati",
+) -> DetectabilityCertificate:
+    """Certify exponential i-iIOSS with explicit constants.
+
+        [[A'P + PA + eta P - c_y C'C, PG], [G'P, -c_w I]] < 0,   P >= I
+
+    Parameters
+    ----------
+    plant : Plant
+    rate : float [1/time_unit], optional
+        The rate eta asked for; the least gains at it are returned. Default: the largest rate whose gains stay within
+        the bounds (for an observable pair the rate alone has no maximum).
+    c_w, c_y : float, optional
+        Bounds on the gains, both or neither. Default: `budget` times their least at rates close to zero.
+    budget : float
+        See there; only used without `rate` and bounds.
+    margin : float
+        The inequality is solved at the rate (1 + margin) eta, and stated, with strict proof, at (1 + margin/4) eta.
+    floor : float
+        Noise in every direction, relative to |G|^2, that keeps P well conditioned; 0 for the exact optimum.
+    method : {"riccati", "lmi"}
+        "riccati" returns the largest P; "lmi" the P of least condition number (least overshoot) for the same
+        eta, c_w, c_y.
+
+    Returns
+    -------
+    DetectabilityCertificate
+        It has passed its own `verify`.
+
+    Raises
+    ------
+    NotDetectableError
+        If a mode that no output sees does not decay at the rate asked for; carries eigenvalues and directions.
+    CertificateError
+        If the bounds are too small for the rate; says what they would have to be.
+    SolverError
+        If the Riccati equation or the matrix inequality cannot be solved to a certificate that passes.
+
+    Notes
+    -----
+    *Method.* With P = c_y X the inequality reads A'X + XA + eta X - C'C + r X G G' X <= 0, r = c_y/c_w, and
+    X = Y^{-1} is the information of the Kalman-Bucy filter of the shifted plant (A + eta/2 I, C) with noise
+    r GG': the stabilising Y is the least of all solutions, so that P >= I is possible iff c_y >= lambda_max(Y).
+    Hence the least gains at a rate are one Riccati equation, and the best rate under bounds is a bisection on a
+    monotone function. *Claim.* Decided by eigenvalues of the dissipation matrix, never by the word of a solver.
+    Without bounds the ratio c_y/c_w is |A|^2/(|C| |G|)^2, which follows the units of output and disturbance.
+    *Assumptions.* Gains are in the plant's own coordinates; for scaled ones pass `plant.scaled()`.
+
+    References
+    ----------
+    The paper, Definition 1 and Theorem 10; theory 1.2, E1.
+
+    Examples
+    --------
+    An unseen mode e^{-0.3 t} limits the rate to 0.6:
+
+    >>> plant = Plant([[0.5, 0.0], [0.0, -0.3]], [[1.0, 0.0]])
+    >>> certify_detectability(plant, rate=0.59).verify().passed
+    True
+    >>> certify_detectability(plant, rate=0.61)
+    Traceback (most recent call last):
+        ...
+    sampling_design.errors.NotDetectableError: ... -0.3 ...
+    """
+    _arguments(plant, method, c_w, c_y)
+    budget, margin = _checks.positive("budget", budget), _checks.positive("margin", margin)
+    floor = _checks.nonnegative("floor", floor)
+    eta = None if rate is None else _checks.positive("rate", rate)
+    _refuse_unseen(plant, 0.0 if eta is None else eta)
+    unit_w, unit_y = _units(plant)
+    bounds = None if c_w is None or c_y is None else (_checks.positive("c_w", c_w), _checks.positive("c_y", c_y))
+    ratio = unit_y / unit_w if bounds is None else bounds[1] / bounds[0]
+
+    def least(at: float) -> float:
+        return _least_c_y(plant, at * (1 + margin), ratio, floor)
+
+    if eta is None:
+        allowed = budget * least(0.0) if bounds is None else bounds[1]
+        eta = _largest_rate(least, allowed, float(np.linalg.norm(plant.A, 2)) or 1.0)
+        gain_y = allowed
+    else:
+        gain_y = least(eta) if bounds is None else bounds[1]
+        if not np.isfinite(gain_y):
+            raise SolverError(_NO_SOLUTION.format(rate=short(eta * (1 + margin))))
+        _within(least, eta, gain_y, ratio)
+    P, gain = _largest_P(plant, eta * (1 + margin), ratio, floor, gain_y)
+    found = DetectabilityCertificate(
+        plant, P, eta, gain_y / ratio, gain_y, margin=STATED * margin, method="riccati", gain=gain
+    )
+    return proven(found if method == "riccati" else _least_overshoot(found, margin))
+
+
+def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) -> None:
+    if plant.n_states == 0:
+        raise ArgumentError("`plant` must have at least one state: without states there is nothing to detect.")
+    if method not in ("riccati", "lmi"):
+        raise ArgumentError(f'`method` must be "riccati" or "lmi", got {method!r}.')
+    if (c_w is None) != (c_y is None):
+        raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
+
+
+def _refuse_unseen(plant: Plant, rate: float) -> None:
+    """Refuse modes that no output sees and that do not decay at `rate` (of the squared error)."""
+    unseen = unseen_modes(plant, rate)
+    if len(unseen):
+        asked = f"at the rate {short(rate)} of the squared error (Re < {short(-rate / 2)})" if rate else "(Re < 0)"
+        raise NotDetectableError(
+            f"Not detectable: no output sees {unseen.describe()}, which does not decay {asked}.",
+            unseen.eigenvalues,
+            unseen.directions,
+        )
+
+
+def _units(plant: Plant) -> tuple[float, float]:
+    """Natural sizes of c_w and c_y: |Gw| = nu |x| or |Cx| = |C| |x| then cost nu |x|^2, nu = |A|."""
+    nu = float(np.linalg.norm(plant.A, 2)) or 1.0
+    size_G = float(np.linalg.norm(plant.G, 2)) if plant.n_disturbances else 0.0
+    size_C = float(np.linalg.norm(plant.C, 2))
+    return (size_G or 1.0) ** 2 / nu, nu / (size_C or 1.0) ** 2
+
+
+def _filter(plant: Plant, eta: float, ratio: float, floor: float) -> Array | None:
+    """Stabilising Y of A_e Y + Y A_e' + ratio (GG' + floor) - Y C'C Y = 0, A_e = A + eta/2 I; None without one."""
+    n, size_G = plant.n_states, float(np.linalg.norm(plant.G, 2)) if plant.n_disturbances else 0.0
+    noise = ratio * (plant.G @ plant.G.T + floor * (size_G or 1.0) ** 2 * np.eye(n))
+    shifted = plant.A + eta / 2 * np.eye(n)
+    try:
+        Y = _symmetric(solve_continuous_are(shifted.T, plant.C.T, noise, np.eye(plant.n_outputs)))
+    except (LinAlgError, ValueError):
+        return None
+    stable = np.max(np.linalg.eigvals(shifted - Y @ plant.C.T @ plant.C).real) < 0
+    return Y if stable and np.linalg.eigvalsh(Y)[0] > 0 else None
+
+
+def _symmetric(matrix: npt.ArrayLike) -> Array:
+    """A solver's answer, exactly symmetric."""
+    return symmetrise(np.asarray(matrix, dtype=np.float64))
+
+
+def _least_c_y(plant: Plant, eta: float, ratio: float, floor: float) -> float:
+    """Least c_y for P >= I at this rate with c_w = c_y/ratio; infinite where none exists."""
+    Y = _filter(plant, eta, ratio, floor)
+    return float("inf") if Y is None else float(np.linalg.eigvalsh(Y)[-1])
+
+
+def _largest_P(plant: Plant, eta: float, ratio: float, floor: float, c_y: float) -> tuple[Array, Array]:
+    """P = c_y Y^{-1} and the filter's gain."""
+    Y = _filter(plant, eta, ratio, floor)
+    if Y is None:
+        raise SolverError(_NO_SOLUTION.format(rate=short(eta)))
+    return symmetrise(c_y * cho_solve(cho_factor(Y), np.eye(len(Y)))), Y @ plant.C.T
+
+
+def _largest_rate(least: Callable[[float], float], allowed: float, unit: float) -> float:
+    """Largest rate with least(rate) <= allowed, by doubling and bisection; `least` increases with the rate."""
+    if least(0.0) > allowed:
+        raise CertificateError(
+            f"No rate is possible within these bounds: even rates close to 0 need c_y = {short(least(0.0))} "
+            "at this ratio of c_w to c_y.",
+            least_c_y=least(0.0),
+        )
+    low, high = 0.0, unit
+    while least(high) <= allowed:
+        low, high = high, 2 * high
+    while high - low > RATE_TOLERANCE * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if least(middle) <= allowed else (low, middle)
+    return low
+
+
+def _within(least: Callable[[float], float], eta: float, allowed: float, ratio: float) -> None:
+    """Refuse a rate whose least gains exceed the bounds."""
+    needed = least(eta)
+    if needed > allowed:
+        raise CertificateError(
+            f"The rate {short(eta)} needs c_w = {short(needed / ratio)} and c_y = {short(needed)} at this ratio, "
+            f"more than the bounds c_w = {short(allowed / ratio)}, c_y = {short(allowed)}.",
+            least_c_w=needed / ratio,
+            least_c_y=needed,
+        )
+
+
+_SHIFTS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
+"""How far the solver's P is moved towards the Riccati one, which satisfies the inequality strictly, until it passes."""
+
+
+def _least_overshoot(found: DetectabilityCertificate, margin: float) -> DetectabilityCertificate:
+    """P of least condition number for the same eta, c_w, c_y, from the matrix inequality.
+
+    Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
+    by the size of its terms, so that all data are of order one.
+    """
+    cp, plant, n = _conic.cvxpy(), found.plant, found.plant.n_states
+    L = np.linalg.cholesky(found.P)
+    eta = found.eta * (1 + margin / 2)
+    A = np.linalg.solve(L, (plant.A / eta).T @ L).T
+    K = np.linalg.solve(L, plant.C.T) * np.sqrt(found.c_y / eta)
+    G = L.T @ plant.G / np.sqrt(eta * found.c_w)
+    unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(found.P)[0])
+    floor = unit @ unit.T  # the identity of the plant's coordinates, as large as the Riccati P allows
+    Z, top = cp.Variable((n, n), symmetric=True), cp.Variable()
+    _, modes = np.linalg.eigh(A.T + A + np.eye(n) - K @ K.T)
+    scale = modes / np.sqrt(1 + np.linalg.norm(modes.T @ K, axis=1) ** 2 + 2 * np.linalg.norm(A @ modes, axis=0))
+    corner, off = scale.T @ (A.T @ Z + Z @ A + Z - K @ K.T) @ scale, scale.T @ Z @ G
+    matrix = cp.bmat([[corner, off], [off.T, -np.eye(plant.n_disturbances)]]) if plant.n_disturbances else corner
+    problem = cp.Problem(cp.Minimize(top), [Z >> floor, Z << top * floor, (matrix + matrix.T) / 2 << 0])
+    record = _conic.require(_conic.solve(problem), "the least overshoot")
+    P_lmi = L @ Z.value @ L.T
+    for shift in _SHIFTS:
+        shifted = symmetrise((1 - shift) * P_lmi + shift * found.P)
+        if np.linalg.eigvalsh(shifted)[0] > 0:
+            moved = replace(found, P=shifted, method="lmi", solver=record)
+            if moved.verify().passed:
+                return moved
+    raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)
+
+
+def detectability_from_proof(
+    plant: Plant, gain: npt.ArrayLike | None = None, Q: npt.ArrayLike | None = None
+) -> DetectabilityCertificate:
+    """Return the constants that the proof of Theorem 10 gives: observer gain, Lyapunov equation, Young's inequality.
+
+        A_L = A - LC,   A_L'P + P A_L = -Q,   q = lambda_min(Q):
+        c_x = q/2,   c_w = 4|PG|^2/q,   c_y = 4|PL|^2/q,   eta = c_x/lambda_max(P)
+
+    Parameters
+    ----------
+    plant : Plant
+    gain : (n, p) array, optional
+        L with A - LC Hurwitz. Default: gain of the Kalman-Bucy filter with noise GG' + 1e-3 |G|^2 I.
+    Q : (n, n) array, optional
+        Symmetric positive definite. Default identity.
+
+    Returns
+    -------
+    DetectabilityCertificate
+        With every intermediate number in `.constants`, in the order of the proof.
+
+    Raises
+    ------
+    NotDetectableError
+        If no gain makes A - LC Hurwitz; carries the unseen eigenvalues and directions.
+    ArgumentError
+        If the given gain does not, or Q is not positive definite.
+
+    Notes
+    -----
+    *Claim.* V' <= -(q/2)|x|^2 + c_w|w|^2 + c_y|y|^2 and -(q/2)|x|^2 <= -eta V: the discount that the paper drops
+    between this line and its (19). With the disturbance input G = I, c_w = 4|P|^2/q as in the paper.
+
+    References
+    ----------
+    The paper, Theorem 10; theory 1.6, 3.1, E1.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    >>> certificate = detectability_from_proof(plant, gain=[[2.0], [1.0]])
+    >>> [constant.name for constant in certificate.constants]
+    ['q', 'lambda_max_P', 'c_x', 'eta', 'c_w', 'c_y']
+    >>> certificate.verify().passed
+    True
+    """
+    n = plant.n_states
+    _arguments(plant, "riccati", None, None)
+    Q = np.eye(n) if Q is None else _checks.definite("Q", Q, n)
+    if gain is None:
+        _refuse_unseen(plant, 0.0)
+        Y = _filter(plant, 0.0, 1.0, FLOOR)
+        if Y is None:
+            raise SolverError(_NO_SOLUTION.format(rate=0))
+        gain = Y @ plant.C.T
+    L = _checks.matrix("gain", gain, n, plant.n_outputs)
+    A_L = plant.A - L @ plant.C
+    slowest = float(np.max(np.linalg.eigvals(A_L).real))
+    if slowest >= 0:
+        raise ArgumentError(f"`gain` must make A - LC Hurwitz, got an eigenvalue with real part {short(slowest)}.")
+    P = _symmetric(solve_continuous_lyapunov(A_L.T, -Q))
+    constants = _young(plant, P, L, Q)
+    eta, c_w, c_y = (constants.named(name).value for name in ("eta", "c_w", "c_y"))
+    return proven(DetectabilityCertificate(plant, P, eta, c_w, c_y, method="proof", gain=L, constants=constants))
+
+
+def _young(plant: Plant, P: Array, L: Array, Q: Array) -> ConstantList:
+    """The proof's numbers in order, each rounded to the safe side by its last digits."""
+    q, top = float(np.linalg.eigvalsh(Q)[0]), float(np.linalg.eigvalsh(P)[-1])
+    safe = 1 + ROUNDING
+    eta = q / 2 / top / safe
+    c_w = 4 * float(np.linalg.norm(P @ plant.G, 2)) ** 2 / q * safe if plant.n_disturbances else q
+    c_y = 4 * float(np.linalg.norm(P @ L, 2)) ** 2 / q * safe
+    source = "Theorem 10"
+    return ConstantList(
+        (
+            Constant("q", q, r"\lambda_{\min}(Q)", source, "q"),
+            Constant("lambda_max_P", top, r"\lambda_{\max}(P),\ A_L^\top P+PA_L=-Q", source, r"\lambda_{\max}(P)"),
+            Constant("c_x", q / 2, r"q/2", source, "c_x"),
+            Constant("eta", eta, r"c_x/\lambda_{\max}(P)", source + ", with the discount of (2)", r"\eta"),
+            Constant("c_w", c_w, r"4|PG|^2/q", source, "c_w"),
+            Constant("c_y", c_y or q, r"4|PL|^2/q", source, "c_y"),
+        )
+    )

@@ -1,0 +1,194 @@
+"""The record of a discounted dissipation inequality (Thm 10): P, eta, c_w, c_y, and its file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.certificates.form.constants import ConstantList
+from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
+from sampling_design.certificates.form.verdict import Verification, verdict_of
+from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.evidence import Claim, SolverRecord
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+METHODS = ("riccati", "lmi", "proof", "given")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DetectabilityCertificate(Record):
+    """V(x) = x'Px decays at rate eta up to disturbance and output, so that the plant is exponentially i-iIOSS.
+
+        |dx(t)|_P^2 <= e^{-eta t} |dx(0)|_P^2 + int_0^t e^{-eta(t-s)} (c_w |dw(s)|^2 + c_y |C dx(s)|^2) ds
+
+    Parameters
+    ----------
+    plant : Plant
+    P : (n, n) array
+        Symmetric positive definite.
+    eta : float [1/time_unit]
+        Rate of the squared error.
+    c_w, c_y : float
+        Gains of the disturbance w (through G) and of the output difference, in the plant's own coordinates.
+    margin : float
+        What `verify` proves is the inequality at the rate (1 + margin) eta.
+    method : str
+        "riccati", "lmi", "proof" or "given".
+    gain : (n, p) array, optional
+        Observer gain L behind the certificate; A - LC is Hurwitz. Not in the file: c_y P^{-1} C' is always one.
+    constants : ConstantList
+        The numbers of the proof in order, where there is one. Not in the file, which holds nothing unproven.
+
+    Raises
+    ------
+    ArgumentError
+        If P is not symmetric positive definite, a constant is not positive, or the method is another.
+
+    Notes
+    -----
+    *Claim.* `verify` decides it from A, C, G, P, eta, c_w, c_y, margin alone. *Assumptions.* None beyond a linear
+    plant; outputs are noise-free here, noise enters where samples do. The paper's (19) has lost the factors
+    e^{-eta(t-s)}.
+
+    References
+    ----------
+    The paper, Definition 1 and Theorem 10; theory 1.6, E1.
+
+    Examples
+    --------
+    x' = x + w, y = x, V = x^2: V' = 2x^2 + 2xw <= -V + w^2 + 4y^2, with equality at w = x.
+
+    >>> plant = Plant([[1.0]], [[1.0]])
+    >>> DetectabilityCertificate(plant, [[1.0]], eta=1.0, c_w=1.0, c_y=4.01).verify().passed
+    True
+    >>> DetectabilityCertificate(plant, [[1.0]], eta=1.0, c_w=1.0, c_y=3.99).verify().passed
+    False
+    """
+
+    plant: Plant
+    P: Array
+    eta: float
+    c_w: float
+    c_y: float
+    margin: float = field(default=0.0, kw_only=True)
+    method: str = field(default="given", kw_only=True)
+    gain: Array | None = field(default=None, kw_only=True)
+    constants: ConstantList = field(default=ConstantList(), kw_only=True)
+    solver: SolverRecord | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.plant, Plant):
+            raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
+        if self.method not in METHODS:
+            raise ArgumentError(f"`method` must be one of {', '.join(METHODS)}, got {self.method!r}.")
+        n, p = self.plant.n_states, self.plant.n_outputs
+        object.__setattr__(self, "P", _checks.definite("P", self.P, n))
+        for key in ("eta", "c_w", "c_y"):
+            object.__setattr__(self, key, _checks.positive(key, getattr(self, key)))
+        object.__setattr__(self, "margin", _checks.nonnegative("margin", self.margin))
+        if self.gain is not None:
+            object.__setattr__(self, "gain", _checks.matrix("gain", self.gain, n, p))
+
+    def __getattr__(self, name: str) -> Any:
+        # what only a certificate about samples has: asked for by an estimator or a validation that was given this one
+        raise AttributeError(
+            f"a DetectabilityCertificate promises nothing about samples and has no `{name}`: "
+            "certify(plant, schedule) makes a certificate that has."
+        )
+
+    @property
+    def overshoot(self) -> float:
+        """cond(P): how far |dx|^2 may rise above its start before the decay shows."""
+        values = np.linalg.eigvalsh(self.P)
+        return float(values[-1] / values[0])
+
+    @property
+    def claim(self) -> Claim:
+        """What is proven, and from which theorem."""
+        return Claim(
+            f"exponentially i-iIOSS at rate {short(self.eta)} with c_w = {short(self.c_w)}, c_y = {short(self.c_y)}",
+            theorem="Theorem 10 (discounted)",
+            assumptions=("x' = Ax + Bu + Gw, y = Cx + Du",),
+        )
+
+    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
+        """Prove P > 0 and the inequality anew from the data alone, by `dissipation_checker.py`.
+
+            [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
+
+        Parameters
+        ----------
+        rigorous : bool
+            Decide in ball arithmetic instead (extra `rigorous`).
+        budget : float [seconds]
+            For the rigorous verdict, "undecided" when it runs out.
+
+        Returns
+        -------
+        Verification
+            Its `amount` is the least eigenvalue relative to the size of the terms; `direction` where it fails. With
+            `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+
+        Raises
+        ------
+        MissingExtraError
+            If `rigorous` is asked for and python-flint is not installed.
+        """
+        if rigorous:
+            from sampling_design.certificates.rigorous.decide import verify_rigorously
+
+            return verify_rigorously(self.to_dict(), budget)
+        return verdict_of(self.to_dict())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the certificate as JSON, whole or not at all; return the path."""
+        return write_certificate(self, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data as in the file, digest included."""
+        numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
+        parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
+        return sealed(self.plant, parts, self.solver)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
+        rows = [
+            ("eta", f"{short(self.eta)} 1/{unit}"),
+            ("c_w", short(self.c_w)),
+            ("c_y", short(self.c_y)),
+            ("cond P", short(self.overshoot)),
+            ("method", self.method),
+            ("margin", short(self.margin, 3)),
+            ("slack", short(self.verify().amount)),
+        ]
+        return rows + [(c.name, f"{short(c.value)}  ({c.source})") for c in self.constants]
+
+    def explain(self) -> str:
+        """Say what the certificate promises."""
+        return (
+            f"Two trajectories of this plant with the same input and output come together: their squared distance in "
+            f"the norm of P shrinks by e^(-{short(self.eta)} t), t in {self.plant.time_unit}; whatever keeps them "
+            f"apart shows in w (gain {short(self.c_w)}) or in y (gain {short(self.c_y)})."
+        )
+
+
+def proven(certificate: DetectabilityCertificate) -> DetectabilityCertificate:
+    """Return `certificate` if it passes its own check.
+
+    Raises
+    ------
+    CertificateError
+        If it does not; `details` holds the verdict.
+    """
+    verdict = certificate.verify()
+    if not verdict.passed:
+        raise CertificateError(f"No detectability certificate: {verdict.reason}.", verdict=verdict)
+    return certificate

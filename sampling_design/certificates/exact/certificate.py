@@ -1,0 +1,350 @@
+"""The certificate of sample-based exponential i-iIOSS (Assumption 7)."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._linalg import generalised_max
+from sampling_design._record import Record, short
+from sampling_design.certificates.form.constants import ConstantList
+from sampling_design.certificates.form.export import constants_of
+from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
+from sampling_design.certificates.form.seal import CLAIM, RESOLUTION, sealed, write_certificate
+from sampling_design.certificates.form.verdict import Verification, verdict_of
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import Claim, SolverRecord
+from sampling_design.observability.meeting import meet
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+
+MATRICES = ("P1", "P2", "Qw", "R", "Qv")
+NUMBERS = ("eta", "lam", "lam_samples", "margin")
+"""What a file of this claim holds as it is, beside plant, times and witness."""
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Where lambda is attained: the window that starts at `start`, time `t`, and the direction x.
+
+    `ratio` is x'P2x / x'Pi(t)x, reached to rounding.
+    """
+
+    t: float
+    start: float
+    direction: tuple[float, ...]
+    ratio: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(Record):
+    """Weights with which a schedule makes a plant sample-based exponentially i-iIOSS.
+
+        |Dx(t)|^2_{P1} <= e^{-eta t} |Dx(0)|^2_{P2} + int e^{-eta (t-s)} |Dw|^2_{Qw} ds
+                          + sum over [0,t] n K_i of e^{-eta (t-tau)} (|Dy|^2_R + |Dv|^2_{Qv})
+
+    for all t >= 0, all K_i and, beyond the paper, for windows that start at any real time.
+
+    Attributes
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+        A finite one is certified to its last time.
+    P1, P2 : (n, n) arrays
+    Qw : (q, q) array; R, Qv : (p, p) arrays
+    eta : float [1/time]
+        Discount rate of the squared error.
+    lam : float
+        Supremum of lambda_max(P2, Pi) over all real window starts and later times.
+    lam_samples : float
+        The same over windows that start at samples (Thm 9).
+    margin : float
+        Pi >= (1 + margin) P1 is what `verify` proves.
+    witness : Witness or None
+        Where `lam` is attained; None for a hand-made certificate.
+    solver : SolverRecord
+        How the weights were found. Never evidence.
+
+    References
+    ----------
+    The paper, Assumption 7, equation (16); Theorem 9.
+    """
+
+    plant: Plant
+    schedule: Schedule | PeriodicSchedule
+    P1: Array
+    P2: Array
+    Qw: Array
+    R: Array
+    Qv: Array
+    eta: float
+    lam: float
+    lam_samples: float
+    margin: float = 0.0
+    witness: Witness | None = None
+    solver: SolverRecord = field(default_factory=lambda: SolverRecord("given"))
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.plant, Plant):
+            raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
+        schedule = self._met()
+        n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
+        owned: dict[str, Any] = {"schedule": schedule, "Qw": _checks.symmetric("Qw", self.Qw, q)}
+        for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
+            owned[key] = _checks.definite(key, getattr(self, key), size)
+        for key in ("eta", "lam", "lam_samples"):
+            owned[key] = _checks.positive(key, getattr(self, key))
+        owned["margin"] = _checks.nonnegative("margin", self.margin)
+        for key, value in owned.items():
+            object.__setattr__(self, key, value)
+
+    def _met(self) -> Any:
+        """The schedule in the plant's terms; a family certificate holds a family in its place."""
+        schedule = meet(self.plant, self.schedule)
+        if not len(schedule):
+            raise ArgumentError("`schedule` must hold at least one sample: without any there is nothing to certify.")
+        return schedule
+
+    def _file_parts(self) -> dict[str, Any]:
+        """What the file says of claim and times."""
+        return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
+
+    @classmethod
+    def from_matrices(
+        cls,
+        plant: Plant,
+        schedule: Schedule | PeriodicSchedule,
+        *,
+        P1: npt.ArrayLike,
+        P2: npt.ArrayLike,
+        Qw: npt.ArrayLike,
+        R: npt.ArrayLike,
+        Qv: npt.ArrayLike,
+        eta: float,
+        lam: float | None = None,
+        lam_samples: float | None = None,
+        margin: float = 0.0,
+        solver: SolverRecord | None = None,
+    ) -> Certificate:
+        """Return a certificate made by hand; nothing is proven before `verify()` passes.
+
+        Parameters
+        ----------
+        plant, schedule
+        P1, P2, Qw, R, Qv : arrays
+            Symmetric positive definite.
+        eta : float [1/time]
+        lam, lam_samples : float, optional
+            Default lambda_max(P2, P1), which is what the matrices claim.
+        margin : float
+        solver : SolverRecord, optional
+            Where the matrices come from.
+
+        Returns
+        -------
+        Certificate
+
+        Raises
+        ------
+        ArgumentError
+            If a weight is not symmetric positive definite, a rate is not positive, or plant and schedule
+            do not fit.
+
+        Examples
+        --------
+        >>> plant, schedule = Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0])
+        >>> made = Certificate.from_matrices(plant, schedule, P1=[[0.2]], P2=[[1.0]], Qw=[[1.0]],
+        ...                                  R=[[2.0]], Qv=[[2.0]], eta=0.1)
+        >>> made.verify().passed
+        True
+        """
+        n = plant.n_states
+        claimed = generalised_max(_checks.definite("P2", P2, n), _checks.definite("P1", P1, n))
+        top = max(claimed, 1.0) if lam is None else lam
+        return cls(
+            plant,
+            schedule,
+            P1=P1,  # type: ignore[arg-type]
+            P2=P2,  # type: ignore[arg-type]
+            Qw=Qw,  # type: ignore[arg-type]
+            R=R,  # type: ignore[arg-type]
+            Qv=Qv,  # type: ignore[arg-type]
+            eta=eta,
+            lam=top,
+            lam_samples=top if lam_samples is None else lam_samples,
+            margin=margin,
+            solver=solver or SolverRecord("by hand"),
+        )
+
+    @property
+    def claim(self) -> Claim:
+        """What the certificate says; `verify()` proves it."""
+        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
+        return Claim(
+            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{until}, for every real window start",
+            "Assumption 7",
+            ("linear plant",),
+        )
+
+    @property
+    def lam_proven(self) -> float:
+        """A proven upper bound of lambda_max(P2, Pi) over all real starts: lam/(1 - 1e-3)."""
+        return self.lam / (1 - RESOLUTION)
+
+    @property
+    def lam_samples_proven(self) -> float:
+        """The same over sample starts."""
+        return self.lam_samples / (1 - RESOLUTION)
+
+    @cached_property
+    def Rtilde(self) -> Array:
+        """R~ = (R^-1 + Qv^-1)^-1, the information of one sample."""
+        return _checks.freeze(output_information(self.R, self.Qv))
+
+    @property
+    def d_max(self) -> float:
+        """Largest gap, the one before the first sample included."""
+        schedule = self.schedule
+        later = schedule.gaps.max() if schedule.gaps.size else 0.0
+        return float(max(later, schedule.times[0]))
+
+    def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
+        """Return the estimation horizon and its error bound; see `horizon_of`."""
+        return horizon_of(self, theorem, length)
+
+    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
+        """Prove the inequalities anew from the data alone, by `checker.py`, which shares no code with this room.
+
+        Parameters
+        ----------
+        rigorous : bool
+            Decide in ball arithmetic instead (extra `rigorous`): "proven" is then a theorem about the stated doubles.
+        budget : float [seconds]
+            For the rigorous verdict, "undecided" when it runs out.
+
+        Returns
+        -------
+        Verification
+            With `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+
+        Raises
+        ------
+        MissingExtraError
+            If `rigorous` is asked for and python-flint is not installed.
+        """
+        data = self.to_dict()
+        if rigorous:
+            from sampling_design.certificates.rigorous.decide import verify_rigorously
+
+            return verify_rigorously(data, budget)
+        return verdict_of(data)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the certificate as JSON, whole or not at all; return the path."""
+        return write_certificate(self, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data as in the file, digest included."""
+        seen = self.witness
+        parts: dict[str, Any] = {
+            **self._file_parts(),
+            **{key: getattr(self, key).tolist() for key in MATRICES},
+            **{key: getattr(self, key) for key in NUMBERS},
+            "witness": None if seen is None else {**vars(seen), "direction": list(seen.direction)},
+        }
+        return sealed(self.plant, parts, self.solver)
+
+    @property
+    def constants(self) -> ConstantList:
+        """Every constant with its formula and source; see `constants_of`."""
+        return constants_of(self)
+
+    def to_markdown(self) -> str:
+        """Return all constants as a markdown table."""
+        return self.constants.to_markdown()
+
+    def to_latex(self) -> str:
+        """Return all constants as a LaTeX `tabular`."""
+        return self.constants.to_latex()
+
+    def error_bound(
+        self,
+        t: npt.ArrayLike,
+        e0: npt.ArrayLike,
+        w_bound: float = 0.0,
+        v_bound: float = 0.0,
+        *,
+        theorem: str = "sharp",
+        length: float | None = None,
+    ) -> Array:
+        """Return the guaranteed bound on |e(t)| of the estimator with this certificate.
+
+            |e(t)|^2 <= C_x |e0|^2 e^{-eta_tilde t} + C_w w^2 (1 - e^{-eta_tilde t})/eta_tilde
+                        + C_v v^2 sum over samples in [0, t] of e^{-eta_tilde (t - tau)}
+
+        Parameters
+        ----------
+        t : float or array [time]
+        e0 : (n,) array
+            Initial error, or a bound on its norm as a number.
+        w_bound, v_bound : float
+            Bounds on |w(t)| and |v(tau)|, Euclidean norms.
+        theorem, length
+            As for `horizon`.
+
+        Returns
+        -------
+        array of the shape of `t`
+            In the Euclidean norm of the state.
+        """
+        found = self.horizon(theorem, length)
+        times = np.asarray(t, dtype=np.float64)
+        start = float(np.sum(np.square(_checks.real_array("e0", e0, np.ndim(e0)))))
+        w2, v2 = _checks.nonnegative("w_bound", w_bound) ** 2, _checks.nonnegative("v_bound", v_bound) ** 2
+        rate = found.eta_tilde
+        decay = np.exp(-rate * times)
+        hits = np.vectorize(lambda end: float(np.sum(np.exp(-rate * (end - self._samples_until(end))))), otypes=[float])
+        squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
+        return np.asarray(np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
+
+    def _samples_until(self, end: float) -> Array:
+        return self.schedule.between(0.0, max(end, 0.0)).times
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
+        sharp, paper = self.horizon(), self.horizon("paper")
+        return [
+            ("eta", f"{short(self.eta)} 1/{unit}"),
+            ("lambda", short(self.lam)),
+            ("lambda, sample starts", short(self.lam_samples)),
+            ("horizon, sharp", f"M > {short(sharp.minimum)} {unit}"),
+            ("horizon, paper", f"M > {short(paper.minimum)} {unit}"),
+            ("C_x, C_w, C_v", f"{short(sharp.C_x, 3)}, {short(sharp.C_w, 3)}, {short(sharp.C_v, 3)}"),
+            ("margin", short(self.margin, 3)),
+        ]
+
+    def explain(self) -> str:
+        """Say what the certificate proves."""
+        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
+        return (
+            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{until}: whatever "
+            f"the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
+            f"window longer than {short(self.horizon().minimum)} contracts."
+        )
+
+
+def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Any]:
+    """Return the `times` of a certificate file; outputs null means that every sample measures all of them."""
+    outputs = None if schedule.outputs is None else schedule.outputs.astype(int).tolist()
+    if isinstance(schedule, PeriodicSchedule):
+        return {"kind": "periodic", "gaps": schedule.gaps.tolist(), "first": schedule.first, "outputs": outputs}
+    return {"kind": "finite", "times": schedule.times.tolist(), "outputs": outputs}

@@ -1,0 +1,281 @@
+"""The exact supremum of lambda_max(P2 Y) over window starts and times, attained by a witness.
+
+Windows run side by side in one batch: each step is one sample update and one gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+from sampling_design.errors import SolverError
+
+Array = npt.NDArray[np.float64]
+
+STEADY_RTOL = 1e-10
+"""Relative change of Y per doubling at which the steady lap counts as found; eps times some condition 1e5."""
+MERGED_RTOL = 1e-5
+"""A window below (1 + this) times the steady lap brings nothing new: lambda is then the steady one within 1e-5."""
+MAX_DOUBLINGS = 40
+MAX_STEPS = 100_000
+LONGEST_REFINED = 200
+"""Peaks after more samples than this lie on the steady lap, where a finer look changes nothing."""
+ATTAINED_RTOL = 2e-4
+"""How near to the steady lap a window is followed; the certificate leaves 1e-3."""
+LONGEST_RUN = 20_000
+"""Samples along which a window is followed towards the steady lap."""
+START_CELLS = 5
+MIN_STARTS = 16
+"""Inner starts: START_CELLS - 1 per gap, and at least about this many per lap."""
+TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
+REFINEMENTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """The largest lambda_max(P2 Y) met, and where: window (index, remaining), gap number `step`, `fraction` of it.
+
+    `step` counts gaps after the window's first sample; -1 is the stretch before it.
+    """
+
+    value: float
+    index: int
+    remaining: float
+    step: int
+    fraction: float
+
+
+def update(Y: Array, rows: Array) -> Array:
+    """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd whatever the rounding."""
+    cross = Y @ np.swapaxes(rows, -1, -2)
+    innovation = np.eye(rows.shape[-2]) + rows @ cross
+    gain = np.swapaxes(np.linalg.solve(innovation, np.swapaxes(cross, -1, -2)), -1, -2)
+    left = np.eye(Y.shape[-1]) - gain @ rows
+    return symmetrise(left @ Y @ np.swapaxes(left, -1, -2) + gain @ np.swapaxes(gain, -1, -2))
+
+
+def push(Y: Array, F: Array, W: Array) -> Array:
+    """Return F Y F' + W."""
+    return symmetrise(F @ Y @ np.swapaxes(F, -1, -2) + W)
+
+
+def steady_lap(problem: WindowProblem) -> Array:
+    """Return Y just after each sample of the lap in the long run, shape (N, n, n).
+
+    The lap is Y -> F Y (I + H Y)^-1 F' + W; two laps are again of that form, so that 2^k laps cost k
+    compositions and slow plants need no more time than fast ones.
+
+    Raises
+    ------
+    SolverError
+        If Y has not settled after 2^40 laps: the schedule is on the edge of what can be certified.
+    """
+    flows = problem.flow(problem.gaps)
+    n = problem.size
+    lap = (np.eye(n), np.zeros((n, n)), np.zeros((n, n)))
+    for i in range(problem.count):
+        C = problem.rows[i]
+        lap = _then(lap, (flows[0][i], flows[1][i], np.zeros((n, n))))
+        lap = _then(lap, (np.eye(n), np.zeros((n, n)), C.T @ C))
+    Y = _apply(lap, np.eye(n))
+    for _ in range(MAX_DOUBLINGS):
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # an unseen mode grows beyond all bounds, which ends the loop
+            following, longer = _apply(lap, Y), _then(lap, lap)
+            change, size = np.linalg.norm(following - Y), np.linalg.norm(Y)
+        if not np.isfinite(change) or not all(np.all(np.isfinite(part)) for part in longer):
+            break
+        if change <= STEADY_RTOL * size:
+            return _around(problem, flows, following)
+        Y, lap = following, longer
+    raise SolverError(
+        "the information did not settle over 2^40 laps: this schedule is on the edge of what can be certified.",
+        status="unsettled",
+    )
+
+
+def _then(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """The map Y -> F Y (I + H Y)^-1 F' + W of `first` followed by `second`."""
+    F1, W1, H1 = first
+    F2, W2, H2 = second
+    n = F1.shape[0]
+    inner = np.linalg.solve(np.eye(n) + W1 @ H2, np.hstack([F1, W1]))
+    F = F2 @ inner[:, :n]
+    W = symmetrise(W2 + F2 @ inner[:, n:] @ F2.T)
+    H = symmetrise(H1 + F1.T @ H2 @ inner[:, :n])
+    return F, W, H
+
+
+def _apply(lap: tuple[Array, Array, Array], Y: Array) -> Array:
+    F, W, H = lap
+    return symmetrise(F @ np.linalg.solve(np.eye(Y.shape[0]) + Y @ H, Y) @ F.T + W)
+
+
+def _around(problem: WindowProblem, flows: tuple[Array, Array], last: Array) -> Array:
+    """Y after each sample, given Y after the lap's last one."""
+    result = np.empty((problem.count, problem.size, problem.size))
+    Y = last
+    for i in range(problem.count):
+        Y = update(push(Y, flows[0][i], flows[1][i]), problem.rows[i])
+        result[i] = Y
+    return result
+
+
+def sweep(
+    problem: WindowProblem,
+    index: Index,
+    remaining: Array,
+    fractions: npt.ArrayLike = TIME_FRACTIONS,
+    steady: Array | None = None,
+    last_step: int = MAX_STEPS,
+) -> list[Peak]:
+    """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
+
+    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the steady lap.
+    """
+    part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
+    m = part.size
+    ahead = np.arange(problem.count) if last_step + 1 >= problem.count else np.arange(1, last_step + 2) + index.min()
+    needed = ahead % problem.count if index.min() == index.max() else np.arange(problem.count)
+    where = np.zeros(problem.count, dtype=np.intp)
+    distinct, where[needed] = np.unique(problem.gaps[needed], return_inverse=True)
+    F, W = (a.reshape(distinct.size, m, *a.shape[1:]) for a in problem.flow(np.outer(distinct, part).ravel()))
+    head_F, head_W = problem.flow(np.outer(remaining, part).ravel())
+    head = push(np.eye(problem.size), head_F, head_W).reshape(remaining.size, m, problem.size, problem.size)
+    best = np.zeros((3, index.size))  # value, step and fraction of each window's peak
+    best[1] = -1
+    alive = np.arange(index.size)
+    _note(best, alive, head, part, -1)
+    Y, at = head[:, -1], index.copy()
+    for step in range(last_step + 1):
+        Y = update(Y, problem.rows[at])
+        going = _going(problem, Y, at, steady)
+        Y, alive = Y[going], alive[going]
+        at = (at[going] + 1) % problem.count
+        if not alive.size:
+            break
+        inside = push(Y[:, None], F[where[at]], W[where[at]])
+        _note(best, alive, inside, part, step)
+        Y = inside[:, -1]
+    return [
+        Peak(float(value), int(i), float(r), int(step), float(fraction))
+        for i, r, (value, step, fraction) in zip(index, remaining, best.T, strict=True)
+    ]
+
+
+def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> npt.NDArray[np.bool_]:
+    """Which windows may still bring something: the schedule goes on and the steady lap is not yet above."""
+    if problem.period is None:
+        return np.asarray(at + 1 < problem.count)
+    if steady is None:
+        return np.ones(at.size, dtype=bool)
+    slack = (1 + MERGED_RTOL) * steady[at] - Y + MERGED_RTOL * 1e-3 * np.eye(problem.size)
+    return np.asarray(np.linalg.eigvalsh(slack)[:, 0] < 0)
+
+
+def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
+    """Raise the peaks where a new value is larger; a cheap bound on the eigenvalue spares most of them."""
+    n = Y.shape[-1]
+    mean = np.trace(Y, axis1=-2, axis2=-1) / n
+    spread = np.maximum(np.einsum("...ij,...ij->...", Y, Y) / n - mean**2, 0.0)
+    values = mean + np.sqrt((n - 1) * spread)
+    hopeful = values > best[0, alive][:, None]
+    if not hopeful.any():
+        return
+    values[~hopeful] = 0.0
+    values[hopeful] = np.linalg.eigvalsh(Y[hopeful])[:, -1]
+    column = np.argmax(values, axis=1)
+    value = values[np.arange(alive.size), column]
+    higher = value > best[0, alive]
+    best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
+
+
+def supremum(problem: WindowProblem, finer: int = 1) -> tuple[Peak, Peak]:
+    """Return the largest attained lambda over all real starts, and over sample starts.
+
+    A coarse look at starts and times, then a finer and finer one around the best; what lies between is
+    for the checker to prove, which names a window where something was missed. `finer` multiplies both grids.
+    """
+    index, remaining = problem.sample_starts()
+    steady = None if problem.period is None else steady_lap(problem)
+    inner = np.arange(1, finer * max(START_CELLS, -(-MIN_STARTS // problem.count)))
+    parts = np.arange(1, 4 * finer + 1) / (4 * finer)
+    more = np.repeat(np.arange(problem.count), inner.size)
+    starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
+    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady)
+    own, others = found[: index.size], found[index.size :]
+    if steady is not None:
+        own.append(long_run(problem, steady, max(own, key=_value)))
+    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size)
+    anywhere = max([*others, at_sample], key=_value)
+    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size)
+    return max(anywhere, at_sample, key=_value), at_sample
+
+
+def _value(peak: Peak) -> float:
+    return peak.value
+
+
+def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
+    """Return `best`, or where the steady lap exceeds it: a window followed until it reaches that."""
+    follower = (np.arange(problem.count) + 1) % problem.count
+    part = np.asarray(TIME_FRACTIONS)
+    F, W = problem.flow(np.outer(problem.gaps[follower], part).ravel())
+    values = np.linalg.eigvalsh(push(np.repeat(steady, part.size, axis=0), F, W))[:, -1]
+    if values.max() <= best.value:
+        return best
+    index, remaining = problem.sample_starts()
+    laps = 1
+    found = best
+    while found.value < (1 - ATTAINED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
+        laps *= 4
+        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count)[0]
+    return max(found, best, key=_value)
+
+
+def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25) -> Peak:
+    """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
+    for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):
+        lowest = max(peak.remaining - width, 0.0)
+        highest = min(peak.remaining + width, float(problem.reach[peak.index]))
+        starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
+        parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 5)
+        found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0))
+        peak = max([peak, *found], key=_value)
+        width, time_width = width / 3, time_width / 2
+    return peak
+
+
+def located(problem: WindowProblem, start: float, t: float) -> Peak:
+    """Return the window that starts at `start`, at time `t`, as a peak without value."""
+    laps = 1 if problem.period is None else int(t / problem.period) + 2
+    times = (problem.times + (problem.period or 0.0) * np.arange(laps)[:, None]).ravel()
+    first = int(np.searchsorted(times, start * (1 + 1e-12), side="right"))
+    index = first % problem.count
+    remaining = float(min(times[first] - start, problem.reach[index]))
+    if t <= times[first]:
+        return Peak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
+    last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
+    gap = problem.gaps[last % problem.count]
+    return Peak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
+
+
+def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:
+    """Return Y at a peak, the time of the peak and the start of its window."""
+    start = problem.start_time(peak.index, peak.remaining)
+    before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
+    F, W = problem.flow([before])
+    Y, elapsed, at = push(np.eye(problem.size), F[0], W[0]), before, peak.index
+    lap_F, lap_W = problem.flow(problem.gaps)
+    for step in range(peak.step + 1):
+        Y = update(Y, problem.rows[at])
+        at = (at + 1) % problem.count
+        duration = problem.gaps[at] * (peak.fraction if step == peak.step else 1.0)
+        last = problem.flow([duration]) if step == peak.step else (lap_F[at : at + 1], lap_W[at : at + 1])
+        Y, elapsed = push(Y, last[0][0], last[1][0]), elapsed + duration
+    return Y, start + float(elapsed), start

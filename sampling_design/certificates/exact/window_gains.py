@@ -1,0 +1,144 @@
+"""ln lambda of a set of windows as a smooth function of P2, with its gradient: what the choice of weights descends on.
+
+Y depends on X = P2^-1 through dY(t) = Phi dX Phi', Phi the closed loop of the window, so that for the top
+eigenvector e of L'YL (P2 = L L') the gradient of lambda in P2 is lambda a a' - b b', a = L^-T e, b = X Phi' L e.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.certificates.exact.riccati import push, steady_lap, update
+from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+
+Array = npt.NDArray[np.float64]
+
+MERGED = 1e-3
+"""A window this near the steady lap, relative to it or to P2^-1, is followed no further."""
+MOST_WINDOWS = 48
+MOST_STEPS = 150
+ACTIVE = 0.05
+"""Times of a window whose ln lambda lies within this of its largest enter the smooth maximum."""
+SHARPNESS = 100.0
+"""Exponent of the smooth maximum over a window's times: it exceeds the true one by ln(times)/100 at most."""
+PARTS = (0.5, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSet:
+    """Windows of a problem in the coordinates of the (scaled) plant, P2 left open; flows are those of one eta."""
+
+    problem: WindowProblem
+    index: Index
+    head: tuple[Array, Array]
+    inside: tuple[Array, Array]
+    steady: Array | None
+
+    @classmethod
+    def of(cls, problem: WindowProblem) -> WindowSet:
+        """Sample starts and starts in the middle of each gap; where these are too many, evenly chosen ones."""
+        index, remaining = problem.sample_starts()
+        index = np.append(index, np.arange(problem.count))
+        remaining = np.append(remaining, problem.reach / 2)
+        if index.size > MOST_WINDOWS:
+            order = np.argsort(-remaining, kind="stable")
+            chosen = order[np.linspace(0, order.size - 1, MOST_WINDOWS).astype(int)]
+            index, remaining = index[chosen], remaining[chosen]
+        parts = np.asarray(PARTS)
+        F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
+        shape = (problem.count, parts.size, problem.size, problem.size)
+        steady = None if problem.period is None else steady_lap(problem)
+        return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady)
+
+    def least_floor(self) -> float:
+        """The largest eigenvalue of Y in the long run (finite: of the windows without prior error).
+
+        No certificate with this eta has a smaller 1/lambda_min(P1).
+        """
+        if self.steady is not None:
+            follower = (np.arange(self.problem.count) + 1) % self.problem.count
+            Y = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
+        else:
+            Y = self._paths(np.zeros((self.problem.size, self.problem.size)))[0]
+        return float(np.linalg.eigvalsh(Y)[..., -1].max())
+
+    def average(self) -> Array:
+        """Y averaged over the long-run lap; of a finite schedule, over its windows from P2 = I."""
+        if self.steady is not None:
+            return self.steady.mean(axis=0)
+        Y, _, valid = self._paths(np.eye(self.problem.size))
+        return np.asarray(Y[valid].mean(axis=0))
+
+    def _paths(self, X: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Y and Phi at the noted times, shape (times, windows, n, n), and which of them lie within the schedule."""
+        problem = self.problem
+        Y, Phi, at = push(X, *self.head), self.head[0], self.index
+        Ys, Phis, valid = [Y], [Phi], [np.ones(at.size, dtype=bool)]
+        alive = valid[0]
+        scale = max(float(np.linalg.norm(X)), 0.0 if self.steady is None else float(np.linalg.norm(self.steady[0])))
+        for _ in range(MOST_STEPS):
+            following = update(Y, problem.rows[at])
+            gain_free = _closed(Y, problem.rows[at]) @ Phi
+            if self.steady is None:
+                alive = alive & (at + 1 < problem.count)
+            else:
+                ahead = np.linalg.norm(following - self.steady[at], axis=(1, 2))
+                alive = alive & (ahead > MERGED * scale)
+            if not alive.any():
+                break
+            at = (at + 1) % problem.count
+            for part in range(len(PARTS)):
+                F, W = self.inside[0][at, part], self.inside[1][at, part]
+                Y, Phi = push(following, F, W), F @ gain_free
+                Ys.append(Y)
+                Phis.append(Phi)
+                valid.append(alive)
+        return np.array(Ys), np.array(Phis), np.array(valid)
+
+    def log_lambda(self, L: Array) -> tuple[Array, Array]:
+        """Return ln lambda of each window (and of the steady lap, last) and the gradients in P2, (m,) and (m, n, n)."""
+        half = np.asarray(np.linalg.inv(L), dtype=np.float64)
+        X = half.T @ half
+        Y, Phi, valid = self._paths(X)
+        if self.steady is not None:
+            follower = (np.arange(self.problem.count) + 1) % self.problem.count
+            lap = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
+            lap = lap.reshape(-1, *X.shape)
+        else:
+            lap = np.zeros((0, *X.shape))
+        values, gradients = _smooth_max(L, half, X, Y, Phi, valid)
+        if not len(lap):
+            return values, gradients
+        last, slope = _smooth_max(L, half, X, lap[:, None], np.zeros_like(lap[:, None]), np.ones((len(lap), 1), bool))
+        return np.append(values, last), np.concatenate([gradients, slope])
+
+
+def _closed(Y: Array, rows: Array) -> Array:
+    """I - K C of a sample."""
+    cross = Y @ np.swapaxes(rows, -1, -2)
+    gain = np.linalg.solve(np.eye(rows.shape[-2]) + rows @ cross, np.swapaxes(cross, -1, -2))
+    return np.eye(Y.shape[-1]) - np.swapaxes(gain, -1, -2) @ rows
+
+
+def _smooth_max(
+    L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: npt.NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Smooth maximum over times (first axis) of ln lambda_max(L'YL) per window, and its gradient in P2."""
+    seen = L.T @ Y @ L
+    logs = np.log(np.maximum(np.linalg.eigvalsh(seen)[..., -1], 1e-300))
+    logs = np.where(valid, logs, -np.inf)
+    top = logs.max(axis=0)
+    time, window = np.nonzero(logs > top - ACTIVE)
+    share = np.exp(SHARPNESS * (logs[time, window] - top[window]))
+    total = np.bincount(window, share, minlength=top.size)
+    values, vectors = np.linalg.eigh(seen[time, window])
+    e, lam = vectors[..., -1], values[..., -1]
+    a = e @ half
+    b = np.einsum("kji,kj->ki", Phi[time, window], e @ L.T) @ X
+    slopes = a[:, :, None] * a[:, None, :] - b[:, :, None] * b[:, None, :] / lam[:, None, None]
+    gradients = np.zeros((top.size, *X.shape))
+    np.add.at(gradients, window, (share / total[window])[:, None, None] * slopes)
+    return top + np.log(total) / SHARPNESS, gradients

@@ -1,0 +1,358 @@
+"""From a plant and a family of schedules to a proven certificate for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._linalg import symmetrise
+from sampling_design._record import short
+from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.riccati import steady_lap
+from sampling_design.certificates.exact.weight_choice import rate_range
+from sampling_design.certificates.exact.window_problem import noise_input, window_problem
+from sampling_design.certificates.existence.counterexample import narrowed, refute
+from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.certificates.families.graphs import graph_of, in_plant_terms, levels_of_memory
+from sampling_design.certificates.families.path_complete import GapGraph, unrolled
+from sampling_design.certificates.families.program import Program
+from sampling_design.certificates.families.step_proof import (
+    Doubles,
+    Dynamics,
+    Outcome,
+    Weights,
+    dynamics_of,
+    edge_conditions,
+    node_conditions,
+)
+from sampling_design.certificates.families.step_proof import prove as proven_along
+from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.evidence import SolverRecord
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.floating[Any]]
+Progress = Callable[[float, str], None]
+
+LARGEST_LAM = 1e8
+"""Beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding."""
+LAM_RTOL = 3e-3
+"""Width of the bisection on lambda at the end; COARSE_RTOL while rates are compared."""
+COARSE_RTOL = 0.05
+LEAST_FLOOR = 1e-7
+"""Kept information below this fraction of the nominal schedule's counts as none: the solver's tolerance, with room."""
+LAYERS, LAYERS_GIVEN = 2, 6
+"""Samples since the window's start that are told apart where P2 is chosen, and where it is given: the transient from
+a given P2 may be long, and one matrix below all of it far too small."""
+MOST_UNKNOWNS = 1500
+"""Unknowns of a semidefinite program beyond which no layers are added."""
+ROUNDS = 8
+"""How often a gap that the proof found may be added to the grid."""
+SCAN = 6
+GOLDEN = 4
+"""Rates of the first scan, and bisections of the best one's neighbourhood afterwards."""
+TRIED_RATES = 3
+MEMORY_GAIN = 1.1
+"""Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
+NARROWINGS = 5
+"""Halvings of the part of a family that is certified where the whole is undecided."""
+ROOM = 1.05
+"""Factor on lambda where a gap that was added leaves no point at the lambda found before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Matrices of every node (P2 first) in the coordinates of `dynamics`, with the lambda that they reach."""
+
+    dynamics: Dynamics
+    graph: GapGraph
+    P: Array
+    lam: float
+    solver: SolverRecord
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """Why there is no proposal: the share of the nominal information that is kept, and the gap that is worst.
+
+    `lam` is the least one on the grid, proven for nothing; infinite if there is none.
+    """
+
+    kept: float
+    gap: float | None
+    memory: int
+    eta: float
+    lam: float
+
+
+class Search:
+    """The semidefinite program of one plant, family and choice of weights, for one rate and memory after the other."""
+
+    def __init__(self, plant: Plant, family: Any, weights: Weights, P2: Array | None, budget: float) -> None:
+        self.plant, self.family, self.weights, self.P2, self.budget = plant, family, weights, P2, budget
+
+    def program(self, eta: float, memory: int, layers: int = LAYERS) -> Program:
+        """The inequalities in coordinates where the nominal schedule keeps about the identity."""
+        graph = graph_of(self.family, memory, self.plant.n_outputs)
+        n, scales = self.plant.n_states, self.plant.states.scales
+        room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
+        graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
+        nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
+        K = np.linalg.cholesky(np.mean(steady_lap(nominal), axis=0))
+        root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
+        dynamics = dynamics_of(self.plant, self.weights, eta, root, graph)
+        given = None if self.P2 is None else dynamics.inside(self.P2)
+        return Program(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given)
+
+    def least_lam(self, program: Program, rtol: float, start: float = 2.0) -> tuple[float, Array | None, float, Any]:
+        """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all."""
+        if program.P2 is not None:
+            ratio, P, record = program.best_ratio()
+            return (1 / ratio if P is not None else np.inf), P, ratio, record
+        floor, P, record = program.floor()
+        kept = floor * float(np.linalg.eigvalsh(program.unit)[-1])
+        if P is None or kept < LEAST_FLOOR:
+            return np.inf, None, max(kept, 0.0), record
+        low, high, lam, best = 1.0, np.inf, start, None
+        while high > low * (1 + rtol) and low < LARGEST_LAM:
+            _, found, record = program.feasible(lam, floor / self.budget)
+            if found is None:
+                low = lam
+            else:
+                high, best, seen = lam, found, record
+            lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
+        return (high, best, kept, seen) if best is not None else (np.inf, None, kept, record)
+
+    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> Proposal | Shortfall:
+        """Return matrices for which every inequality is proven along its interval, or why there are none.
+
+        A lambda above `worst` on the grid ends the search.
+        """
+        program = self.program(eta, memory)
+        lam, P, kept, record = self.least_lam(program, LAM_RTOL)
+        gap = None
+        for _ in range(ROUNDS):
+            if P is None or lam > worst:
+                break
+            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P))
+            claimed, nodes = self._lam_of(program, P)
+            if edges.proven and nodes.proven:
+                return Proposal(program.dynamics, program.graph, P, claimed, record)
+            gap = max(edges.failed.values(), key=lambda item: item[1])[0] if edges.failed else gap
+            program.gain(edges.failed, nodes.failed)
+            if (edges.tight or nodes.tight) and not program.widen():
+                break
+            floor = program.floor()[0] if program.P2 is None else 0.0
+            again = None
+            if program.P2 is None and floor * float(np.linalg.eigvalsh(program.unit)[-1]) >= LEAST_FLOOR:
+                _, again, record = program.feasible(lam * ROOM, floor / self.budget)
+                lam = lam * ROOM if again is not None else lam
+            if again is None:
+                lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
+            P = again
+        return Shortfall(kept, gap, memory, eta, lam)
+
+    @staticmethod
+    def _lam_of(program: Program, P: Array) -> tuple[float, Outcome]:
+        """The lambda that the matrices reach, and the proof of (1 - 1e-3) P2 <= lam Phi."""
+        dynamics, graph = program.dynamics, program.graph
+        tops = graph.tops
+        parts = np.linspace(0.0, 1.0, 33)
+        F, W = dynamics.flow(np.outer(tops, parts).ravel())
+        Y = F @ np.repeat(np.linalg.inv(P), parts.size, axis=0) @ np.swapaxes(F, 1, 2) + W
+        L = np.linalg.cholesky(P[0])
+        lam = float(np.linalg.eigvalsh(symmetrise(L.T @ Y @ L))[:, -1].max())
+        for _ in range(ROUNDS):
+            outcome = proven_along(dynamics, node_conditions(graph, P, (1 - RESOLUTION) * P[0] / lam))
+            worst = max((theta for _, theta in outcome.failed.values()), default=0.0)
+            if outcome.proven or worst < 1:
+                break
+            lam *= worst * (1 + RESOLUTION / 4)
+        return lam, outcome
+
+    def horizon(self, eta: float, memory: int) -> float:
+        """ln(lam)/eta at a rate, roughly; infinite where there is nothing."""
+        try:
+            lam, P, _, _ = self.least_lam(self.program(eta, memory, layers=1), COARSE_RTOL)
+        except CertificateError:
+            return np.inf
+        return np.inf if P is None else float(np.log(max(lam, 1.0)) / eta)
+
+    def rates(self, bounds: tuple[float, float], memory: int, report: Progress) -> list[float]:
+        """Rates in the order of the horizons that they promise: a scan, then its best neighbourhood halved."""
+        tried = {float(rate): self.horizon(float(rate), memory) for rate in np.geomspace(*bounds, SCAN)}
+        for k in range(GOLDEN):
+            report(0.1 + 0.1 * k, "choice of the rate")
+            ordered = sorted(tried)
+            best = min(tried, key=lambda rate: (tried[rate], -rate))
+            place = ordered.index(best)
+            if not np.isfinite(tried[best]):
+                break
+            for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
+                rate = float(np.sqrt(best * other))
+                if rate not in tried:
+                    tried[rate] = self.horizon(rate, memory)
+        return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
+
+    def decide(
+        self, bounds: tuple[float, float], levels: list[int], least: tuple[float, Any], report: Progress
+    ) -> Proposal:
+        """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
+        missed: list[Shortfall] = []
+        for level in levels:
+            report(0.1, f"memory level {level}")
+            found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
+            if isinstance(found, Proposal):
+                chosen = bounds[0] < bounds[1]
+                return self.best_of(self.rates(bounds, level, report), level, found) if chosen else found
+            missed.append(found)
+            if len(missed) > 2 and found.kept < MEMORY_GAIN * missed[-3].kept:
+                break  # two levels more, and no more information kept: memory is not what is missing
+            if level == levels[0]:
+                report(0.3, "search for a schedule without certificate")
+                least = refute(self.plant, self.family, bounds[0], hints=[found.gap])
+        raise _undecided(self, bounds[0], missed, least)
+
+    def best_of(self, rates: list[float], memory: int, known: Proposal) -> Proposal:
+        """The first of the most promising rates whose proposal is proven and better than `known`, else `known`."""
+        for rate in rates[:TRIED_RATES]:
+            found = self.propose(rate, memory)
+            if isinstance(found, Proposal) and _horizon_of(found) < _horizon_of(known):
+                return found
+        return known
+
+
+def _horizon_of(found: Proposal) -> float:
+    return float(np.log(max(found.lam, 1.0)) / found.dynamics.eta)
+
+
+def certify_family(
+    plant: Plant,
+    family: Any,
+    *,
+    eta: float | None = None,
+    P2: npt.ArrayLike | None = None,
+    Qw: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    Qv: npt.ArrayLike | None = None,
+    budget: float = 3.0,
+    memory: int | None = None,
+    progress: Progress | None = None,
+) -> FamilyCertificate:
+    """Certify that every schedule of a family makes a plant sample-based exponentially i-iIOSS (Assumption 7).
+
+        Phi_h(P_u) + C'R~C >= P_v on every edge of the family's graph of gap words,    Phi_s(P_u) >= P2/lam
+
+    Parameters
+    ----------
+    plant : Plant
+    family : GapRange, SpacedWindows, LostSamples or Jitter
+        The last two with a PeriodicSchedule as nominal.
+    eta, P2, Qw, R, Qv, budget
+        As for `certify`.
+    memory : int, optional
+        How much of the past the graph remembers (0 the least). Default: as little as is enough.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    FamilyCertificate
+        Proven: its `verify()` has passed.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is out of range, or family and plant do not fit.
+    CertificateError
+        If some schedule of the family has no certificate: details `counterexample`, `gaps`, `eigenvalue`, `direction`.
+    UndecidedError
+        If neither a certificate nor such a schedule was found: details say how far both searches came.
+
+    Notes
+    -----
+    *Assumptions.* As for `certify`. *Claim.* Holds for every schedule of the family, every real window start and
+    every later time; lam is an upper bound on the family's supremum. *Method.* Semidefinite programs on a grid of gaps
+    with a stated margin, bisection on lam, a search on eta; the continuum between the grid points is proven by
+    stepping along it, and every gap where that fails joins the grid. `family_checker.py` proves the result again by
+    another route. *Numerical aspects.* Posed in coordinates where the nominal schedule keeps the identity.
+
+    References
+    ----------
+    The paper, Assumption 7 and Theorem 17.
+
+    Examples
+    --------
+    >>> from sampling_design.schedules.gap_range import GapRange
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> certificate = certify_family(oscillator, GapRange(0.5, 1.5), eta=0.1)
+    >>> certificate.lam < 2.0, certificate.verify().passed
+    (True, True)
+    """
+    report = progress or (lambda fraction, message: None)
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    family = in_plant_terms(plant, family)
+    weights = weights_of(plant, Qw, R, Qv)
+    given = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
+    rate = None if eta is None else _checks.positive("eta", eta)
+    noise_input(plant.G, weights[0])
+    if not _checks.number("budget", budget) > 1:
+        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
+    levels = range(levels_of_memory(family)) if memory is None else [_checks.whole("memory", memory)]
+    if not plant.n_states:
+        return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
+    bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
+    least = refute(plant, family, bounds[0], quick=True)
+    found = Search(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
+    return certified(plant, family, weights, given, found)
+
+
+def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, found: Proposal) -> FamilyCertificate:
+    """The certificate of a proposal, judged by the independent checker."""
+    P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
+    if given is not None:
+        P[0] = given
+    lam = max(found.lam, 1.0)
+    made = FamilyCertificate(
+        plant, family, (1 - RESOLUTION) * P[0] / lam, P[0], *weights, found.dynamics.eta, lam, lam,
+        STATED_MARGIN, None, found.solver, graph=found.graph, P=P,
+    )  # fmt: skip
+    verdict = made.verify()
+    if not verdict.passed:
+        raise CertificateError(
+            f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
+        )
+    return made
+
+
+def without_states(plant: Plant, family: Any, weights: Weights, rate: float, graph: GapGraph) -> FamilyCertificate:
+    """The certificate where there is nothing to prove."""
+    empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))
+    return FamilyCertificate(plant, family, empty, empty, *weights, rate, 1.0, 1.0, graph=graph, P=P)
+
+
+def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:
+    """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
+    part = None
+    low, high = 0.0, 1.0
+    for _ in range(NARROWINGS):
+        fraction = (low + high) / 2
+        smaller = narrowed(search.family, fraction)
+        if smaller is None:
+            break
+        found = Search(search.plant, smaller, search.weights, search.P2, search.budget).propose(eta, 0)
+        low, high, part = (fraction, high, smaller) if isinstance(found, Proposal) else (low, fraction, part)
+    best = max(missed, key=lambda item: item.kept, default=None)
+    known = "" if part is None else f" Certified is: {part.explain()}"
+    return UndecidedError(
+        f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."
+        f"{known} The schedule that is seen worst has the gaps {short(least[1].gaps)} (margin {short(least[0], 3)}).",
+        status="undecided", eta=eta, certified=part, kept=None if best is None else best.kept,
+        gap=None if best is None else best.gap, word=least[1], margin=least[0],
+    )  # fmt: skip

@@ -1,0 +1,105 @@
+"""A certificate that holds for every schedule of a family."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import short
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.families.graphs import in_plant_terms
+from sampling_design.certificates.families.path_complete import GapGraph, graph_from_dict
+from sampling_design.certificates.form.seal import FAMILY_CLAIM
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import Claim
+from sampling_design.schedules.family_files import family_from_dict, family_to_dict
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FamilyCertificate(Certificate):
+    """Weights with which every schedule of a family makes a plant sample-based exponentially i-iIOSS.
+
+    Attributes
+    ----------
+    schedule : GapRange, SpacedWindows, LostSamples or Jitter
+        The family.
+    graph : GapGraph
+        Its schedules as paths of gap words, window starts at any real time included.
+    P : (graph.count, n, n) array
+        Information that is kept at each node; P[0] = P2. `gap_graph` lists the inequalities.
+    lam : float
+        lambda_max(P2, Phi_s(P_u)) is at most lam/(1 - 1e-3) at every node and time: an upper bound on the supremum
+        over all schedules of the family and all window starts, attained by the matrices, not by a schedule.
+    lam_samples : float
+        The same number: the first sample of a schedule may come at any time.
+
+    Notes
+    -----
+    All other attributes, horizons and error bounds are those of `Certificate`; samples that an error bound counts
+    are as many as the least gap of the family allows.
+    """
+
+    graph: GapGraph = field(default_factory=lambda: GapGraph(((),), ()), kw_only=True)
+    P: Array = field(default_factory=lambda: np.zeros((1, 0, 0)), kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        P = np.asarray(self.P, dtype=np.float64)
+        if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
+            raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")
+        object.__setattr__(self, "P", _checks.freeze(P))
+
+    def _met(self) -> Any:
+        return in_plant_terms(self.plant, self.schedule)
+
+    @property
+    def family(self) -> Any:
+        """The family of schedules."""
+        return self.schedule
+
+    @property
+    def claim(self) -> Claim:
+        """What the certificate says; `verify()` proves it."""
+        return Claim(
+            f"sample-based exponential i-iIOSS with rate {short(self.eta)} for every schedule of the family and every "
+            "real window start",
+            "Assumption 7",
+            ("linear plant", self.family.explain().rstrip(".")),
+        )
+
+    @property
+    def d_max(self) -> float:
+        """Largest gap of any schedule of the family."""
+        return float(self.family.d_max)
+
+    def _samples_until(self, end: float) -> Array:
+        # the i-th last sample of any schedule lies at least i least gaps before `end`
+        return end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1)
+
+    def _file_parts(self) -> dict[str, Any]:
+        return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        size = f"{self.graph.count - 1} node{'s' * (self.graph.count != 2)}, {len(self.graph.edges)} edges"
+        return [("family", self.family.explain()), *super()._rows(), ("graph", size)]
+
+    def explain(self) -> str:
+        """Say what the certificate proves."""
+        return (
+            f"{self.family.explain()} On each of them the past fades at rate {short(self.eta)} per "
+            f"{self.plant.time_unit}: whatever the schedule and the window start, the information kept is at least "
+            f"1/{short(self.lam)} of the prior weight P2, so that a window longer than {short(self.horizon().minimum)} "
+            "contracts."
+        )
+
+
+def parts_from_dict(data: dict[str, Any], P2: Array) -> dict[str, Any]:
+    """Return the arguments of a FamilyCertificate that a file of claim "family" adds: family, graph and matrices."""
+    graph, P = graph_from_dict(data["graph"], _checks.definite("P2", P2, len(P2)))
+    return {"schedule": family_from_dict(data["times"]), "graph": graph, "P": P}

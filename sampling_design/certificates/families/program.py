@@ -1,0 +1,239 @@
+"""The family certificate as a semidefinite program on a grid of gaps.
+
+    Phi_h(P) >= Z   <=>   [[P - F'ZF, -F'ZL], [., I - L'ZL]] >= 0,   W_h = LL'
+
+Edges are asked with Z = (1 + margin) P_v - C'R~C, nodes with Z = (1 + margin) P2/lam. A solver's point is only a
+proposal: `family_proof` closes the continuum between the grid points, or names the gap that the grid must gain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _conic
+from sampling_design._linalg import psd_root
+from sampling_design.certificates.families.path_complete import GapGraph
+from sampling_design.certificates.families.step_proof import Dynamics
+
+Array = npt.NDArray[np.floating[Any]]
+
+MARGIN = 2e-4
+"""Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
+WIDER, WIDEST = 10.0, 0.05
+"""Factor on the margin where that room was too small for the proof's steps, and the largest margin that is tried."""
+LEAST_POINTS = 5
+POINTS_PER_RADIAN = 3.0
+"""Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing."""
+MOST_POINTS = 41
+COARSE_TOLERANCE = 1e-6
+"""Tolerance of a second attempt where the solver failed; far below MARGIN."""
+LEAST_SLACK = 1e-9
+"""A point counts only if the solver reached at least this slack; the tolerance asked of it."""
+
+
+@dataclass(eq=False)
+class Program:
+    """The inequalities of one graph on a grid that grows; `P2` None means that it is a variable."""
+
+    dynamics: Dynamics
+    graph: GapGraph
+    unit: Array
+    P2: Array | None = None
+    margin: float = MARGIN
+    edge_times: list[list[float]] = field(default_factory=list)
+    node_times: list[list[float]] = field(default_factory=list)
+    _cache: dict[Any, tuple[Array, Array, Array]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.edge_times = [_grid(self.dynamics, e.low, e.high) for e in self.graph.edges]
+        self.node_times = [_grid(self.dynamics, 0.0, top) for top in self.graph.tops.tolist()]
+        self.pairs = self.dynamics.size * (self.dynamics.size + 1) // 2
+        self.basis = _conic.smat(np.eye(self.pairs))
+
+    def _flow(self, h: float) -> tuple[Array, Array, Array]:
+        """Operators of one gap on svec: P -> J P J', Z -> E'ZE, and E = [F L] itself."""
+        if h not in self._cache:
+            n = self.dynamics.size
+            F, W = self.dynamics.flow([h])
+            L = psd_root(W[0])
+            E = np.hstack([F[0], L])
+            J = np.vstack([np.eye(n), np.zeros((L.shape[1], n))])
+            lift = _conic.svec(J @ self.basis @ J.T).T
+            self._cache[h] = lift, _conic.svec(E.T @ self.basis @ E).T, E
+        return self._cache[h]
+
+    def _columns(self, node: int) -> slice | None:
+        """Where the variables of a node's matrix lie; None where it is given (or infinite)."""
+        if node == 0:
+            return slice(self.graph.count - 1, self.graph.count) if self.P2 is None else None
+        return slice(node - 1, node)
+
+    def _width(self, scalar: bool) -> int:
+        return (self.graph.count - 1 + (self.P2 is None)) * self.pairs + scalar
+
+    def _place(self, matrix: Any, node: int) -> slice:
+        column = self._columns(node)
+        assert column is not None
+        return slice(column.start * self.pairs, column.stop * self.pairs)
+
+    def floor(self) -> tuple[float, Array | None, _conic.SolverRecord]:
+        """Return the largest p such that Pi >= p unit is certified from P2 = infinity on the grid, the P_v (P[0] nan).
+
+        p <= 0 or None: not even this exists.
+        """
+        given, self.P2 = self.P2, np.zeros((0, 0))  # the start's matrix is infinite: no variable
+        try:
+            width = self._width(True)
+            cost = np.zeros(width)
+            cost[-1] = -1.0
+            blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
+            blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
+            found = _solved(cost, [b for b in blocks if b[2].size])
+            if not _conic.usable(found.record):
+                return 0.0, None, found.record
+            return float(found.x[-1]), self._matrices(found.x), found.record
+        finally:
+            self.P2 = given
+
+    def feasible(self, lam: float, floor: float) -> tuple[float, Array | None, _conic.SolverRecord]:
+        """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
+        width = self._width(True)
+        cost = np.zeros(width)
+        cost[-1] = -1.0
+        ratio = (1 + self.margin) / lam
+        blocks = [self._edge(k, h, width, slack=True) for k, h in self._edge_points()]
+        blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
+        above = np.zeros((self.pairs, width))
+        above[:, self._place(None, 0)] = -np.eye(self.pairs) / lam
+        blocks.append(("psd", above, -floor * _conic.svec(self.unit)))
+        cap = np.zeros((1, width))
+        cap[0, -1] = 1.0
+        blocks.append(("nonnegative", cap, np.ones(1)))
+        found = _solved(cost, blocks)
+        if not _conic.usable(found.record) or found.x[-1] < LEAST_SLACK:
+            return 0.0, None, found.record
+        return float(found.x[-1]), self._matrices(found.x), found.record
+
+    def best_ratio(self) -> tuple[float, Array | None, _conic.SolverRecord]:
+        """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
+        width = self._width(True)
+        cost = np.zeros(width)
+        cost[-1] = -1.0
+        blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
+        blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
+        found = _solved(cost, blocks)
+        if not _conic.usable(found.record) or found.x[-1] <= 0:
+            return 0.0, None, found.record
+        return float(found.x[-1]), self._matrices(found.x), found.record
+
+    def _edge_points(self) -> list[tuple[int, float]]:
+        return [(k, h) for k, times in enumerate(self.edge_times) for h in times]
+
+    def _node_points(self) -> list[tuple[int, float]]:
+        return [(u, s) for u, times in enumerate(self.node_times) for s in times]
+
+    def _start(self, node: int, h: float, width: int) -> tuple[Array, Array, Array, Array]:
+        """Rows of -[J P_u J'], right side blk(P_u, I) as far as it is given, Z's operator and E."""
+        lift, press, E = self._flow(h)
+        n = self.dynamics.size
+        rows, right = np.zeros((lift.shape[0], width)), np.zeros((E.shape[1], E.shape[1]))
+        right[n:, n:] = np.eye(E.shape[1] - n)
+        if self._columns(node) is not None:
+            rows[:, self._place(None, node)] = -lift
+        else:
+            assert self.P2 is not None
+            right[:n, :n] = self.P2
+        return rows, right, press, E
+
+    def _edge(
+        self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False
+    ) -> tuple[str, Array, Array]:
+        edge = self.graph.edges[k]
+        if infinite and edge.source == 0:
+            return self._from_infinity(
+                h, width, self._place(None, edge.target), self.dynamics.information(edge.outputs)
+            )
+        rows, right, press, E = self._start(edge.source, h, width)
+        rows[:, self._place(None, edge.target)] += (1 + self.margin) * press
+        right = right + E.T @ self.dynamics.information(edge.outputs) @ E
+        if slack:
+            rows[:, -1] = _conic.svec(np.eye(E.shape[1]))
+        return "psd", rows, _conic.svec(right)
+
+    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> tuple[str, Array, Array]:
+        """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
+        _, _, E = self._flow(h)
+        L = E[:, self.dynamics.size :]
+        rows = np.zeros((L.shape[1] * (L.shape[1] + 1) // 2, width))
+        rows[:, place] = (1 + self.margin) * _conic.svec(L.T @ self.basis @ L).T
+        return "psd", rows, _conic.svec(np.eye(L.shape[1]) + L.T @ information @ L)
+
+    def _node(self, node: int, s: float, width: int, ratio: float) -> tuple[str, Array, Array]:
+        rows, right, press, E = self._start(node, s, width)
+        rows[:, self._place(None, 0)] += ratio * press
+        rows[:, -1] = _conic.svec(np.eye(E.shape[1]))
+        return "psd", rows, _conic.svec(right)
+
+    def _node_ratio(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
+        assert self.P2 is not None
+        rows, right, press, _ = self._start(node, s, width)
+        rows[:, -1] = (1 + self.margin) * press @ _conic.svec(self.P2)
+        return "psd", rows, _conic.svec(right)
+
+    def _node_floor(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
+        _, press, E = self._flow(s)
+        if node == 0:
+            L = E[:, self.dynamics.size :]
+            return "psd", self._column(_conic.svec(L.T @ self.unit @ L), width), _conic.svec(np.eye(L.shape[1]))
+        rows, right, press, _ = self._start(node, s, width)
+        rows[:, -1] = press @ _conic.svec(self.unit)
+        return "psd", rows, _conic.svec(right)
+
+    @staticmethod
+    def _column(values: Array, width: int) -> Array:
+        rows = np.zeros((values.size, width))
+        rows[:, -1] = values
+        return rows
+
+    def _matrices(self, x: Array) -> Array:
+        """P of every node, P2 first (nan where it is infinite)."""
+        P = _conic.smat(x[:-1].reshape(-1, self.pairs))
+        if self.P2 is None:
+            return np.concatenate([P[-1:], P[:-1]])
+        first = self.P2 if self.P2.size else np.full_like(P[0], np.nan)
+        return np.concatenate([first[None], P])
+
+    def gain(
+        self, edge_failures: dict[int, tuple[float, float]], node_failures: dict[int, tuple[float, float]]
+    ) -> None:
+        """Add the gaps at which a proof failed to the grid."""
+        for times, failures in ((self.edge_times, edge_failures), (self.node_times, node_failures)):
+            for k, (h, _) in failures.items():
+                if h not in times[k]:
+                    times[k].append(h)
+
+    def widen(self) -> bool:
+        """Ask for more room between the grid points; False if there is no more."""
+        before, self.margin = self.margin, min(self.margin * WIDER, WIDEST)
+        return self.margin > before
+
+
+def _solved(cost: Array, blocks: list[tuple[str, Array, Array]]) -> _conic.ConeSolution:
+    """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
+    found = _conic.solve_cone_program(cost, blocks)
+    if found.record.status == _conic.FAILED:
+        found = _conic.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE)
+    return found
+
+
+def _grid(dynamics: Dynamics, low: float, high: float) -> list[float]:
+    """Grid of an interval, ends included; one point where it has no length."""
+    if high <= low:
+        return [low]
+    speed = float(np.abs(np.linalg.eigvals(dynamics.A)).max(initial=0.0)) + dynamics.eta / 2
+    count = int(np.clip(np.ceil(POINTS_PER_RADIAN * speed * (high - low)) + 1, LEAST_POINTS, MOST_POINTS))
+    return np.linspace(low, high, count).tolist()

@@ -1,0 +1,70 @@
+"""The verdict on a certificate, and which independent checker gives it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from typing import Any
+
+from sampling_design._record import Record, short
+from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM
+
+CHECKERS = {CLAIM: "checker", FAMILY_CLAIM: "family_checker", DETECTABILITY_CLAIM: "dissipation_checker"}
+"""Claim of a certificate file and the module of this room that proves it, from plain data alone."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Verification(Record):
+    """The verdict of `verify` on a certificate.
+
+    Attributes
+    ----------
+    passed : bool
+    inequality : str
+        The inequality that was proven, or the first one that fails.
+    time : float or None
+        Where it fails, if it fails at a time.
+    start : float or None
+        Start of the window in which it fails.
+    amount : float
+        By how much: the least relative slack found (negative: how far it is violated).
+    reason : str
+        One sentence.
+    direction : list of float or None
+        Along which it fails, if that is known: of unit length; states, then disturbances.
+    """
+
+    passed: bool
+    inequality: str
+    time: float | None
+    start: float | None
+    amount: float
+    reason: str
+    direction: list[float] | None = None
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("passed", "yes" if self.passed else "no"), ("inequality", self.inequality)]
+        if self.time is not None:
+            rows.append(("time", short(self.time)))
+        if self.start is not None:
+            rows.append(("window from", short(self.start)))
+        if self.direction is not None:
+            rows.append(("direction", short(self.direction, 3)))
+        return [*rows, ("slack", short(self.amount, 3)), ("reason", self.reason)]
+
+    def explain(self) -> str:
+        """Say the verdict."""
+        return ("Proven: " if self.passed else "Refused: ") + self.reason
+
+
+def verdict_of(data: dict[str, Any]) -> Verification:
+    """Run the independent checker on the plain data of a certificate."""
+    module = import_module(f"sampling_design.certificates.{CHECKERS[data['claim']]}")
+    return Verification(**module.check(data))

@@ -1,0 +1,219 @@
+"""Theorem 14 with Theorem 5, (A, C) observable: from detectability and a window's sigma to Assumption 7."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch, generalised_max
+from sampling_design._record import short
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+from sampling_design.certificates.form.constants import Constant, ConstantList
+from sampling_design.certificates.paper.flow_norm import largest_flow
+from sampling_design.errors import CertificateError
+
+Array = npt.NDArray[np.float64]
+
+SAFE = 1 + 1e-9
+"""Factor on every constant of the right-hand side: covers the rounding of the few operations behind it."""
+LARGEST = 1e150
+"""Constants beyond this are refused: their squares leave the range of floating point."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """What Theorem 14 assumes of the samples, measured on a schedule.
+
+    `window` T; `kappa` the most samples in a closed window of length T; `sigma_bar` > 0 a proven lower bound of sigma
+    over all real positions of the window; `d_max` the longest gap, the first one included.
+    """
+
+    window: float
+    kappa: int
+    sigma_bar: float
+    d_max: float
+
+    @property
+    def t_star(self) -> float:
+        """max(T, d_max): the restarts of Theorem 5 need a sample in every interval of this length."""
+        return max(self.window, self.d_max)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """P1, P2, Qw, R0, eta of the noise-free Assumption 7 (R0 a multiple of the identity), and how they came about."""
+
+    P1: Array
+    P2: Array
+    Qw: Array
+    R0: float
+    eta: float
+    constants: ConstantList
+
+    @property
+    def lam(self) -> float:
+        """lambda_max(P2, P1)."""
+        return generalised_max(self.P2, self.P1)
+
+
+def lemma_12(detectability: DetectabilityCertificate, samples: Hypotheses) -> ConstantList:
+    """|C e^{AT}|, mu_bar and k_w: what a window of samples says about the output at its end."""
+    plant, T = detectability.plant, samples.window
+    ends = float(np.linalg.norm(plant.C @ expm_batch(plant.A, T)[0], 2)) * SAFE
+    k_w = largest_flow(plant.C, plant.A, plant.G, T).upper
+    return ConstantList(
+        (
+            Constant("T", T, r"\text{window}", "Theorem 14, hypothesis", "T"),
+            Constant("kappa", samples.kappa, r"\max_t |K\cap[t-T,t]|", "Theorem 14, hypothesis", r"\kappa"),
+            Constant(
+                "sigma_bar",
+                samples.sigma_bar,
+                r"\inf_{t} \sigma_n(O_s e^{-A(t-T)})",
+                "Theorem 14, hypothesis",
+                r"\bar\sigma",
+            ),
+            Constant("d_max", samples.d_max, r"\sup_i d_i", "Definition 2", r"d_{\max}"),
+            Constant("norm_CeAT", ends, r"|Ce^{AT}|", "Lemma 12", r"|Ce^{AT}|"),
+            Constant("mu_bar", ends / samples.sigma_bar, r"|Ce^{AT}|/\bar\sigma \ge |H|", "Lemma 12", r"\bar\mu"),
+            Constant("k_w", k_w, r"\max_{0\le s\le T}|Ce^{As}G|", "Theorem 14", "k_w"),
+        )
+    )
+
+
+def paper_chain(detectability: DetectabilityCertificate, samples: Hypotheses) -> Chain:
+    """The paper's own constants, its misprints corrected (theory 3.1).
+
+        P1 = P/2,  P2 = 4 lambda_max(P) e^{(2 Lf + eta) t*} I,
+        Qw = [c_w + 2 e^{3 eta t*} alpha_w + 4 lambda_max(P) t* |G|^2 e^{(2 Lf + eta) t*}] I,
+        R0 = 2 e^{3 eta t*} alpha_y
+
+    Raises
+    ------
+    CertificateError
+        If a factor leaves the range of floating point (stiff plants: Lf t* is the exponent).
+    """
+    plant, eta, t_star = detectability.plant, detectability.eta, samples.t_star
+    n, T, kappa = plant.n_states, samples.window, samples.kappa
+    first = lemma_12(detectability, samples)
+    mu_bar, k_w = first.named("mu_bar").value, first.named("k_w").value
+    lipschitz = float(np.linalg.norm(plant.A, 2))
+    top = float(np.linalg.eigvalsh(detectability.P)[-1])
+    size_G = float(np.linalg.norm(plant.G, 2)) if plant.n_disturbances else 0.0
+    growth = within_range("e^{(2 Lf + eta) t*}", (2 * lipschitz + eta) * t_star)
+    overlap = within_range("2 e^{3 eta t*}", 3 * eta * t_star) * 2
+    c_2 = detectability.c_y
+    alpha_w = 4 * T**2 * c_2 * (mu_bar * kappa + 1) ** 2 * k_w**2
+    alpha_y = 4 * T * c_2 * mu_bar**2 * kappa
+    P2 = 4 * top * growth * SAFE
+    Qw = (detectability.c_w + overlap * alpha_w + 4 * top * t_star * size_G**2 * growth) * SAFE
+    R0 = overlap * alpha_y * SAFE
+    steps = (
+        Constant("t_star", t_star, r"\max(T,d_{\max})", "Theorem 14, Theorem 5 (d_max: E6)", "t^*"),
+        Constant("alpha_w", alpha_w, r"4T^2c_2(\bar\mu\kappa+1)^2k_w^2\quad(\times s^2)", "(28), E10", r"\alpha_w"),
+        Constant("alpha_y", alpha_y, r"4Tc_2\bar\mu^2\kappa\quad(\times s^2)", "(28), E10", r"\alpha_y"),
+        Constant("Lf", lipschitz, r"|A|", "Assumption 4", "L_f"),
+        Constant("growth", growth, r"e^{(2L_f+\eta)t^*}", "Theorem 5, (5)", r"e^{(2L_f+\eta)t^*}"),
+        Constant("overlap", overlap, r"2e^{3\eta t^*}", "Theorem 5, (10), half-open windows (E5)", r"2e^{3\eta t^*}"),
+        Constant("P1_scale", 0.5, r"P_1=P/2", "Theorem 5, result", r"P_1"),
+        Constant("P2_scale", P2, r"P_2=4\lambda_{\max}(P)e^{(2L_f+\eta)t^*}I", "Theorem 5, result", r"P_2"),
+        Constant(
+            "Qw_scale",
+            Qw,
+            r"c_w+2e^{3\eta t^*}\alpha_w+4\lambda_{\max}(P)t^*|G|^2e^{(2L_f+\eta)t^*}",
+            "Theorem 5, result",
+            r"Q_w",
+        ),
+        Constant("R0", R0, r"2e^{3\eta t^*}\alpha_y", "Theorem 5, result", r"R_0"),
+    )
+    _in_range(steps)
+    eye_w = np.eye(plant.n_disturbances)
+    constants = ConstantList((*_detectability(detectability), *first, *steps))
+    return Chain(detectability.P / 2, P2 * np.eye(n), Qw * eye_w, R0, eta, constants)
+
+
+def tightened_chain(detectability: DetectabilityCertificate, samples: Hypotheses) -> Chain:
+    """The same proof without its avoidable losses (theory 3.2): Fubini for the overlap, |H| as a whole, P-norms.
+
+        P1 = P,  P2 = beta P,  beta = 2 max_{s<=t*} e^{eta s} lambda_max(e^{A's} P e^{As}, P),  f = (e^{eta T}-1)/eta,
+        Qw = [c_w + 2 T c_2 (mu_bar sqrt(kappa) + 1)^2 k_w^2 f + 2 t* max_{s<=t*} e^{eta s} |e^{As} G|_P^2] I,
+        R0 = 2 c_2 mu_bar^2 f
+
+    Raises
+    ------
+    CertificateError
+        If a factor leaves the range of floating point.
+    """
+    plant, eta, t_star = detectability.plant, detectability.eta, samples.t_star
+    T, kappa = samples.window, samples.kappa
+    first = lemma_12(detectability, samples)
+    mu_bar, k_w, c_2 = first.named("mu_bar").value, first.named("k_w").value, detectability.c_y
+    L = np.asarray(np.linalg.cholesky(detectability.P), dtype=np.float64)
+    shifted = plant.A + eta / 2 * np.eye(plant.n_states)
+    swing = largest_flow(L.T, shifted, _inverse(L.T), t_star).upper ** 2
+    push = largest_flow(L.T, shifted, plant.G, t_star).upper ** 2
+    within_range("e^{eta T}", eta * T)
+    f = float(np.expm1(eta * T)) / eta
+    alpha_w = 2 * T * c_2 * (mu_bar * np.sqrt(kappa) + 1) ** 2 * k_w**2 * f
+    R0 = 2 * c_2 * mu_bar**2 * f * SAFE
+    Qw = (detectability.c_w + alpha_w + 2 * t_star * push) * SAFE
+    beta = 2 * swing * SAFE
+    steps = (
+        Constant("t_star", t_star, r"\max(T,d_{\max})", "Theorem 14, Theorem 5 (d_max: E6)", "t^*"),
+        Constant("f", f, r"(e^{\eta T}-1)/\eta", "discounted Fubini (E11)", "f"),
+        Constant("alpha_w", alpha_w, r"2Tc_2(\bar\mu\sqrt\kappa+1)^2k_w^2f", "(28) tightened, E11", r"\alpha_w"),
+        Constant("alpha_y", 2 * c_2 * mu_bar**2 * f, r"2c_2\bar\mu^2f", "(28) tightened, E11", r"\alpha_y"),
+        Constant(
+            "beta",
+            beta,
+            r"2\max_{s\le t^*}e^{\eta s}\lambda_{\max}(e^{A^\top s}Pe^{As},P)",
+            "Theorem 5, (5) in the P-norm; P1 = P (E8)",
+            r"\beta",
+        ),
+        Constant("push", push, r"\max_{s\le t^*}e^{\eta s}|e^{As}G|_P^2", "Theorem 5, (13) in the P-norm", ""),
+        Constant(
+            "Qw_scale", Qw, r"c_w+\alpha_w+2t^*\max_{s\le t^*}e^{\eta s}|e^{As}G|_P^2", "Theorem 5, result", "Q_w"
+        ),
+        Constant("R0", R0, r"2c_2\bar\mu^2f", "Theorem 5, result", r"R_0"),
+    )
+    _in_range(steps)
+    constants = ConstantList((*_detectability(detectability), *first, *steps))
+    P = detectability.P
+    return Chain(P, beta * P, Qw * np.eye(plant.n_disturbances), R0, eta, constants)
+
+
+def _inverse(triangle: Array) -> Array:
+    """Inverse of a triangular factor, by a solve."""
+    return np.asarray(np.linalg.solve(triangle, np.eye(len(triangle))), dtype=np.float64)
+
+
+def _detectability(found: DetectabilityCertificate) -> tuple[Constant, ...]:
+    """Constants of Definition 1, renamed c_2 where Theorem 14 calls c_y so."""
+    start = found.constants or (
+        Constant("eta", found.eta, r"\eta", "Definition 1, from the dissipation inequality", r"\eta"),
+        Constant("c_w", found.c_w, r"c_w", "Definition 1, from the dissipation inequality", "c_w"),
+    )
+    kept = tuple(c for c in start if c.name != "c_y")
+    return (*kept, Constant("c_2", found.c_y, r"c_2=c_y", "Theorem 10, used in (28)", "c_2"))
+
+
+def within_range(name: str, exponent: float) -> float:
+    """e^exponent, refused where it leaves the range of floating point."""
+    if exponent > np.log(LARGEST):
+        raise CertificateError(
+            f"The factor {name} of the proof is e^{short(exponent)}, beyond floating point: these constants say "
+            'nothing for this plant and window. Use variant="tightened" or the exact certificate.',
+            factor=name,
+            exponent=exponent,
+        )
+    return float(np.exp(exponent))
+
+
+def _in_range(constants: tuple[Constant, ...]) -> None:
+    for constant in constants:
+        if not np.isfinite(constant.value) or constant.value > LARGEST:
+            raise CertificateError(
+                f"The constant {constant.name} of the proof is {constant.value:.3g}, beyond floating point.",
+                factor=constant.name,
+            )

@@ -1,0 +1,1 @@
+"""Certificate files decided in ball arithmetic: proven, refuted, or undecided."""

@@ -1,0 +1,183 @@
+"""Proof of Y <= I over all real window starts, all later times and all laps, in ball arithmetic.
+
+1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`_ball_flow`).
+2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
+   gains: the two ends of the chord cover the cell.
+3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
+
+Floats propose cells, gains and the family; balls decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Clock, highest
+from sampling_design._balls import Ball, Matrix, definite, floats, largest, matrix, raised
+from sampling_design.certificates.rigorous.ball_problem import Frame
+
+Array = npt.NDArray[np.float64]
+Proposal = tuple[Array, Array]
+
+CELLS = 4
+"""Start cells per gap at first."""
+HALVINGS = 40
+"""Most halvings of a start cell."""
+LAPS = 1000
+"""Laps along one window, or until a float recursion has settled."""
+JUMP = 10
+"""After so many laps the float recursion jumps to where its present gains would settle: a lap may gain little."""
+DOUBLINGS = 40
+"""The jump is as long as 2^DOUBLINGS laps."""
+INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
+"""Noise added at every sample, where the target is I, to find the family: as much as the target bears."""
+POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
+"""How far the family is blown up towards I, as powers of what is left."""
+
+
+def settled(frame: Frame, flows: Sequence[Proposal], inflation: float) -> tuple[list[Array], float]:
+    """Return Y after each sample of the last lap with inflated noise, in floats, and its largest eigenvalue on the lap.
+
+    Raises
+    ------
+    ArithmeticError
+        If it leaves I behind by far, or does not settle.
+    """
+    laps, Y, I = frame.laps, floats(frame.start), np.eye(frame.n)
+    kept: list[Array] = [I] * laps.N
+    for lap in range(1, LAPS + 1 if laps.periodic else 2):
+        before, worst, whole = Y, 0.0, I
+        for i, (F, W) in enumerate(flows):
+            Y = F @ Y @ F.T + W
+            worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
+            K = frame.gain(Y, i)
+            left = I - K @ frame.float_rows[i]
+            whole = left @ F @ whole
+            kept[i] = Y = left @ Y @ left.T + K @ frame.float_noises[i] @ K.T + inflation * I
+            worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
+        if np.abs(Y - before).max() <= 1e-2 * inflation or not laps.periodic:
+            return kept, worst
+        if not worst < 1e6:
+            break
+        if lap % JUMP == 0:
+            Y = _rest(whole, before, Y)
+    raise ArithmeticError("the recursion does not settle")
+
+
+def _rest(whole: Array, before: Array, after: Array) -> Array:
+    """Where laps Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
+    if not np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1:
+        return after
+    found = after - whole @ before @ whole.T
+    for _ in range(DOUBLINGS):
+        found, whole = found + whole @ found @ whole.T, whole @ whole
+    return np.asarray((found + found.T) / 2)
+
+
+class Windows:
+    """The proof for one target: a family that catches the windows, then every cell of window starts."""
+
+    def __init__(self, frame: Frame, clock: Clock) -> None:
+        self.frame, self.laps, self.clock, self.reached = frame, frame.laps, clock, 0.0
+        self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.laps.gaps)]
+        self.longest = reduce(lambda a, b: a.max(b), self.laps.reach)
+        self.family: list[Matrix] | None = None
+        self.float_family: list[Array] = []
+
+    def below_one(self, Y: Matrix, duration: Ball) -> bool:
+        """Whether Y <= I is proven along `duration`."""
+        top = highest(self.frame.flow, Y, duration, self.clock)
+        if top is not None:
+            self.reached = max(self.reached, float(top))
+        return top is not None
+
+    def propose(self) -> None:
+        """Find and prove a family B_i that the recursion maps below itself and that stays below I."""
+        for inflation in INFLATIONS:
+            try:
+                Z, worst = settled(self.frame, self.flows, inflation)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                continue
+            for power in POWERS if worst < 1 else ():
+                B = [z * worst**-power for z in Z]
+                if self.invariant([matrix((b + b.T) / 2) for b in B], B):
+                    return
+
+    def invariant(self, B: list[Matrix], guess: list[Array]) -> bool:
+        """Whether the family is proven; keep it if so."""
+        frame, laps, reached = self.frame, self.laps, self.reached
+        for i in range(laps.N if laps.periodic else laps.N - 1):
+            after = laps.after(i)
+            F, W = self.flows[after]
+            K = frame.gain(F @ guess[i] @ F.T + W, after)
+            left = frame.with_gain(frame.flow.step(B[i], laps.gaps[after]), after, K)
+            if not (definite(B[after] - left) and self.below_one(B[i], laps.gaps[after])):
+                self.reached = reached
+                return False
+        self.family, self.float_family = B, guess
+        return True
+
+    def caught(self, ends: list[Matrix], i: int) -> bool:
+        """Whether the window need not be followed beyond sample i."""
+        if not self.laps.periodic and i + 1 == self.laps.N:
+            return True
+        if self.family is None:
+            return False
+        if any(np.linalg.eigvalsh(self.float_family[i] - floats(Y))[0] < 0 for Y in ends):
+            return False
+        return all(definite(self.family[i] - Y) for Y in ends)
+
+    def follow(self, ends: list[Matrix], i: int) -> bool:
+        """Whether all windows between `ends`, which hold Y just before sample i, stay below I."""
+        frame, laps = self.frame, self.laps
+        for _ in range(LAPS * laps.N):
+            K = frame.gain(np.mean([floats(Y) for Y in ends], axis=0), i)
+            ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
+            if self.caught(ends, i):
+                return True
+            i = laps.after(i)
+            if not all(self.below_one(Y, laps.gaps[i]) for Y in ends):
+                return False
+            ends = [frame.flow.step(Y, laps.gaps[i]) for Y in ends]
+        return False
+
+    def cell(self, low: Ball, high: Ball) -> list[Matrix]:
+        """Ends of a chord that lies above Y(r), r in [low, high], r after the window's start."""
+        flow, Y = self.frame.flow, self.frame.start
+        first, last, length = flow.step(Y, low), flow.step(Y, high), high - low
+        if not length > 0:
+            return [first]
+        bulge = flow.reach(length) * max(largest(-flow.second(first)), 0 * length)
+        return [end + bulge * self.frame.identity for end in (first, last)]
+
+    def everywhere(self, failed: Callable[[int], None]) -> bool:
+        """Prove every real start; `failed(depth)` hears of each cell that is halved."""
+        laps = self.laps
+        if not self.below_one(self.frame.start, self.longest):
+            return False
+        pending = [
+            (i, laps.reach[i] * k / CELLS, laps.reach[i] * (k + 1) / CELLS, 0)
+            for i in range(laps.N)
+            for k in range(CELLS if laps.reach[i] > 0 else 1)
+        ]
+        while pending:
+            i, low, high, depth = pending.pop()
+            if self.follow(self.cell(low, high), i):
+                continue
+            failed(depth)
+            if depth >= HALVINGS or not high > low:
+                return False
+            middle = (low + high) / 2
+            pending += [(i, low, middle, depth + 1), (i, middle, high, depth + 1)]
+        return True
+
+    def at_samples(self) -> bool:
+        """Prove the starts just after samples, and at time 0."""
+        laps = self.laps
+        starts = [(i, laps.gaps[i]) for i in range(laps.N)] + [(0, laps.first)]
+        whole = self.below_one(self.frame.start, self.longest)
+        return whole and all(self.follow([self.frame.flow.step(self.frame.start, r)], i) for i, r in starts)

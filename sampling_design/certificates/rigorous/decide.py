@@ -1,0 +1,237 @@
+"""Certificates as theorems: the inequalities of a certificate file decided in ball arithmetic (extra `rigorous`)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sampling_design._ball_flow import Clock, OutOfTime
+from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
+from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, RESOLUTION, digest
+from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.rigorous.ball_problem import (
+    PROVEN,
+    REFUTED,
+    UNDECIDED,
+    Frame,
+    Laps,
+    Unproven,
+    Weights,
+    positive,
+    positive_definite,
+    reading,
+)
+from sampling_design.certificates.rigorous.ball_proof import Windows
+from sampling_design.certificates.rigorous.dissipation_balls import detectability
+from sampling_design.certificates.rigorous.family_balls import family
+from sampling_design.certificates.rigorous.family_cover import COVERED
+from sampling_design.certificates.rigorous.refutation import refute
+
+REPLAY = 1e-6
+"""What a witness may miss of its stated ratio, relative."""
+NEAR = 1e-9
+"""Samples this close to the ends of the witness's window, relative to t, are the ends: limits from inside are meant."""
+PATIENCE = 6
+"""Halvings of a cell of window starts after which a counterexample is looked for."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RigorousVerification(Verification):
+    """The verdict of `verify(rigorous=True)`: a theorem about the doubles in the file, or no verdict.
+
+    Attributes
+    ----------
+    verdict : str
+        "proven"; "refuted": some inequality certainly fails, at `time` in the window from `start` where it is one of
+        those; "undecided": neither was proven within the budget, or the inequality is too nearly tight.
+    bits : int
+        Precision of the balls.
+    seconds : float
+    """
+
+    verdict: str = UNDECIDED
+    bits: int = BITS
+    seconds: float = 0.0
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("verdict", self.verdict), *super()._rows()]
+
+    def explain(self) -> str:
+        """Say the verdict."""
+        return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
+
+
+def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVerification:
+    """Decide in ball arithmetic whether what a certificate file states is true.
+
+        Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
+
+    Parameters
+    ----------
+    data : dict
+        Plain data of the file.
+    budget : float [seconds]
+        When it runs out the verdict is "undecided".
+
+    Returns
+    -------
+    RigorousVerification
+
+    Raises
+    ------
+    MissingExtraError
+        If python-flint is not installed.
+
+    Notes
+    -----
+    *Assumptions.* The doubles in the file are the numbers meant; a periodic schedule is its gaps and its first time,
+    without rounding of the sums. A weight is its symmetric part. *Claim.* "proven" and "refuted" are theorems.
+    *Method.* `ball_proof` and, where that does not close, `refutation`; `family_rigorous` for families and
+    `dissipation_rigorous` for detectability. *Numerical aspects.* 160 bits; eigenvalues, gains and families are guessed
+    in floats and proven by the pivots of L D L' in balls.
+    """
+    flint()
+    began, clock = time.perf_counter(), Clock(budget)
+    found: dict[str, Any] = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
+    try:
+        with precision():
+            found |= _decided(data, clock)
+    except Unproven as stop:
+        found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
+    except OutOfTime:
+        found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": f"{budget:g} s were not enough"}
+    except np.linalg.LinAlgError as error:
+        found |= {
+            "verdict": "undecided",
+            "inequality": "guess",
+            "reason": f"the guesses in floats broke down ({error})",
+        }
+    return RigorousVerification(**found, seconds=time.perf_counter() - began)
+
+
+def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
+    with reading():
+        if data["digest"] != digest(data):
+            raise Unproven(REFUTED, "digest", "the digest does not fit the content: something was altered")
+        claim = (data["claim"], None if data["claim"] == DETECTABILITY_CLAIM else data["times"]["kind"])
+    if claim not in CLAIMS:
+        raise Unproven(UNDECIDED, "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
+    inequality, subject, slack = CLAIMS[claim](data, clock)
+    reason = f"{inequality} for {subject}, slack {slack:.3g}"
+    return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
+
+
+def targets(data: dict[str, Any]) -> list[tuple[Matrix, str, bool]]:
+    """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
+    with reading():
+        n, margin = len(data["P1"]), float(data["margin"])
+        P1, P2 = symmetric(np.reshape(data["P1"], (n, n))), symmetric(np.reshape(data["P2"], (n, n)))
+        lam, lam_samples = positive("lam", data["lam"]), positive("lam_samples", data["lam_samples"])
+    if not 0 <= margin < float("inf"):
+        raise Unproven(REFUTED, "margin >= 0", f"margin must be non-negative, got {data['margin']!r}")
+    positive_definite("P1", P1)
+    share = P2 * (ball(1.0) - ball(RESOLUTION))
+    first = (P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
+    second = (share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
+    third = (share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
+    if not n:
+        return []
+    kept = [first, second]
+    if definite(first[0] - second[0]):
+        kept = [first]
+    elif definite(second[0] - first[0]):
+        kept = [second]
+    implied = lam_samples >= lam or any(definite(target - third[0]) for target, _, _ in kept)
+    return kept if implied else [*kept, third]
+
+
+def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
+    """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
+    stated = targets(data)
+    with reading():
+        Laps(data["times"], Weights(data).p)
+    slack = 1.0
+    for k, (_, inequality, samples_only) in enumerate(stated):
+
+        def make(k: int = k, inequality: str = inequality) -> Frame:
+            weights = Weights(data)
+            return Frame(weights, Laps(data["times"], weights.p), targets(data)[k][0], inequality)
+
+        slack = min(slack, prove(make, samples_only, clock))
+    if stated and data["witness"] is not None:
+        attained(data)
+    names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
+    return names, "every real window start and every later t", slack
+
+
+def attained(data: dict[str, Any]) -> None:
+    """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
+    weights = Weights(data)
+    laps = Laps(data["times"], weights.p)
+    frame = Frame(weights, laps, weights.P2, "witness")
+    with reading():
+        seen = data["witness"]
+        start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
+        x = frame.L.transpose() * matrix(np.reshape(seen["direction"], (weights.n, 1)))
+    if not 0 <= start <= t < float("inf") or not (laps.periodic or t <= float(laps.times[-1]) * (1 + NEAR)):
+        raise Unproven(REFUTED, "witness", "the witness must have 0 <= start <= t within the schedule")
+    Y = flown(frame, start, t)
+    ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
+    if not ratio >= ball(stated) * (1 - ball(REPLAY)):
+        verdict = REFUTED if ratio < ball(stated) * (1 - ball(REPLAY)) else UNDECIDED
+        reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
+        raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
+
+
+def flown(frame: Frame, start: float, t: float) -> Matrix:
+    """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
+    laps, Y, now = frame.laps, frame.start, ball(start)
+    near, lap = NEAR * max(t, 1e-300), 0 * laps.period
+    if laps.periodic:
+        lap = laps.period * int((start - float(laps.times[-1])) // float(laps.period))
+    while float(lap) <= t:
+        for i, at in enumerate(laps.times):
+            if start + near < float(at + lap) < t - near and float(lap) >= 0:
+                Y, now = lowered(frame.sampled(lowered(frame.flow.step(Y, at + lap - now)), i)), at + lap
+        if not laps.periodic:
+            break
+        lap += laps.period
+    return lowered(frame.flow.step(Y, ball(t) - now))
+
+
+def prove(make: Callable[[], Frame], samples_only: bool, clock: Clock) -> float:
+    """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
+    frame = make()
+    windows = Windows(frame, clock)
+    windows.propose()
+    halved: list[int] = []
+
+    def failed(depth: int) -> None:
+        if depth >= PATIENCE and not halved:
+            halved.append(depth)
+            refute(make, clock)
+
+    catches = windows.family is not None or not frame.laps.periodic
+    if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
+        return 1.0 - windows.reached
+    if not halved:
+        refute(make, clock, samples_only)
+    why = "it is tight or nearly so" if catches else "no bound that holds over all laps was found"
+    raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
+
+
+def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
+    """Prove a family certificate; the inequalities, for what, and the slack."""
+    return family(data, targets(data), clock)
+
+
+CLAIMS: dict[tuple[str, str | None], Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
+    (CLAIM, "periodic"): assumption_7,
+    (CLAIM, "finite"): assumption_7,
+    **{("family", kind): of_family for kind in COVERED},
+    (DETECTABILITY_CLAIM, None): detectability,
+}

@@ -1,0 +1,139 @@
+"""Family certificates in ball arithmetic: every edge and node of the graph, all gaps of its interval included.
+
+Edge u -> v: with any gain K, (I - KC) Y(h) (I - KC)' + K V K' <= P_v^-1 proves Phi_h(P_u) + C'R~C >= P_v; with one K
+per cell of h the left side lies below its chord plus |I - KC|^2 times the bulge of Y. A node: the same without sample.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from sampling_design._ball_flow import HALVINGS, Clock
+from sampling_design._balls import (
+    Ball,
+    Matrix,
+    ball,
+    definite,
+    flint,
+    floats,
+    largest,
+    matrix,
+    positive_part,
+    spectral,
+    symmetric,
+)
+from sampling_design.certificates.rigorous.ball_problem import (
+    REFUTED,
+    UNDECIDED,
+    Frame,
+    Unproven,
+    Weights,
+    positive_definite,
+    reading,
+)
+from sampling_design.certificates.rigorous.family_cover import COVERED, FileGraph
+
+Pattern = tuple[bool, ...]
+
+SUBJECT = "every schedule of the family, every real window start and every later t"
+
+
+class Intervals:
+    """Proofs of Y <= I after a sample of some outputs, or without one, for all times of an interval."""
+
+    def __init__(
+        self, weights: Weights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Clock
+    ) -> None:
+        seen = [np.array(pattern, dtype=bool) for pattern in patterns]
+        self.frame = Frame(weights, SimpleNamespace(seen=seen), target, name)
+        self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
+
+    def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:
+        """Raise Unproven unless it holds from information P for all times in [low, high]."""
+        frame, flow = self.frame, self.frame.flow
+        which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
+        start = frame.L.transpose() * P.solve(frame.L)
+        first, length = _ball(low), _ball(high - low)
+        pending = [(flow.step(start, first), first, length, 0)]
+        while pending:
+            self.clock.check()
+            Y, at, length, depth = pending.pop()
+            bound = self._bound(Y, length, which)
+            if bound <= 1:
+                self.reached = max(self.reached, float(bound))
+                continue
+            middle = flow.step(Y, length / 2)
+            self._refute(Y, at, which)
+            self._refute(middle, at + length / 2, which)
+            if depth >= HALVINGS or not length > 0:
+                raise Unproven(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
+            pending += [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
+
+    def _bound(self, Y: Matrix, length: Ball, which: int | None) -> Ball:
+        """A number that Y (after the sample) stays below along `length`."""
+        frame, flow = self.frame, self.frame.flow
+        end, slope = flow.step(Y, length), ball(1.0)
+        bulge = flow.reach(length) * positive_part(largest(-flow.second(Y)))
+        ends = [Y, end]
+        if which is not None:
+            K = frame.gain((floats(Y) + floats(end)) / 2, which)
+            ends = [frame.with_gain(part, which, K) for part in ends]
+            slope = spectral(frame.identity - matrix(K) * frame.rows[which]) ** 2
+        return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
+
+    def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
+        """Raise Unproven(REFUTED) if it certainly fails at one time."""
+        left = Y if which is None else self.frame.sampled(Y, which)
+        if definite(self.frame.identity - left) is False:
+            amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
+            reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
+            raise Unproven(REFUTED, self.name, reason, amount=amount, time=float(at))
+
+
+def _ball(time: Fraction) -> Ball:
+    return flint().arb(time.numerator) / time.denominator
+
+
+def family(data: dict[str, Any], stated: list[tuple[Matrix, str, bool]], clock: Clock) -> tuple[str, str, float]:
+    """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
+    with reading():
+        weights = Weights(data)
+        graph = FileGraph.read(data["graph"], weights.p)
+        P = [weights.P2, *(symmetric(np.reshape(node, (weights.n, weights.n))) for node in data["graph"]["P"])]
+        check_times(data, graph, len(P))
+    for u, node in enumerate(P):
+        positive_definite(f"P_{u}", node)
+    slack = 1.0
+    patterns = sorted({edge.outputs for edge in graph.edges if any(edge.outputs)})
+    for v in sorted({edge.target for edge in graph.edges}) if weights.n else ():
+        into = Intervals(weights, P[v], patterns, f"Phi_h(P_u) + C'R~C >= P_{v}", clock)
+        for edge in graph.edges:
+            if edge.target == v:
+                into.prove(P[edge.source], edge.outputs, edge.low, edge.high)
+        slack = min(slack, 1.0 - into.reached)
+    for target, name, _ in stated:
+        along = Intervals(weights, target, [], name, clock)
+        for u, node in enumerate(P):
+            along.prove(node, None, Fraction(0), graph.top(u))
+        slack = min(slack, 1.0 - along.reached)
+    return " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)", SUBJECT, slack
+
+
+def check_times(data: dict[str, Any], graph: FileGraph, matrices: int) -> None:
+    """Raise Unproven unless graph, matrices, units and lambdas belong together and the graph holds the family."""
+    times = data["times"]
+    units = {times.get("time_unit"), times.get("schedule", {}).get("time_unit")} - {None}
+    if units - {data["plant"]["time_unit"]}:
+        raise Unproven(REFUTED, "times", f"the family is in {units.pop()}, the plant in {data['plant']['time_unit']}")
+    if matrices != len(graph.words):
+        raise Unproven(REFUTED, "graph", "the graph must have one matrix per word")
+    if float(data["lam_samples"]) < float(data["lam"]):
+        reason = "a family holds windows from samples to any first gap: lam_samples is at least lam"
+        raise Unproven(REFUTED, "lam <= lam_samples", reason)
+    if data["witness"] is not None:
+        raise Unproven(REFUTED, "witness", "a family certificate has no witness")
+    COVERED[times["kind"]](graph, times)

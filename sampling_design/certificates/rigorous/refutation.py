@@ -1,0 +1,176 @@
+"""Search for a window in which Y <= I fails: found and polished in floats, decided in balls at one point.
+
+A window is named by (i, r, k, s): it starts r before sample i, takes k samples, and is looked at s later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Clock
+from sampling_design._balls import ball, definite, floats, lowered, precision
+from sampling_design.certificates.rigorous.ball_problem import REFUTED, Frame, Unproven
+
+Array = npt.NDArray[np.float64]
+
+PARTS = 8
+"""Parts of a gap in the first grid of starts and of times."""
+LAPS = 100
+"""Most laps followed in the first grid."""
+POLISHES = 4
+"""How many of the grid's best points are polished."""
+SETTLED = 1e-12
+"""Relative change over a lap below which a window is not followed any further."""
+BITS = (160, 400)
+"""Precisions of the decision, one after the other."""
+DOUBT = 1e-6
+"""Points that floats see this close to failing are decided in balls."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One window and time, with the largest eigenvalue of Y there as floats see it."""
+
+    i: int
+    r: float
+    k: int
+    s: float
+    value: float
+
+
+class Search:
+    """Float search for the largest eigenvalue of Y over starts and times."""
+
+    def __init__(self, frame: Frame, samples_only: bool, clock: Clock) -> None:
+        self.frame, self.laps, self.samples_only, self.clock = frame, frame.laps, samples_only, clock
+        self.gaps = [float(gap) for gap in self.laps.gaps]
+        self.reach = [float(gap) for gap in self.laps.reach]
+
+    def step(self, Y: Array, duration: float) -> Array:
+        """Y `duration` later."""
+        F, W = (floats(M) for M in self.frame.flow.over(ball(duration)))
+        return np.asarray(F @ Y @ np.swapaxes(F, -1, -2) + W)
+
+    def sampled(self, Y: Array, i: int) -> Array:
+        """Y after sample i, for a stack of Y."""
+        C, V = self.frame.float_rows[i], self.frame.float_noises[i]
+        K = np.swapaxes(np.linalg.solve(C @ Y @ C.T + V, C @ Y), -1, -2)
+        left = np.eye(self.frame.n) - K @ C
+        return np.asarray(left @ Y @ np.swapaxes(left, -1, -2) + K @ V @ np.swapaxes(K, -1, -2))
+
+    def grid(self) -> list[Point]:
+        """Best points of a grid, the best first: one for each cell of starts and gap in which it is looked at."""
+        parts, start = np.arange(PARTS + 1) / PARTS, floats(self.frame.start)
+        pairs = [[self.frame.flow.over(gap * float(part)) for part in parts] for gap in self.laps.gaps]
+        flows = [(np.array([floats(F) for F, _ in row]), np.array([floats(W) for _, W in row])) for row in pairs]
+        found = []
+        for i in range(self.laps.N):
+            ends = {self.gaps[i], float(self.laps.first) if i == 0 else self.gaps[i]}
+            r = np.array(sorted(ends)) if self.samples_only else parts * self.reach[i]
+            Y = np.array([self.step(start, float(x)) for x in r])
+            found.append(self._best(Y, i, r, 0, np.zeros(1)))
+            found += self._followed(Y, i, r, flows)
+        return sorted(found, key=lambda point: (-round(point.value, 12), point.k))
+
+    def _followed(self, Y: Array, i: int, r: Array, flows: list[tuple[Array, Array]]) -> list[Point]:
+        """Best points along the windows that start r before sample i, until a lap changes nothing."""
+        laps, found, before, parts = self.laps, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
+        for k in range(1, LAPS * laps.N + 1):
+            at = (i + k - 1) % laps.N
+            self.clock.check()
+            Y, after = self.sampled(Y, at), laps.after(at)
+            if not laps.periodic and at + 1 == laps.N:
+                break
+            if k % laps.N == 0:
+                if np.abs(Y - before).max() <= SETTLED * np.abs(Y).max():
+                    break
+                before = Y
+            F, W = (part[:, None] for part in flows[after])
+            stack = F @ Y @ np.swapaxes(F, -1, -2) + W
+            found.append(self._best(stack.reshape(-1, *Y.shape[1:]), i, r, k, parts * self.gaps[after]))
+            Y = stack[-1]
+        return found
+
+    def _best(self, Y: Array, i: int, r: Array, k: int, times: Array) -> Point:
+        values = np.linalg.eigvalsh(Y)[:, -1].reshape(times.size, r.size)
+        row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+        return Point(i, float(r[column]), k, float(times[row]), float(values[row, column]))
+
+    def value(self, i: int, r: float, k: int, s: float) -> float:
+        """Largest eigenvalue of Y at a point."""
+        self.clock.check()
+        Y = self.step(floats(self.frame.start), r)
+        for j in range(k):
+            Y = self.sampled(Y, (i + j) % self.laps.N)
+            last = j + 1 == k
+            Y = self.step(Y, s if last else self.gaps[(i + j + 1) % self.laps.N])
+        return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
+
+    def polished(self, point: Point) -> Point:
+        """The point moved to the nearest local maximum over r and s."""
+        from scipy.optimize import minimize
+
+        tops = np.array([self.reach[point.i], self.gaps[(point.i + point.k) % self.laps.N]])
+        free = np.array([not self.samples_only and tops[0] > 0, point.k > 0])
+        if not free.any():
+            return point
+        best = np.array([point.r, point.s])
+
+        def at(x: Array) -> Array:
+            moved = best.copy()
+            moved[free] = x
+            return np.clip(moved, 0.0, tops)
+
+        def lost(x: Array) -> float:
+            r, s = at(x)
+            return -self.value(point.i, float(r), point.k, float(s))
+
+        simplex = np.tile(best[free], (free.sum() + 1, 1))
+        simplex[1:] += np.diag(np.where(simplex[0] > tops[free] / 2, -1, 1) * tops[free] / (2 * PARTS))
+        options: Any = {"initial_simplex": simplex, "xatol": 1e-9 * float(tops.max()), "fatol": 0.0, "maxfev": 150}
+        result = minimize(lost, best[free], method="Nelder-Mead", options=options)
+        if -result.fun <= point.value:
+            return point
+        r, s = at(result.x)
+        return Point(point.i, float(r), point.k, float(s), float(-result.fun))
+
+
+def fails_at(frame: Frame, point: Point) -> bool:
+    """Whether Y <= I certainly fails at a point: a lower bound of Y is carried along, for the recursion is monotone."""
+    laps = frame.laps
+    Y = frame.flow.step(frame.start, ball(point.r).min(laps.reach[point.i]))
+    for j in range(point.k):
+        i = (point.i + j) % laps.N
+        after = laps.after(i)
+        Y = lowered(frame.sampled(lowered(Y), i))
+        Y = frame.flow.step(Y, ball(point.s).min(laps.gaps[after]) if j + 1 == point.k else laps.gaps[after])
+    return definite(frame.identity - Y) is False
+
+
+def refute(make: Callable[[], Frame], clock: Clock, samples_only: bool = False) -> None:
+    """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
+    frame = make()
+    search = Search(frame, samples_only, clock)
+    for point in [search.polished(point) for point in search.grid()[:POLISHES]]:
+        for bits in BITS if point.value > 1 - DOUBT else ():
+            with precision(bits):
+                failed = fails_at(make(), point)
+            if failed:
+                raise _refutation(frame, point)
+
+
+def _refutation(frame: Frame, point: Point) -> Unproven:
+    """The exception that names the window, the time and by how much."""
+    laps = frame.laps
+    times, gaps = [float(t) for t in laps.times], [float(gap) for gap in laps.gaps]
+    start = times[point.i] - point.r
+    start += float(laps.period) if start < 0 and laps.periodic else 0.0
+    late = point.r + point.s + sum(gaps[(point.i + j) % laps.N] for j in range(1, point.k))
+    amount = 1 / point.value - 1
+    reason = f"{frame.inequality} fails by {-amount:.3g} at time {start + late:.6g} in the window from {start:.6g}"
+    return Unproven(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)

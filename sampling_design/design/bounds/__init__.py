@@ -1,0 +1,1 @@
+"""Bounds that no admissible schedule can beat, as evidence that anyone can check."""

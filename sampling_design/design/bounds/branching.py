@@ -1,0 +1,154 @@
+"""The upper bound narrowed by branching: boxes of zones, the one with the largest bound cut in two again and again.
+
+First the schedules are told apart by the first sample that comes late by a share of the mean gap (or early,
+if the zones count from the sample after which all come early). What is left is nearly even, where averaging
+over origins is exact to second order; in the others, the window before the late sample sees little.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, zone_part
+from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters
+from sampling_design.design.bounds.zones import SIDES, Side, halves, lateness, origin_zones, tightened, turn, zoned
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.floating[Any]]
+Progress = Callable[[float, str], None]
+
+_FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
+_EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried
+_NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
+_INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
+
+
+@dataclass(order=True)
+class _Box:
+    """A box of zones with its bound; those with the largest bound come first."""
+
+    rank: float
+    number: int
+    part: BoundPart = field(compare=False)
+    relaxed: ZoneRelaxation = field(compare=False)
+
+
+def narrowed(
+    problem: DesignProblem,
+    bound: UpperBound,
+    target: float,
+    steps: int,
+    deadline: float = np.inf,
+    progress: Progress | None = None,
+    rtol: float = 1e-3,
+) -> UpperBound:
+    """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
+
+    Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
+    bounds are near anyway where samples are many. Boxes know no price of cost: they would only lose.
+    """
+    priced = any(part.price > 0 for part in bound.parts)
+    if steps < problem.samples or priced or not zoned(problem) or bound.value <= target * (1 + rtol):
+        return bound
+    sides = (bound.parts[0].side,) if bound.method == "zones" else SIDES
+    roots = [root for side in sides if (root := _box(problem, origin_zones(problem, side), side)) is not None]
+    if not roots or time.perf_counter() > deadline:
+        return bound
+    tree = _Tree(problem, target * (1 + rtol), min(roots))
+    if turn(problem) == 0:
+        tree.split_by_lateness()
+    else:
+        tree.add(tree.root.part.zones, tree.root)
+    for step in range(steps):
+        if time.perf_counter() > deadline or not tree.cut():
+            break
+        if progress:
+            progress((step + 1) / steps, f"bound {tree.value:.6g}, found {target:.6g}")
+    return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
+
+
+class _Tree:
+    """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
+
+    def __init__(self, problem: DesignProblem, enough: float, root: _Box) -> None:
+        self.problem, self.enough, self.root = problem, enough, root
+        self.open: list[_Box] = []
+        self.closed: list[BoundPart] = []
+        self.made = 0
+
+    @property
+    def parts(self) -> tuple[BoundPart, ...]:
+        """All parts; together they cover every schedule."""
+        return (*self.closed, *(box.part for box in self.open))
+
+    @property
+    def value(self) -> float:
+        """The bound of all parts."""
+        return max(part.value for part in self.parts)
+
+    def split_by_lateness(self) -> None:
+        """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
+        rest, late = self.root.part.zones, self.root.part.side == "late"
+        mean = self.problem.period / self.problem.samples
+        for index in range(1, len(rest)):
+            cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
+            if rest[index, 0] < cut < rest[index, 1]:
+                below, above = halves(rest, index, cut)
+                self.add(above if late else below, self.root)
+                rest = below if late else above
+        self.add(rest, self.root)
+
+    def cut(self) -> bool:
+        """Cut the box with the largest bound in two; False where nothing is left to gain."""
+        if not self.open or self.open[0].part.value <= self.enough:
+            return False
+        box = self.open[0]
+        zones, index = box.part.zones, box.relaxed.index
+        if zones[index, 1] - zones[index, 0] < _NARROW * self.problem.period / self.problem.samples:
+            return False
+        heapq.heappop(self.open)
+        for half in halves(zones, index, box.relaxed.cut):
+            self.add(half, box)
+        return True
+
+    def add(self, zones: Array, wider: _Box) -> None:
+        """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
+        box = _box(self.problem, zones, wider.part.side, wider)
+        if box is None:
+            return
+        if box.part.value > self.enough:
+            box = _evened(self.problem, box)
+        self.made += 1
+        if box.part.value > self.enough:
+            heapq.heappush(self.open, replace(box, number=self.made))
+        else:
+            self.closed.append(box.part)
+
+
+def _box(problem: DesignProblem, zones: Array, side: Side, wider: _Box | None = None) -> _Box | None:
+    """The box with the smaller of its own bound and that of the wider box's multipliers; None if it is empty."""
+    made = zone_part(problem, zones, side, None if wider is None else matters(problem, wider.relaxed.found))
+    if made is None:
+        return None
+    part, relaxed = made
+    if wider is not None and part.value > _INHERITS * wider.part.value:
+        bare = replace(wider.part, zones=zones)
+        part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
+    return _Box(-part.value, 0, part, relaxed)
+
+
+def _evened(problem: DesignProblem, box: _Box) -> _Box:
+    """The same box with the averaged bound where all its schedules are nearly even, if that is smaller."""
+    tight = tightened(problem, box.part.zones, box.part.side)
+    mean = problem.period / problem.samples
+    if turn(problem) > 0 or tight is None or np.max(np.abs(lateness(problem, tight))) > _EVEN_ENOUGH * mean:
+        return box
+    part = averaged_part(problem, box.part.zones, box.part.side)
+    return box if part.value >= box.part.value else replace(box, rank=-part.value, part=part)

@@ -1,0 +1,228 @@
+"""The upper bound as evidence: multipliers in the plant's own coordinates, checked without any solver."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch
+from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
+from sampling_design.design.bounds.relaxation import Relaxation
+from sampling_design.design.bounds.weak_duality import placed_bound
+from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
+from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.floating[Any]]
+Method = Literal["placed", "averaged", "zones"]
+
+_NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
+_SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
+
+
+def _none() -> Array:
+    return np.zeros((0, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class BoundPart:
+    """Multipliers that bound all schedules whose samples lie in `zones` (k, 2).
+
+    `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
+    windows that start at `starts`. The zones count from the sample after which all others come "late", or
+    "early" (`side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
+    their samples lie, and is the only method that knows fixed times; `price` is its multiplier of the cost
+    limit.
+    """
+
+    method: Method
+    starts: Array
+    weights: Array
+    zones: Array = field(default_factory=_none)
+    tilt: Array = field(default_factory=lambda: np.zeros(0))
+    side: Side = "late"
+    value: float = np.inf
+    price: float = 0.0
+
+    def value_for(self, problem: DesignProblem) -> float:
+        """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
+        total = float(np.trace(self.weights, axis1=1, axis2=2).sum())
+        least = float(np.linalg.eigvalsh(self.weights).min(initial=0.0))
+        sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
+        if not total > 0 or least < -1e-12 * total or not sound:
+            return np.inf
+        R = problem.rows.R
+        Z = R @ (self.weights / total) @ R.T
+        if self.method == "placed":
+            return placed_bound(problem, self.starts, Z, self.price)
+        if not zoned(problem) or self.zones.shape != (problem.samples, 2):
+            return np.inf
+        zones = tightened(problem, self.zones, self.side)
+        if zones is None:
+            return 0.0
+        if self.method == "averaged":
+            if self.tilt.size != problem.samples - 1 or turn(problem) > 0:
+                return np.inf
+            return averaged_bound(problem, self.starts, Z, self.tilt, zones)
+        return zone_bound(problem, self.starts, Z, zones)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt")}
+        return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
+
+
+@dataclass(frozen=True, eq=False)
+class UpperBound:
+    """The sigma that no admissible schedule over all real times can beat, with the multipliers that prove it.
+
+    Attributes
+    ----------
+    value : float
+        The largest of the parts' bounds.
+    parts : tuple of BoundPart
+        One part that covers all schedules, or several of one side whose zones cover them.
+    """
+
+    value: float
+    parts: tuple[BoundPart, ...]
+
+    @property
+    def method(self) -> str:
+        """Which argument proves it: that of the part with the largest bound."""
+        return max(self.parts, key=lambda p: p.value).method
+
+    def value_for(self, problem: DesignProblem) -> float:
+        """Work the bound out anew from the multipliers; infinite where the parts leave schedules uncovered."""
+        if not self._covers(problem):
+            return np.inf
+        return max(part.value_for(problem) for part in self.parts)
+
+    def _covers(self, problem: DesignProblem) -> bool:
+        """Whether the parts leave no schedule out."""
+        if any(part.method == "placed" for part in self.parts):
+            return len(self.parts) == 1
+        fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
+        sides = {part.side for part in self.parts}
+        if len(sides) != 1 or not fits or not zoned(problem):
+            return False
+        side = sides.pop()
+        return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> UpperBound:
+        """The inverse of `to_dict`.
+
+        Raises
+        ------
+        ArgumentError
+            If a part names an unknown method, or its `side` is neither "late" nor "early".
+        """
+        parts = []
+        for entry in data["parts"]:
+            if entry["side"] not in SIDES:
+                raise ArgumentError(f"a bound's `side` must be late or early, got {entry['side']!r}.")
+            if entry["method"] not in ("placed", "averaged", "zones"):
+                raise ArgumentError(f"a bound's `method` must be placed, averaged or zones, got {entry['method']!r}.")
+            arrays = {key: np.array(entry[key], dtype=float) for key in ("starts", "weights", "tilt")}
+            zones = np.array(entry["zones"], dtype=float).reshape(-1, 2)
+            parts.append(BoundPart(**{**entry, **arrays, "zones": zones}))
+        return cls(float(data["value"]), tuple(parts))
+
+
+def _part(
+    problem: DesignProblem,
+    method: Method,
+    starts: Array,
+    Z: Array,
+    zones: Array | None = None,
+    tilt: Array | None = None,
+    side: Side = "late",
+) -> BoundPart:
+    """A part from multipliers in the scaled basis."""
+    S = problem.rows.S
+    weights = S @ Z @ S.T
+    values, vectors = np.linalg.eigh((weights + np.swapaxes(weights, 1, 2)) / 2)
+    weights = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    traces = np.trace(weights, axis1=1, axis2=2)
+    kept = traces > _NEGLIGIBLE * traces.sum()
+    weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
+    slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
+    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, slope, side)
+    return replace(bare, value=bare.value_for(problem))
+
+
+def placed_part(problem: DesignProblem, found: Relaxation) -> BoundPart:
+    """Bound from the relaxation over sample times, its multipliers as they are or spread out in time."""
+    step = problem.period / found.starts.size
+    shifts = np.arange(_SPREAD) * (step / _SPREAD)
+    spread = np.concatenate([found.starts + shift for shift in shifts])
+    carried = [E @ found.Z @ E.T for E in expm_batch(problem.rows.A, shifts)]  # the same states, seen from later starts
+    parts = [
+        _part(problem, "placed", found.starts, found.Z),
+        _part(problem, "placed", spread, np.concatenate([found.Z] * _SPREAD)),
+        _part(problem, "placed", spread, np.concatenate(carried)),
+    ]
+    best = min(parts, key=lambda p: p.value)
+    return _priced(problem, best, found.price) if problem.is_costly else best
+
+
+def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
+    """The same multipliers with the price of cost that makes the bound least; it is convex in the price."""
+    from scipy.optimize import minimize_scalar
+
+    def value(price: float) -> float:
+        return replace(part, price=price).value_for(problem)
+
+    unit = guess if guess > 0 else part.value**2 / problem.cost_limit
+    found = minimize_scalar(lambda s: value(unit * s), bounds=(0.0, 2.5), method="bounded", options={"maxiter": 10})
+    tried = [(value(price), price) for price in (0.0, unit, unit * float(found.x))]
+    best, price = min(tried)
+    return replace(part, price=price, value=best)
+
+
+def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart:
+    """Bound from windows after every sample, for all schedules in `zones`."""
+    tight = tightened(problem, zones, side)
+    found, tilt = relax_averaged(problem, zones if tight is None else tight)
+    first = found.starts >= problem.period * (1 - 1e-6)
+    step = problem.period / max(found.starts.size - 1, 1)
+    alone = first | (found.starts == 0.0)
+    moved = [found.starts[~alone] + q * step / _SPREAD for q in range(_SPREAD)]
+    spread = np.concatenate([found.starts[alone], *moved])
+    Z = np.concatenate([found.Z[alone], *([found.Z[~alone] / _SPREAD] * _SPREAD)])
+    parts = [
+        _part(problem, "averaged", found.starts, found.Z, zones, tilt, side),
+        _part(problem, "averaged", spread, Z, zones, tilt, side),
+    ]
+    return min(parts, key=lambda p: p.value)
+
+
+def zone_part(
+    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None
+) -> tuple[BoundPart, ZoneRelaxation] | None:
+    """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
+    tight = tightened(problem, zones, side)
+    if tight is None:
+        return None
+    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints)
+    return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
+
+
+def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
+    """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
+    parts = [placed_part(problem, placed)]
+    if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
+        roots = [zone_part(problem, origin_zones(problem, side), side) for side in SIDES]
+        parts += [root[0] for root in roots if root is not None]
+    best = min(parts, key=lambda p: p.value)
+    return UpperBound(best.value, (best,))

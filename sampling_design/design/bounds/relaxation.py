@@ -1,0 +1,154 @@
+"""Semidefinite relaxation on a time grid: weights to round, multipliers to prove a bound with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _conic
+from sampling_design.design.problem.gram import lags
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.evidence import SolverRecord
+
+Array = npt.NDArray[np.floating[Any]]
+
+TOLERANCE = 1e-7
+"""Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
+
+_ENTRIES = 1600  # rows of all windows' inequalities together, about
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """Weights on grid times and the multipliers of its inequalities.
+
+    The multipliers `Z` of the window starts `starts` are psd with sum <Z_m, S'S> = 1: enforced here, so
+    that the bound made from them does not rest on the solver.
+    """
+
+    times: Array
+    weights: Array
+    starts: Array
+    Z: Array
+    value: float
+    record: SolverRecord
+    price: float = 0.0
+
+
+def grid_size(problem: DesignProblem) -> int:
+    """Grid times per period: as the spacing asks, and several per cycle of the fastest quadratic form."""
+    fine = int(np.ceil(problem.period / problem.spacing))
+    return int(np.clip(max(min(fine, 96), 4 * problem.samples, least_points(problem)), 24, 960))
+
+
+def least_points(problem: DesignProblem) -> int:
+    """Eight grid times per cycle of the fastest quadratic form."""
+    fastest = float(np.max(np.abs(np.linalg.eigvals(problem.plant.A).imag), initial=0.0))
+    return int(np.ceil(8 * problem.period * fastest / np.pi))
+
+
+def _start_count(problem: DesignProblem) -> int:
+    """Window starts: the same number for every grid, so that cost is linear in the grid times; fewer for many states.
+
+    More than some twenty no longer change the value in the fourth digit.
+    """
+    n = problem.plant.n_states
+    return int(np.clip(_ENTRIES / (n * (n + 1) / 2), 8, 32))
+
+
+def relax_placed(problem: DesignProblem, points: int | None = None, seconds: float | None = None) -> Relaxation:
+    """Maximise t subject to sum_j w_j G(t_j - a_m) >= t I for every window start a_m on the grid.
+
+    Cut short after `seconds`; multipliers of any quality prove a bound.
+    """
+    times, mask, starts, linear = relaxation_grid(problem, points)
+    grams = grams_at(problem, times, starts, mask)
+    constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
+    spare = float(problem.samples - problem.fixed.size)
+    return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+
+
+def relaxation_grid(
+    problem: DesignProblem, points: int | None = None
+) -> tuple[Array, npt.NDArray[np.bool_], Array, tuple[Array, Array]]:
+    """Grid times for free samples, what is available there, window starts, and the spacing's rows and limits."""
+    N = grid_size(problem) if points is None else points
+    P = problem.period
+    step, tiny = P / N, 1e-9 * P
+    ends = np.concatenate([problem.intervals[:, 0], problem.intervals[:, 1] - tiny])
+    times = np.arange(N) * step
+    if not problem.is_shift_invariant:  # between grid times and the ends of an interval g could rise unseen
+        times = np.unique(np.mod(np.concatenate([times, ends]), P))
+    mask = problem.mask(times)
+    free = mask.any(axis=-1)
+    for t in problem.fixed:
+        distance = np.abs((times - t + P / 2) % P - P / 2)
+        free &= distance >= problem.spacing * (1 - 1e-9)
+    times, mask = times[free], mask[free]
+    count = _start_count(problem)
+    starts = np.arange(count) * (P / count)
+    ahead = np.mod(times[None, :] - times[:, None] + tiny, P)
+    linear = ((ahead < problem.spacing).astype(float), np.full(times.size, max(1.0, step / problem.spacing)))
+    return times, mask, starts, linear
+
+
+def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:
+    """(M, N, n, n) scaled Gram matrices of samples at `times` in the windows (a_m, a_m + T]."""
+    rows = problem.rows
+    n, p = problem.plant.n_states, problem.plant.n_outputs
+    r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, "right")
+    c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
+    c = c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n))
+    return np.asarray(np.swapaxes(c, -1, -2) @ c)
+
+
+def solve_relaxation(
+    problem: DesignProblem,
+    times: Array,
+    starts: Array,
+    grams: Array,
+    constant: Array,
+    linear: tuple[Array, Array],
+    count: float,
+    seconds: float | None = None,
+    tolerance: float = TOLERANCE,
+) -> Relaxation:
+    """Maximise t subject to sum w = count, rows w <= limits, w >= 0 and the windows' inequalities."""
+    rows = problem.rows
+    N = times.size
+    cost = np.zeros(N + 1)
+    cost[-1] = -1.0
+    total = np.append(np.ones(N), 0.0)[None, :]
+    bounded = np.hstack([np.vstack([linear[0], -np.eye(N)]), np.zeros((linear[0].shape[0] + N, 1))])
+    blocks: list[tuple[str, Array, Array]] = [
+        ("zero", total, np.array([count])),
+        ("nonnegative", bounded, np.concatenate([linear[1], np.zeros(N)])),
+    ]
+    roof = _conic.svec(rows.N)[:, None]
+    for m in range(starts.size):
+        blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
+    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds)
+    Z, _ = feasible_multipliers(problem, found.z[2:])
+    weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
+    return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)
+
+
+def feasible_multipliers(problem: DesignProblem, found: Sequence[Array]) -> tuple[Array, float]:
+    """Psd parts with sum <Z_m, S'S> = 1, and what they were divided by; any such give a true bound."""
+    rows = problem.rows
+    Z = _psd_part(np.array(found))
+    mass = float(np.einsum("mij,ij->", Z, rows.N)) * rows.unit
+    if not np.isfinite(mass) or mass <= 0:  # nothing usable came back
+        Z = np.broadcast_to(rows.R @ rows.R.T, Z.shape).copy()
+        mass = float(np.einsum("mij,ij->", Z, rows.N)) * rows.unit
+    return Z / mass, mass
+
+
+def _psd_part(Z: Array) -> Array:
+    """Nearest psd matrices of a stack; entries that are not finite count as zero."""
+    values, vectors = np.linalg.eigh(np.nan_to_num(Z))
+    return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))

@@ -1,0 +1,294 @@
+"""A bound that no admissible schedule over all real times can beat, from multipliers by weak duality.
+
+For psd Z_m with sum <Z_m, I> = 1 and any window starts a_m, every schedule has
+sigma^2 <= sum_m <Z_m, W(a_m)> = sum over its samples of g(s), g(s) = sum <Z_m, G(s - a_m)> over the
+windows (a_m, a_m + T] that hold s. The sum is maximised over all admissible times: g is bounded on
+time cells (chord plus second-order remainder), the cells are chosen by dynamic programming.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.floating[Any]]
+
+CELLS, CELLS_PER_RATE = 1200, 48.0
+"""Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
+
+_FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
+
+ROUNDING = 1e-9
+"""Relative allowance for rounding in the exponentials, added to every bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """g per output at both ends of every piece of [0, period], and a bound on -g'' inside (never negative)."""
+
+    edges: Array
+    left: Array
+    right: Array
+    bend: Array
+
+
+def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Profile:
+    """Evaluate g on the pieces between `edges`, which must hold every jump of g.
+
+    With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
+    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|.
+    """
+    rows, period = problem.rows, problem.period
+    left, middle, width = edges[:-1], (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    jumps = jump_times(problem, starts)
+    bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints]), 0.0, period))
+    home = np.clip(np.searchsorted(bases, middle) - 1, 0, bases.size - 1)
+    used, home = np.unique(home, return_inverse=True)
+    ends = np.append(bases, period)
+    Y0 = _held(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
+    step = expm_batch(rows.A, left - bases[used][home])
+    Y = step @ Y0[home] @ np.swapaxes(step, 1, 2)
+    across = expm_batch(rows.A, width)
+    A, C = rows.A, rows.C
+    first = A @ Y + Y @ A.T
+    second = A @ first + first @ A.T
+    third = A @ second + second @ A.T
+    growth = np.exp(2 * np.linalg.norm(A, 2) * width)
+    size = np.sqrt(A.shape[0]) * np.linalg.norm(third, axis=(1, 2))
+    sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
+    return Profile(
+        edges,
+        _forms(C, Y),
+        _forms(C, across @ Y @ np.swapaxes(across, 1, 2)),
+        np.maximum(-_forms(C, second), 0.0) + sharpness,
+    )
+
+
+def peaks(g: Profile) -> Array:
+    """At every edge the larger of the two one-sided limits of g, summed over outputs."""
+    left, right = np.sum(g.left, axis=1), np.sum(g.right, axis=1)
+    return np.maximum(np.append(right[-1], right), np.append(left, left[0]))
+
+
+def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) -> Array:
+    """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
+
+    With `prices` per output each measurement costs that much, and the best choice of outputs counts.
+    """
+    rest = (np.diff(g.edges) ** 2 / 8)[:, None] * g.bend
+    sides = (np.roll(g.right, 1, axis=0), g.left, g.right, np.roll(g.left, -1, axis=0))
+    return np.max([best_choice(side + rest, mask, prices) for side in sides], axis=0)
+
+
+def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None) -> Array:
+    """Most that a sample can bring by the outputs (last axis) that are there, at least one, less their prices."""
+    if prices is None:
+        return np.asarray(np.sum(values * mask, axis=-1))
+    net = np.where(mask, values - prices, -np.inf)
+    return np.asarray(np.where(np.any(net > 0, axis=-1), np.sum(np.maximum(net, 0.0), axis=-1), np.max(net, axis=-1)))
+
+
+def jump_times(problem: DesignProblem, starts: Array) -> Array:
+    """Where g jumps: window starts and window ends, in [0, period)."""
+    return np.unique(np.mod(np.concatenate([starts, starts + problem.window]), problem.period))
+
+
+def _forms(C: Array, Y: Array) -> Array:
+    return np.asarray(np.einsum("pi,sij,pj->sp", C, Y, C))
+
+
+def _held(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Array) -> Array:
+    """Y at the times `at`, over the windows that hold the times `inside` (same piece)."""
+    n = problem.plant.n_states
+    count = int(np.ceil(problem.window / problem.period - 1e-9))
+    base = np.mod(inside[:, None] - starts[None, :], problem.period)
+    r = base[..., None] + problem.period * np.arange(count)
+    piece, window, lap = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
+    Y = np.zeros((at.size, n, n))
+    for low in range(0, piece.size, 20000):
+        i, m = piece[low : low + 20000], window[low : low + 20000]
+        E = expm_batch(problem.rows.A, r[i, m, lap[low : low + 20000]] - (inside[i] - at[i]))
+        np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+    return Y
+
+
+def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> Array:
+    """g per output exactly at `times`, shape (N, p); a window end within rounding counts as inside."""
+    period, tiny = problem.period, 1e-11 * problem.period
+    base = np.mod(times[:, None] - starts[None, :], period)
+    base = np.where(base <= tiny, base + period, base)
+    count = int(np.ceil(problem.window / period - 1e-9))
+    r = base[..., None] + period * np.arange(count)
+    i, m, lap = np.nonzero(r <= problem.window + tiny)
+    E = expm_batch(problem.rows.A, r[i, m, lap])
+    Y = np.zeros((times.size, *Z.shape[1:]))
+    np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+    return _forms(problem.rows.C, Y)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Time cells of one width h from `start` to `stop`; samples in admissible cells differ by at least `apart`."""
+
+    start: float
+    stop: float
+    width: float
+    apart: int
+
+    @property
+    def edges(self) -> Array:
+        """Ends of the cells; the last cell may be shorter."""
+        count = max(1, int(np.ceil((self.stop - self.start) / self.width - 1e-9)))
+        return np.append(self.start + self.width * np.arange(count), self.stop)
+
+
+def cells(problem: DesignProblem, start: float, stop: float) -> Cells:
+    """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
+    fine = problem.period / cell_count(problem)
+    parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
+    return Cells(start, stop, problem.spacing / parts if parts else fine, parts)
+
+
+def cell_count(problem: DesignProblem) -> int:
+    """Cells per period at least."""
+    rate = float(np.linalg.norm(problem.rows.A, 2)) * problem.period
+    return int(np.clip(CELLS_PER_RATE * rate, CELLS, 40 * CELLS))
+
+
+def cell_values(found: Cells, edges: Array, values: Array) -> Array:
+    """Largest value of the pieces that overlap each cell."""
+    ends = found.edges
+    middle = (edges[:-1] + edges[1:]) / 2
+    inside = (middle > ends[0]) & (middle < ends[-1])
+    place = np.clip(np.searchsorted(ends, middle[inside]) - 1, 0, ends.size - 2)
+    result = np.full(ends.size - 1, -np.inf)
+    np.maximum.at(result, place, values[inside])
+    return result
+
+
+def best_chain(values: Array, apart: int, most: int) -> Array:
+    """best[j] = largest sum of j cell values, cells at least `apart` apart, j = 0..most."""
+    best = np.full(most + 1, -np.inf)
+    best[0] = 0.0
+    layer = values
+    for j in range(1, most + 1):
+        if j > 1:
+            layer = values + _before(layer, apart)
+        best[j] = np.max(layer, initial=-np.inf)
+    return best
+
+
+def best_cycle(values: Array, apart: int, count: int, period_cells: float) -> float:
+    """Largest sum of `count` cell values around the circle, the wrap included; `period_cells` = period/width.
+
+    Only a first cell near the start bars cells near the end; such first cells are treated in families, each as
+    late as its last member, which never lowers the sum.
+    """
+    size = values.size
+    near = min(apart, size)
+    marks = np.unique(np.linspace(0, near, min(near, _FAMILIES) + 1).astype(np.intp))  # families of first cells
+    layer = np.full((marks.size, size), -np.inf)
+    for row, (a, b) in enumerate(pairwise([*marks, size])):
+        layer[row, a:b] = values[a:b]
+    for _ in range(count - 1):
+        layer = values + _before(layer, apart)
+    last = np.append(marks[1:] + period_cells - apart - 1e-9, size)
+    layer = np.where(np.arange(size) < last[:, None], layer, -np.inf) if count > 1 else layer
+    return float(layer.max())
+
+
+def best_layers(layers: list[Array], arc: Cells, high: float) -> float:
+    """Largest sum of one cell value per layer, successive cells `arc.apart` apart and at most `high` in time."""
+    reach = max(int(np.floor(high / arc.width + 1e-9)) + 1, arc.apart)
+    best = layers[0]
+    for values in layers[1:]:
+        best = values + reachable(best, arc.apart, reach)
+    return float(best.max())
+
+
+def reachable(layer: Array, nearest: int, farthest: int) -> Array:
+    """Maximum over the cells `nearest` to `farthest` cells earlier."""
+    from scipy.ndimage import maximum_filter1d
+
+    if farthest >= layer.size:
+        return _before(layer, nearest)
+    size = farthest - nearest + 1
+    padded = np.concatenate([np.full(farthest, -np.inf), layer])
+    run = maximum_filter1d(padded, size, mode="constant", cval=-np.inf, origin=-(size // 2))
+    return np.asarray(run[: layer.size])
+
+
+def _before(layer: Array, apart: int) -> Array:
+    """Running maximum up to `apart` cells earlier, along the last axis."""
+    run = np.maximum.accumulate(layer, axis=-1)
+    if apart == 0:
+        return run
+    shifted = np.full_like(run, -np.inf)
+    shifted[..., apart:] = run[..., : max(run.shape[-1] - apart, 0)]
+    return shifted
+
+
+def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float = 0.0) -> float:
+    """Bound sigma of every schedule that meets the requirement, forbidden and fixed times included.
+
+    A schedule that costs at most L has sum g <= price L + sum (g - price cost), for any price >= 0.
+    """
+    prices = problem.costs * price if price > 0 and problem.costs is not None else None
+    spent = 0.0 if prices is None else price * problem.cost_limit
+    arcs = _arcs(problem)
+    grid = np.concatenate([a.edges for a in arcs])
+    edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
+    mask = problem.mask((edges[:-1] + edges[1:]) / 2)
+    values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask, prices), -np.inf)
+    if not problem.fixed.size:
+        cycle = arcs[0]
+        sums = cell_values(cycle, edges, values)
+        total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
+        return rooted(spent + total)
+    fixed = best_choice(value_at(problem, starts, Z, problem.fixed), problem.mask(problem.fixed), prices)
+    spare = problem.samples - problem.fixed.size
+    best = np.append(0.0, np.full(spare, -np.inf))
+    turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
+    for arc in arcs:
+        if arc.stop > arc.start:
+            best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
+    return rooted(spent + float(fixed.sum() + best[spare]))
+
+
+def _arcs(problem: DesignProblem) -> list[Cells]:
+    """Stretches for free samples: the whole circle, or what lies between fixed times, up to two periods."""
+    if not problem.fixed.size:
+        return [cells(problem, 0.0, problem.period)]
+    ends = np.append(problem.fixed[1:], problem.fixed[0] + problem.period)
+    tiny = 1e-12 * problem.period
+    pairs = [(a + problem.spacing - tiny, b - problem.spacing + tiny) for a, b in zip(problem.fixed, ends, strict=True)]
+    return [cells(problem, a, b) for a, b in pairs if b > a]
+
+
+def piece_edges(period: float, points: Array) -> Array:
+    """Sorted distinct piece ends in [0, period], points of later laps brought back."""
+    points = np.where(points > period, points - period, points)
+    points = np.unique(np.concatenate([[0.0, period], points[(points > 0) & (points < period)]]))
+    keep = np.append(np.diff(points) > 1e-13 * period, True)
+    keep[0] = True
+    return points[keep]
+
+
+def _joined(one: Array, other: Array) -> Array:
+    """Best sums over two stretches together: max-plus convolution."""
+    result = np.full(one.size, -np.inf)
+    for j in range(one.size):
+        result[j:] = np.maximum(result[j:], one[j] + other[: one.size - j])
+    return result
+
+
+def rooted(total: float) -> float:
+    """sigma from a bound on sigma^2, with the allowance for rounding."""
+    return float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))

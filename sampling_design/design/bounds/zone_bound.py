@@ -1,0 +1,192 @@
+"""Bound of all schedules whose samples lie in given zones.
+
+A relaxation on points of the zones gives multipliers, a chain over time cells the bound. Of the windows
+that might matter only those are posed that do: each round adds the ones that the weights see least of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.bounds.relaxation import Relaxation, grams_at, least_points, solve_relaxation
+from sampling_design.design.bounds.weak_duality import (
+    Cells,
+    best_layers,
+    cell_count,
+    cell_values,
+    jump_times,
+    piece_edges,
+    profile,
+    roofs,
+    rooted,
+)
+from sampling_design.design.bounds.zones import TINY
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.floating[Any]]
+
+_POINTS = 48  # grid times of one relaxation at least, spread over the zones
+_BETWEEN = 36  # window starts beside the zones' ends
+_REGULAR = 1e-12  # of its trace, added to a Gram matrix before it is divided by
+_TOLERANCE = 1e-5  # asked of the solver: hundreds of boxes, each with a bound that is true whatever it answers
+_FINEST = 20000  # cells per period at most
+_JUST_BESIDE = 1e-9  # of the period: a window that starts this much earlier still holds the sample
+_FIRST, _ADDED = 10, 3  # windows of the first round where no hints are given, and of each further round
+_ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wider box mostly matters again
+_SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+_MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
+_MATTERS = 1e-3  # share of all multipliers below which a window has no say
+
+
+@dataclass(frozen=True, eq=False)
+class ZoneRelaxation:
+    """Weights on points of the zones, and which sample's zone gains most from a cut, and where."""
+
+    found: Relaxation
+    index: int
+    cut: float
+
+
+def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelaxation:
+    """Weights on points of the zones; `hints` are window starts that mattered for a wider box."""
+    starts = _window_starts(problem, zones, hints)
+    times, owner, step = _points(problem, zones, starts)
+    grams = grams_at(problem, times, starts, problem.mask(times))
+    rows, limits = _order_rows(problem, zones, times, step)
+    none = np.zeros((starts.size, *grams.shape[2:]))
+    posed = np.arange(starts.size) < hints.size
+    if not hints.size:
+        posed[:: max(1, starts.size // _FIRST)] = True
+    for _ in range(_ROUNDS if hints.size else _FIRST_ROUNDS):
+        used = (owner < 0) | posed[owner]
+        parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
+        found = solve_relaxation(problem, times[used], starts[posed], *parts, tolerance=_TOLERANCE)
+        seen = np.einsum("mjab,j->mab", grams[:, used], found.weights)
+        sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])
+        worst = np.argsort(sigma2, kind="stable")[:_ADDED]
+        worst = worst[sigma2[worst] < found.value * (1 - _SEEN)]
+        if not worst.size:
+            break
+        posed[worst] = True
+    return ZoneRelaxation(found, *_most_divided(problem, zones, found))
+
+
+def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
+    """Hints first; then just before and just after every zone, and some between, in [0, period)."""
+    P = problem.period
+    early, late = zones[:, 0] - _JUST_BESIDE * P, zones[:, 1] + _JUST_BESIDE * P
+    between = (np.arange(_BETWEEN) + 0.5) * (P / _BETWEEN)
+    rest = np.unique(np.mod(np.concatenate([early, late, early - problem.window, between]), P))
+    return np.concatenate([hints, rest[~np.isin(rest, hints)]])
+
+
+def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[Array, npt.NDArray[np.intp], float]:
+    """Allowed times in the zones, every end included, and the widest step between them.
+
+    Just after each window start, where what it sees jumps up, there is one more: whose it is, or -1, comes along.
+    """
+    joined: list[list[float]] = []
+    for a, b in zones:
+        if joined and a <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], float(b))
+        else:
+            joined.append([float(a), float(b)])
+    total = max(sum(b - a for a, b in joined), TINY * problem.period)
+    wanted = max(_POINTS, least_points(problem))
+    counts = [max(3, int(np.ceil(wanted * (b - a) / total)) + 1) for a, b in joined]
+    grid = [np.linspace(a, b, count) for (a, b), count in zip(joined, counts, strict=True)]
+    step = max((b - a) / (count - 1) for (a, b), count in zip(joined, counts, strict=True))
+    fixed = np.unique(np.concatenate([*grid, zones.ravel(), _ends(problem, zones)]))
+    after = np.concatenate([starts, starts + problem.period]) + 2 * _JUST_BESIDE * problem.period
+    held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
+    times = np.concatenate([fixed, after[held]])
+    owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(held) % starts.size])
+    order = np.argsort(times, kind="stable")
+    order = order[problem.mask(times[order]).any(axis=1)]
+    return times[order], owner[order], step
+
+
+def _ends(problem: DesignProblem, zones: Array) -> Array:
+    """Ends of the allowed intervals, as far as they lie in the zones; the later end just inside."""
+    if problem.is_shift_invariant:
+        return np.zeros(0)
+    inside = np.stack([problem.intervals[:, 0], problem.intervals[:, 1] - _JUST_BESIDE * problem.period])
+    ends = np.concatenate([inside.ravel() + lap * problem.period for lap in (0, 1)])
+    return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
+
+
+def _order_rows(problem: DesignProblem, zones: Array, times: Array, step: float) -> tuple[Array, Array]:
+    """Rows and limits: spacing, and as many samples before each zone's end as have to lie there."""
+    k, tiny = problem.samples, 1e-9 * problem.period
+    t = times[None, :]
+    crowd = (t >= times[:, None] - tiny) & (t < times[:, None] + problem.spacing - tiny)
+    reached = (t <= zones[:, 1:] + tiny)[:-1]
+    ahead = (t < zones[:, :1] - tiny)[1:]
+    order = np.arange(1.0, k)
+    rows = np.vstack([crowd, -1.0 * reached, ahead])
+    roof = max(1.0, step / problem.spacing)
+    return rows, np.concatenate([np.full(len(crowd), roof), -order, order])
+
+
+def matters(problem: DesignProblem, found: Relaxation) -> Array:
+    """The window starts whose multipliers have a say."""
+    shares = np.einsum("mij,ij->m", found.Z, problem.rows.N) * problem.rows.unit
+    return found.starts[shares > _MATTERS]
+
+
+def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float]:
+    """The sample whose early and late shares differ most for the windows that matter, and its mean time.
+
+    The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
+    in one half of them and late in the other, their Gram matrices would differ by D, and the mean of both
+    lies above them by <Z, D W^-1 D> to second order: what a cut between the two takes away.
+    """
+    k = problem.samples
+    held = np.isin(found.starts, matters(problem, found))
+    starts, Z = found.starts[held], found.Z[held]
+    grams = grams_at(problem, found.times, starts, problem.mask(found.times))
+    W = np.einsum("mjab,j->mab", grams, found.weights)
+    W = W + _REGULAR * np.trace(W, axis1=1, axis2=2)[:, None, None] * np.eye(W.shape[-1])
+    total = np.append(0.0, np.cumsum(found.weights))
+    total *= k / max(float(total[-1]), 1e-300)
+    gains, cuts = np.zeros(k), zones.mean(axis=1)
+    for i in range(k):
+        share = np.maximum(np.minimum(total[1:], i + 1) - np.maximum(total[:-1], i), 0.0)
+        if share.sum() <= 0:
+            continue
+        cuts[i] = share @ found.times / share.sum()
+        late = found.times >= cuts[i]
+        parts = [share * side / max(float((share * side).sum()), 1e-300) for side in (late, ~late)]
+        D = np.einsum("mjab,j->mab", grams, parts[0] - parts[1])
+        weight = (share * late).sum() * (share * ~late).sum()
+        gains[i] = weight * float(np.einsum("mab,mbc,mca->", Z, D, np.linalg.solve(W, D)))
+    width = zones[:, 1] - zones[:, 0]
+    index = int(np.argmax(gains)) if gains.max() > 0 else int(np.argmax(width))
+    edge = _MARGIN * width[index]
+    return index, float(np.clip(cuts[index], zones[index, 0] + edge, zones[index, 1] - edge))
+
+
+def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) -> float:
+    """Bound sigma of every schedule whose samples lie in `zones`."""
+    P = problem.period
+    zone = np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1)
+    wide = float(np.max(zone[:, 1] - zone[:, 0]))
+    fine = float(np.clip(wide / 6, P / _FINEST, P / cell_count(problem)))
+    apart = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
+    arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), problem.spacing / apart if apart else fine, apart)
+    ends = arc.edges
+    inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
+    marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])
+    edges = piece_edges(P, np.concatenate([jump_times(problem, starts), np.mod(marks, P), problem.breakpoints]))
+    mask = problem.mask((edges[:-1] + edges[1:]) / 2)
+    roof = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
+    laps = np.arange(-1, int(np.ceil(arc.stop / P)) + 1)
+    line = np.append((edges[:-1] + P * laps[:, None]).ravel(), P * (laps[-1] + 1))
+    roof = np.tile(roof, laps.size)
+    # open comparison: a piece that only touches a zone holds none of its times, and may lie beyond a jump
+    layers = [cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof, -np.inf)) for a, b in zone]
+    return rooted(best_layers(layers, arc, 2 * P))

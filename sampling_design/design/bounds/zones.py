@@ -1,0 +1,154 @@
+"""Where the samples of a lap can lie, counted from the sample after which all others come late, or early.
+
+Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - i P/k: how late sample i is
+against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
+j P/k or more, for every j at once (the cycle lemma); from the sample where D is largest, after j P/k or
+less. That sample is the origin: sample 0. Where the requirement may be shifted by `turn`, the origin lies in
+[0, turn], at 0 alone if it may be shifted at will. Every sample then has a zone, and boxes of zones are cut in
+two again and again (`branching`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.floating[Any]]
+Side = Literal["late", "early"]
+SIDES: tuple[Side, ...] = ("late", "early")
+
+TINY = 1e-12
+"""Slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone."""
+
+_EMPTY = 1e-9  # zones that miss each other by more than this share of the period hold no schedule
+_SAME = 1e-9  # of the period: what is allowed may differ so near to an end, and still counts as repeating
+
+
+def zoned(problem: DesignProblem) -> bool:
+    """Whether zones can bound the problem: two samples or more, and none of them fixed but one that may be turned."""
+    return problem.samples >= 2 and problem.fixed.size <= (1 if _open(problem) else 0)
+
+
+def _open(problem: DesignProblem) -> bool:
+    """Whether every time is allowed for every output."""
+    return not problem.forbidden.size and all(a is None for a in problem.available)
+
+
+def turn(problem: DesignProblem) -> float:
+    """The least shift after which the same times are allowed: 0 where all are, else a fraction of the period."""
+    if _open(problem):
+        return 0.0
+    P, edges = problem.period, problem.breakpoints
+    for parts in range(edges.size, 1, -1):
+        shift = P / parts
+        joint = np.unique(np.concatenate([edges, np.mod(edges - shift, P)]))
+        joint = joint[np.append(np.diff(joint), P - joint[-1]) > _SAME * P]
+        inner = (joint + np.append(joint[1:], P)) / 2
+        if np.array_equal(problem.mask(inner), problem.mask(inner + shift)):
+            return float(shift)
+    return P
+
+
+def origin_zones(problem: DesignProblem, side: Side) -> Array:
+    """(k, 2): where the origin and its followers lie, all other samples being late (or early) after it."""
+    k, P = problem.samples, problem.period
+    j = np.arange(k)
+    first, last = j * problem.spacing, P - (k - j) * problem.spacing
+    even = j * (P / k)
+    low, high = (even, last) if side == "late" else (first, even)
+    low, high = np.minimum(low, high), np.maximum(low, high) + turn(problem)
+    low[0], high[0] = 0.0, turn(problem)
+    return np.stack([low - TINY * P, high + TINY * P], axis=1)
+
+
+def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
+    """The zones less what origin, spacing and allowed times rule out, or None where they hold no schedule."""
+    k, P, gap = problem.samples, problem.period, problem.spacing
+    order = np.arange(k)
+    even, apart, room = order * (P / k), order * gap, P - (k - order) * gap
+    low, high = zones[:, 0].copy(), zones[:, 1].copy()
+    for _ in range(2):  # what one sample loses its neighbours lose; a second round finds most of the rest
+        if not _open(problem):
+            low, high = _allowed(problem, low, high)
+        if side == "late":  # s_j >= s_0 + j P/k
+            low, high[0] = np.maximum(low, low[0] + even), np.min(high - even)
+        else:
+            high, low[0] = np.minimum(high, high[0] + even), np.max(low - even)
+        low = np.maximum.accumulate(low - apart) + apart
+        high = np.minimum.accumulate((high - apart)[::-1])[::-1] + apart
+        high[1:] = np.minimum(high[1:], high[0] + room[1:])  # the next lap's first sample is a spacing away too
+        low[0] = max(low[0], float(np.max(low[1:] - room[1:])))
+        if np.any(high < low - _EMPTY * P):
+            return None
+    return np.stack([np.minimum(low, high), np.maximum(low, high)], axis=1)
+
+
+def _allowed(problem: DesignProblem, low: Array, high: Array) -> tuple[Array, Array]:
+    """The ends of zones moved inwards to times at which some output may be measured."""
+    tiny = TINY * problem.period
+    spans = np.concatenate([problem.intervals + lap * problem.period for lap in (-1, 0, 1, 2)])
+    after = np.minimum(np.searchsorted(spans[:, 1], low - tiny), len(spans) - 1)
+    before = np.maximum(np.searchsorted(spans[:, 0], high + tiny, side="right") - 1, 0)
+    return np.maximum(low, spans[after, 0]), np.minimum(high, spans[before, 1])
+
+
+def halves(zones: Array, index: int, cut: float) -> tuple[Array, Array]:
+    """The box cut in two at `cut` along sample `index`."""
+    below, above = zones.copy(), zones.copy()
+    below[index, 1] = above[index, 0] = cut
+    return below, above
+
+
+def covered(problem: DesignProblem, region: Array, boxes: list[Array], side: Side) -> bool:
+    """Whether boxes that came from cutting `region` again and again leave no schedule of it out.
+
+    Found by looking for the cuts again: a place where no box is cut through, and then each half alone.
+    """
+    if tightened(problem, region, side) is None:
+        return True
+    tiny = TINY * problem.period
+    if any(np.all(b[:, 0] <= region[:, 0] + tiny) and np.all(b[:, 1] >= region[:, 1] - tiny) for b in boxes):
+        return True
+    for index in range(region.shape[0]):
+        for cut in np.unique([end for b in boxes for end in b[index]]):
+            if not region[index, 0] + tiny < cut < region[index, 1] - tiny:
+                continue
+            below = [b for b in boxes if b[index, 1] <= cut]
+            above = [b for b in boxes if b[index, 0] >= cut]
+            if len(below) + len(above) == len(boxes):
+                left, right = halves(region, index, float(cut))
+                return covered(problem, left, below, side) and covered(problem, right, above, side)
+    return False
+
+
+def lateness(problem: DesignProblem, zones: Array) -> Array:
+    """(k, 2): bounds of how late each sample can be against even spacing from the origin; 0 for the origin itself."""
+    even = np.arange(problem.samples) * (problem.period / problem.samples)
+    late = zones - zones[0, ::-1] - even[:, None]
+    late[0] = 0.0
+    return late
+
+
+def follower_zones(problem: DesignProblem, zones: Array) -> Array:
+    """(k-1, 2): where follower i of ANY sample can lie, if the samples lie in `zones`."""
+    k, P, gap = problem.samples, problem.period, problem.spacing
+    late = lateness(problem, zones)
+    found = np.empty((k - 1, 2))
+    for i in range(1, k):
+        ahead = np.roll(late, -i, axis=0)  # D is periodic: how late the i-th follower of each sample is
+        found[i - 1] = np.min(ahead[:, 0] - late[:, 1]), np.max(ahead[:, 1] - late[:, 0])
+    order = np.arange(1, k)
+    found += (order * (P / k))[:, None]
+    low = np.maximum(found[:, 0], order * gap) - TINY * P
+    high = np.minimum(found[:, 1], P - (k - order) * gap) + TINY * P
+    return np.stack([np.maximum(low, 0.0), np.minimum(np.maximum(high, low), P)], axis=1)
+
+
+def widest_gap(problem: DesignProblem, zones: Array) -> float:
+    """Longest gap that the zones leave room for."""
+    low, high = zones[:, 0], np.append(zones[1:, 1], zones[0, 1] + problem.period)
+    return float(np.max(high - low))

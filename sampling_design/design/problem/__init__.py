@@ -1,0 +1,1 @@
+"""What is asked: requirements, and all numbers of one design problem."""

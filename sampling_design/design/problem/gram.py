@@ -1,0 +1,147 @@
+"""Measurement rows in a basis in which the windows' Gram matrices are near the identity.
+
+With z = R x and R from the triangular factor of the rows C e^{Ar}, r over the window, every congruence
+keeps its inequality: W >= t I in x means S'WS >= t S'S in z with S = R^-1. A plant that grows by
+thousands over a window is harmless there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch
+from sampling_design.observability.windows.sampled import observability_matrix
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.floating[Any]]
+
+_NODES = 2049
+_FLOOR = 1e-15  # eigenvalues of a scaled Gram matrix below this times the largest count as unseen
+_NOTHING = 1e-100  # stands for the size of an empty window: squares of its inverse stay numbers
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledRows:
+    """Rows c(r) = C e^{Ar} S over [0, window], S = R^-1; `A`, `C` in the same basis."""
+
+    plant: Plant
+    window: float
+
+    @cached_property
+    def _nodes(self) -> Array:
+        return np.linspace(0.0, self.window, _NODES)
+
+    @cached_property
+    def _raw(self) -> Array:
+        return observability_matrix(self.plant, self._nodes)
+
+    @cached_property
+    def R(self) -> Array:
+        """Triangular (n, n): the window's rows of equal weight have Gram matrix R'R."""
+        R = np.linalg.qr(self._raw / np.sqrt(_NODES), mode="r")
+        signs = np.where(np.diagonal(R) < 0, -1.0, 1.0)
+        return np.asarray(R * signs[:, None])
+
+    @cached_property
+    def S(self) -> Array:
+        """R^-1, for which solves are used everywhere but in products of n by n."""
+        return np.asarray(np.linalg.solve(self.R, np.eye(self.R.shape[0])))
+
+    @cached_property
+    def A(self) -> npt.NDArray[np.float64]:
+        """R A R^-1."""
+        return np.asarray(np.linalg.solve(self.R.T, (self.R @ self.plant.A).T).T)
+
+    @cached_property
+    def C(self) -> Array:
+        """C R^-1."""
+        return np.asarray(np.linalg.solve(self.R.T, self.plant.C.T).T)
+
+    @cached_property
+    def unit(self) -> float:
+        """Largest eigenvalue of S'S: t is measured in 1/unit inside the solvers."""
+        return float(np.linalg.norm(self.S, 2) ** 2)
+
+    @cached_property
+    def N(self) -> Array:
+        """S'S/unit, so that W >= t I reads W^ >= (t unit) N."""
+        return np.asarray(self.S.T @ self.S / self.unit)
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        rows = np.linalg.solve(self.R.T, self._raw.T).T
+        slopes = rows @ self.A
+        shape = (_NODES, self.plant.n_outputs, self.plant.n_states)
+        return rows.reshape(shape), slopes.reshape(shape)
+
+    def rows(self, r: Array) -> Array:
+        """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation (search only, never proof)."""
+        return self._between(self._table, r)
+
+    @cached_property
+    def _flow_table(self) -> tuple[Array, Array]:
+        flow = expm_batch(self.A, self._nodes)
+        return flow, flow @ self.A
+
+    def flows(self, r: Array) -> Array:
+        """Return e^{Ar} in the scaled basis, shape (*r.shape, n, n), 0 <= r <= window, likewise."""
+        return self._between(self._flow_table, r)
+
+    def _between(self, table: tuple[Array, Array], r: Array) -> Array:
+        values, slopes = table
+        h = self.window / (_NODES - 1)
+        place = np.clip(r / h, 0.0, _NODES - 1)
+        node = np.minimum(place.astype(np.intp), _NODES - 2)
+        u = (place - node)[..., None, None]
+        v = 1.0 - u
+        left = values[node] * (1 + 2 * u) + slopes[node] * (h * u)
+        right = values[node + 1] * (1 + 2 * v) - slopes[node + 1] * (h * v)
+        return np.asarray(left * v**2 + right * u**2)
+
+    def least(self, grams: Array) -> tuple[Array, Array]:
+        """Return sigma^2 of scaled Gram matrices (..., n, n) and the vectors z with z'S'Sz = 1 that attain it.
+
+        sigma^2 = 1/lambda_max(S'S, W^): relative accuracy does not suffer from the scale of x.
+        """
+        values, vectors = np.linalg.eigh(grams)
+        top = values[..., -1:]
+        floored = np.maximum(values, _FLOOR * np.maximum(top, _NOTHING))
+        half = vectors / np.sqrt(floored)[..., None, :]
+        inner = np.swapaxes(half, -1, -2) @ self.N @ half
+        largest, direction = np.linalg.eigh(inner)
+        sigma2 = 1.0 / (largest[..., -1] * self.unit)
+        z = (half @ direction[..., -1:])[..., 0]
+        z = z / np.sqrt(np.maximum(largest[..., -1:] * self.unit, 1e-300))
+        return np.where(values[..., 0] <= _FLOOR * top[..., 0], 0.0, sigma2), np.asarray(z)
+
+    def least_seen(self, grams: Array, count: int) -> Array:
+        """The `count` directions z of each Gram matrix that it sees least against z'S'Sz, (..., n, count)."""
+        values, vectors = np.linalg.eigh(grams)
+        floored = np.maximum(values, _FLOOR * np.maximum(values[..., -1:], _NOTHING))
+        half = vectors / np.sqrt(floored)[..., None, :]
+        _, direction = np.linalg.eigh(np.swapaxes(half, -1, -2) @ self.N @ half)
+        z = half @ direction[..., -count:]
+        return np.asarray(z / np.sqrt(np.einsum("...iq,ij,...jq->...q", z, self.N, z))[..., None, :])
+
+
+def lags(times: Array, start: Array, window: float, period: float, closed: str) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the distances of all laps of `times` from `start`, and which lie in the half-open window.
+
+    `closed` = "right" for (start, start + T], the limit just after a sample leaves, or "left" for
+    [start, start + T). Distances within 1e-11 periods of an end lie on it. Shapes broadcast; one axis
+    of laps is appended.
+    """
+    tiny = 1e-11 * period
+    base = np.mod(times - start, period)
+    if closed == "right":
+        base = np.where(base <= tiny, base + period, base)
+    else:
+        base = np.where(base >= period - tiny, base - period, base)
+    r = base[..., None] + period * np.arange(int(np.ceil(window / period - 1e-9)))
+    inside = r <= window + tiny if closed == "right" else r < window - tiny
+    return np.clip(r, 0.0, window), inside

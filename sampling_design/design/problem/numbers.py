@@ -1,0 +1,127 @@
+"""All numbers of one design: allowed times, and how many samples they leave room for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.problem.gram import ScaledRows
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+_EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
+SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
+
+
+@dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """All numbers of one design: k samples per period, spacing, windows, allowed times, output masks."""
+
+    plant: Plant  # the retained part, in the coordinates that sigma refers to
+    window: float
+    period: float
+    spacing: float
+    samples: int
+    forbidden: Array
+    fixed: Array
+    available: tuple[Array | None, ...]  # per output
+    costs: Array | None = None  # of one measurement, per output
+    cost_limit: float = np.inf  # of one period
+    chosen: Mask | None = None  # (k, p): what each sample measures, where that is decided
+
+    @cached_property
+    def rows(self) -> ScaledRows:
+        """The plant's rows over one window, in the scaled basis."""
+        return ScaledRows(self.plant, self.window)
+
+    @property
+    def is_shift_invariant(self) -> bool:
+        """Whether a schedule may be moved in time without breaking anything."""
+        bare = not self.forbidden.size and not self.fixed.size and self.chosen is None
+        return bare and all(a is None for a in self.available)
+
+    @property
+    def is_costly(self) -> bool:
+        """Whether the cost limit bars that every sample measures every output."""
+        return self.costs is not None and bool(self.samples * self.costs.sum() > self.cost_limit)
+
+    def measured(self, times: Array) -> Mask:
+        """What the samples at `times` (..., k), sorted, measure: all that is available, or what was chosen of it."""
+        return self.mask(times) if self.chosen is None else self.mask(times) & self.chosen
+
+    @cached_property
+    def breakpoints(self) -> Array:
+        """Times in [0, period] at which what is allowed changes, 0 and the period included."""
+        spans = [self.forbidden, *(a for a in self.available if a is not None)]
+        points = np.concatenate([np.array([0.0, self.period]), *(s.ravel() for s in spans)])
+        return np.unique(np.clip(points, 0.0, self.period))
+
+    def mask(self, times: Array) -> Mask:
+        """Which outputs may be measured at `times` (any shape, mod period): shape (*times.shape, p)."""
+        t = np.mod(times, self.period)
+        open_ = ~_within(t, self.forbidden)
+        parts = [open_ if a is None else open_ & _within(t, a) for a in self.available]
+        return np.stack(parts, axis=-1)
+
+    @cached_property
+    def intervals(self) -> Array:
+        """Maximal half-open intervals [a, b) of [0, period) on which some output may be measured, (m, 2)."""
+        edges = self.breakpoints
+        open_: list[bool] = np.any(self.mask((edges[:-1] + edges[1:]) / 2), axis=-1).tolist()
+        found: list[list[float]] = []
+        for a, b, good in zip(edges[:-1], edges[1:], open_, strict=True):
+            if good and found and found[-1][1] == a:
+                found[-1][1] = float(b)
+            elif good:
+                found.append([float(a), float(b)])
+        return np.array(found).reshape(-1, 2)
+
+    def capacity(self, spacing: float | None = None) -> int:
+        """Most samples per period that fixed and allowed times leave room for."""
+        return int(self.packing(spacing).size)
+
+    def packing(self, spacing: float | None = None) -> Array:
+        """Times of a schedule with as many samples as there is room for.
+
+        An optimal packing can be pushed left until some sample lies at the left end of an interval (or
+        just after a fixed one), so that greedy placement from each left end finds it.
+        """
+        gap = self.spacing if spacing is None else spacing
+        if self.fixed.size:
+            ends = np.append(self.fixed[1:], self.fixed[0] + self.period)
+            inner = [self._greedy(a + gap, b - gap, gap) for a, b in zip(self.fixed, ends, strict=True)]
+            return np.sort(np.mod(np.concatenate([self.fixed, *inner]), self.period))
+        if len(self.intervals) == 1 and np.ptp(self.intervals[0]) == self.period:
+            most = int(np.floor(self.period / gap * (1 + _EXACT)))
+            return np.arange(most) * (self.period / max(most, 1))
+        packings = [self._greedy(a, a + self.period - gap, gap) for a, _ in self.intervals]
+        return np.sort(np.mod(max(packings, key=len, default=[]), self.period))
+
+    @property
+    def gap(self) -> float:
+        """The spacing that the search keeps: a little wider than asked, where there is room for that."""
+        return float(max(min(self.spacing * (1 + SLACK), self.period / self.samples), self.spacing))
+
+    def _greedy(self, start: float, stop: float, gap: float) -> list[float]:
+        """Earliest admissible times in [start, stop], at least `gap` apart."""
+        tiny = SLACK * self.period
+        laps = range(int(np.floor(start / self.period)), int(np.floor(stop / self.period)) + 1)
+        spans = [(a + lap * self.period, b + lap * self.period) for lap in laps for a, b in self.intervals]
+        placed: list[float] = []
+        t = start
+        for a, b in spans:
+            t = max(t, a)
+            while t < b - tiny and t <= stop + tiny:
+                placed.append(t)
+                t += gap
+        return placed
+
+
+def _within(t: Array, spans: Array) -> Mask:
+    return np.any((t[..., None] >= spans[:, 0]) & (t[..., None] < spans[:, 1]), axis=-1)

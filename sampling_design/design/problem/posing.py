@@ -1,0 +1,169 @@
+"""A requirement met with a plant: defaults filled in, units converted, numbers posed and checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._units import time_factor
+from sampling_design.design.problem.feasible import check_feasible
+from sampling_design.design.problem.numbers import SLACK, DesignProblem
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.observability.count.zero_count import zero_count_bound
+from sampling_design.plants.modes import ModalSplit
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.floating[Any]]
+
+MOST_DEFAULT_SAMPLES = 24
+
+
+def default_window(split: ModalSplit) -> float | None:
+    """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
+
+        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|
+
+    Parameters
+    ----------
+    split : ModalSplit
+
+    Returns
+    -------
+    float or None
+        In the plant's time unit; None where the retained part neither oscillates nor moves.
+    """
+    rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
+    rates = rates[rates > 0]
+    norm = float(np.linalg.norm(split.retained.A, 2)) if split.retained.n_states else 0.0
+    if rates.size:
+        return float(2 * np.pi / rates.min())
+    return 4 / norm if norm else None
+
+
+def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, dict[str, Any]]:
+    """Fill in the defaults, in the plant's time unit; return the requirement and the defaults used, with reasons."""
+    r = _in_unit(requirement, split.plant.time_unit)
+    used: dict[str, Any] = {}
+    retained = split.retained
+    if r.window is None:
+        r = r.replace(window=default_window(split) or r.period or 1.0)
+        used["window"] = r.window
+    if r.period is None:
+        r = r.replace(period=r.window)
+        used["period"] = r.period
+    if not r.samples:
+        needed = zero_count_bound(retained, _known(r.window)).samples
+        per_period = max(1, int(np.ceil(needed * _known(r.period) / _known(r.window) - SLACK)))
+        kind = "exactly" if r.target_sigma is None else "at_most"
+        count = min(per_period, MOST_DEFAULT_SAMPLES) if r.target_sigma is None else MOST_DEFAULT_SAMPLES
+        r = r.replace(samples={kind: max(count, r.fixed.size)})
+        used["samples"] = dict(r.samples)
+        if r.target_sigma is None and per_period > MOST_DEFAULT_SAMPLES:
+            used["notice"] = (
+                f"The zero count asks for {per_period} samples per period; {MOST_DEFAULT_SAMPLES} are designed. "
+                "Give `samples` to change this."
+            )
+    if r.spacing is None:
+        r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
+        used["spacing"] = r.spacing
+    r._check_within(_known(r.period))
+    return r, used
+
+
+def repeated(requirement: Requirement, laps: int) -> Requirement:
+    """Return the same constraints on times, over `laps` periods as one; `requirement` is resolved."""
+    period = _known(requirement.period)
+
+    def tiled(spans: Array) -> Array:
+        return np.asarray((spans[None] + period * np.arange(laps)[:, None, None]).reshape(-1, 2))
+
+    outputs = {
+        name: {"available": None if a.available is None else tiled(a.available), "cost": a.cost}
+        for name, a in requirement.outputs.items()
+    }
+    fixed = (requirement.fixed + period * np.arange(laps)[:, None]).ravel()
+    changes: dict[str, Any] = {
+        "period": laps * period,
+        "forbidden": tiled(requirement.forbidden),
+        "fixed": fixed,
+        "outputs": outputs,
+    }
+    if requirement.cost_limit is not None:
+        changes["cost_limit"] = laps * requirement.cost_limit
+    return requirement.replace(**changes)
+
+
+def _known(value: float | None) -> float:
+    """A number that was filled in before."""
+    assert value is not None
+    return value
+
+
+def _in_unit(requirement: Requirement, unit: str) -> Requirement:
+    if requirement.time_unit in (None, unit):
+        return requirement.replace(time_unit=unit)
+    c = time_factor(str(requirement.time_unit), unit)
+    times = {k: v * c for k in ("window", "period", "spacing") if (v := getattr(requirement, k)) is not None}
+    outputs = {
+        name: {"available": None if a.available is None else a.available * c, "cost": a.cost}
+        for name, a in requirement.outputs.items()
+    }
+    return requirement.replace(
+        **times,
+        forbidden=requirement.forbidden * c,
+        fixed=requirement.fixed * c,
+        decay_rate=requirement.decay_rate / c,
+        outputs=outputs,
+        time_unit=unit,
+    )
+
+
+def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = True) -> DesignProblem:
+    """Return the numbers of the design with `samples` per period; `requirement` is resolved.
+
+    Raises
+    ------
+    InfeasibleRequirementError
+        If no schedule meets it; names the obstacle and the nearest requirement that works.
+    """
+    names = plant.outputs.names
+    _checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
+    access = [requirement.outputs.get(name) for name in names]
+    prices = np.array([0.0 if a is None else a.cost for a in access])
+    problem = DesignProblem(
+        plant,
+        _known(requirement.window),
+        _known(requirement.period),
+        _known(requirement.spacing),
+        samples,
+        requirement.forbidden,
+        requirement.fixed,
+        tuple(None if a is None else a.available for a in access),
+        prices,
+        np.inf if requirement.cost_limit is None else requirement.cost_limit,
+    )
+    if check:
+        try:
+            check_feasible(problem)
+        except InfeasibleRequirementError as error:
+            raise InfeasibleRequirementError(
+                str(error), error.obstacle, _as_asked(error.nearest, requirement, names)
+            ) from None
+    return problem
+
+
+def _as_asked(change: dict[str, Any], requirement: Requirement, names: tuple[str, ...]) -> dict[str, Any]:
+    """A change of the problem as keyword arguments of the requirement."""
+    result = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in change.items()}
+    spans = result.pop("available", None)
+    if spans is not None:
+        prices = {name: access.cost for name, access in requirement.outputs.items()}
+        result["outputs"] = {
+            name: {"available": None if span is None else span.tolist(), "cost": prices.get(name, 0.0)}
+            for name, span in zip(names, spans, strict=True)
+        }
+    return result

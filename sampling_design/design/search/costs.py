@@ -1,0 +1,200 @@
+"""A limit on what the measurements of a period may cost: which outputs each sample measures.
+
+The relaxation weighs outputs one by one, and the multiplier of the limit is the price at which the bound
+over all real times is taken. The choice for a schedule starts from everything that can be measured and
+gives up, one by one, what costs most for what it brings; then pairs are exchanged.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _conic
+from sampling_design.design.bounds.relaxation import Relaxation, feasible_multipliers, grams_at, relaxation_grid
+from sampling_design.design.problem.feasible import changed
+from sampling_design.design.problem.numbers import SLACK, DesignProblem
+from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.search.fedorov_exchange import even, rounded
+from sampling_design.design.search.local_search import Found, Trial
+from sampling_design.design.search.refine import refined
+from sampling_design.errors import InfeasibleRequirementError
+
+Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+_FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
+_PAIRS = 400  # exchanges that are looked at in one round
+_ROUNDS = 6
+
+
+def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxation:
+    """Maximise t over weights of samples w and of their measurements u <= w with sum cost u within the limit."""
+    grid, _, starts, crowd = relaxation_grid(problem)
+    times = np.concatenate([grid, problem.fixed])
+    mask, costs = problem.mask(times), _costs(problem)
+    grams = np.stack([grams_at(problem, times, starts, mask & only) for only in np.eye(costs.size, dtype=bool)], axis=2)
+    N, p, M = times.size, costs.size, starts.size
+    eye, free = np.eye(N), np.arange(N) < grid.size
+    each = np.repeat(eye, p, axis=0)  # the sample that a measurement belongs to
+    equal = np.vstack([free, eye[~free]])
+    none = np.zeros((N * p, N))
+    inequalities = [
+        (np.hstack([np.zeros(N), np.tile(costs, N)])[None], np.array([problem.cost_limit])),
+        (np.hstack([-each, np.eye(N * p)]), np.zeros(N * p)),
+        (np.hstack([none, -np.eye(N * p)]), np.zeros(N * p)),
+        (np.hstack([eye, -each.T]), np.zeros(N)),
+        (np.hstack([crowd[0], np.zeros((crowd[0].shape[0], N - grid.size + N * p))]), crowd[1]),
+    ]
+    spare = float(problem.samples - problem.fixed.size)
+    blocks: list[tuple[str, Array, Array]] = [
+        ("zero", _padded(equal, N * p + 1), np.append(spare, np.ones(N - grid.size))),
+        (
+            "nonnegative",
+            _padded(np.vstack([A for A, _ in inequalities]), 1),
+            np.concatenate([b for _, b in inequalities]),
+        ),
+    ]
+    roof = _conic.svec(problem.rows.N)[:, None]
+    for m in range(M):
+        seen = _conic.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
+        blocks.append(("psd", np.hstack([np.zeros((roof.size, N)), -seen, roof]), np.zeros(roof.size)))
+    cost = np.zeros(N + N * p + 1)
+    cost[-1] = -1.0
+    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
+    Z, mass = feasible_multipliers(problem, found.z[2:])
+    price = float(np.nan_to_num(max(found.z[1][0], 0.0))) / mass
+    weights = np.clip(np.nan_to_num(found.x[: grid.size]), 0.0, None)
+    return Relaxation(grid, weights, starts, Z, found.x[-1] / problem.rows.unit, found.record, price)
+
+
+def _padded(A: Array, columns: int) -> Array:
+    return np.hstack([A, np.zeros((A.shape[0], columns))])
+
+
+def _costs(problem: DesignProblem) -> Array:
+    assert problem.costs is not None
+    return problem.costs
+
+
+def affordable(
+    problem: DesignProblem, found: Found, relaxation: Relaxation, deadline: float = np.inf
+) -> tuple[Found, Mask]:
+    """The best schedule within the limit from several starts, and what each of its samples measures.
+
+    Raises
+    ------
+    InfeasibleRequirementError
+        If the outputs that are available at the times that were found all cost too much.
+    """
+    starts = [("all outputs", found.times)]
+    for name, times in (("rounded", rounded(problem, relaxation, 0.5)), ("even", even(problem, 0.5))):
+        if times is not None and time.perf_counter() <= deadline:
+            starts.append((name, times))
+    best: tuple[float, Array, Mask] | None = None
+    trials = list(found.trials)
+    for name, times in starts:
+        chosen = thinned(problem, times, deadline)
+        if chosen is None:
+            continue
+        before = float(worst_sigma2(problem, times[None], used=chosen[None])[0])
+        for _ in range(2):  # times follow the choice, and the choice the times
+            times, after = refined(changed(problem, {"chosen": chosen}), times, before, deadline=deadline)
+            again = thinned(problem, times, deadline)
+            value = 0.0 if again is None else float(worst_sigma2(problem, times[None], used=again[None])[0])
+            if again is None or value <= after * (1 + 1e-6):
+                break
+            chosen, after = again, value
+        trials.append(Trial(f"cost limit, {name}", float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        if best is None or after > best[0]:
+            best = after, times, chosen
+    if best is None:
+        least = float(cheapest(problem, found.times).sum())
+        raise InfeasibleRequirementError(
+            f"`cost_limit` {problem.cost_limit:g} is not kept by any schedule that was found; the cheapest costs "
+            f"{least:g}. The nearest that works: cost_limit {least:g}.",
+            "cost_limit",
+            {"cost_limit": least},
+        )
+    value, times, chosen = best
+    return Found(times, float(np.sqrt(max(value, 0.0))), tuple(trials), found.complete), chosen
+
+
+def cheapest(problem: DesignProblem, times: Array) -> Array:
+    """Cost of the cheapest output that each sample can measure."""
+    return np.asarray(np.min(np.where(problem.mask(times), _costs(problem), np.inf), axis=-1))
+
+
+def thinned(problem: DesignProblem, times: Array, deadline: float = np.inf) -> Mask | None:
+    """What each sample measures within the limit; None where even the cheapest outputs exceed it."""
+    costs, limit, there = _costs(problem), problem.cost_limit * (1 + SLACK), problem.mask(times)
+    if cheapest(problem, times).sum() > limit:
+        return None
+    used = there.copy()
+    while np.sum(used * costs) > limit:
+        moves = _drops(used, costs)
+        moves = moves if moves.size else _swaps(used, there, costs)
+        values = _values(problem, times, moves)
+        saved = np.sum(used * costs) - np.sum(moves * costs, axis=(1, 2))
+        lost = max(float(values.max()), 0.0) - values
+        used = moves[int(np.argmin((lost + 1e-12 * values.max()) / saved))]
+    return _exchanged(problem, times, used, deadline)
+
+
+def _drops(used: Mask, costs: Array) -> Mask:
+    """Choices with one costly measurement less, every sample keeping one."""
+    spare = used & (used.sum(axis=1, keepdims=True) > 1) & (costs > 0)
+    return _flipped(used, list(zip(*np.nonzero(spare), strict=True)))
+
+
+def _swaps(used: Mask, there: Mask, costs: Array) -> Mask:
+    """Choices in which one sample's only costly measurement gives way to a cheaper one."""
+    result = []
+    for i, j in zip(*np.nonzero(used & (costs > 0)), strict=True):
+        for other in np.flatnonzero(there[i] & (costs < costs[j])):
+            trial = used.copy()
+            trial[i, j], trial[i, other] = False, True
+            result.append(trial)
+    return np.array(result)
+
+
+def _flipped(used: Mask, places: list[Any]) -> Mask:
+    result = np.repeat(used[None], len(places), axis=0)
+    for row, (i, j) in enumerate(places):
+        result[row, i, j] = ~result[row, i, j]
+    return result
+
+
+def _values(problem: DesignProblem, times: Array, choices: Mask) -> Array:
+    """Worst sigma^2 of each choice; where all are blind, with what is left out seen faintly."""
+    spread = np.broadcast_to(times, (len(choices), times.size))
+    values = worst_sigma2(problem, spread, inner=0, used=choices)
+    if values.max() > 0:
+        return values
+    faint = np.where(choices, 1.0, _FAINT) * problem.mask(times)
+    return worst_sigma2(problem, spread, inner=0, used=faint)
+
+
+def _exchanged(problem: DesignProblem, times: Array, used: Mask, deadline: float) -> Mask:
+    """Add what can be afforded, and exchange one measurement for another, while the worst sigma grows."""
+    costs, limit, there = _costs(problem), problem.cost_limit * (1 + SLACK), problem.mask(times)
+    rng, value = np.random.default_rng(0), float(_values(problem, times, used[None])[0])
+    for _ in range(_ROUNDS * used.size):
+        absent = list(zip(*np.nonzero(there & ~used), strict=True))
+        moves = list(_flipped(used, absent)) if absent else []
+        for i, j in zip(*np.nonzero(used), strict=True):
+            moves += [_flipped(m[None][0], [(i, j)])[0] for m in moves[: len(absent)]]
+        kept = [m for m in moves if np.sum(m * costs) <= limit and m.any(axis=1).all()]
+        if not kept or time.perf_counter() > deadline:
+            break
+        if len(kept) > _PAIRS:
+            kept = [kept[i] for i in rng.choice(len(kept), _PAIRS, replace=False)]
+        values = _values(problem, times, np.array(kept))
+        top = int(np.argmax(values))
+        if values[top] <= value * (1 + 1e-6):
+            break
+        used, value = kept[top], float(values[top])
+    return used

@@ -1,0 +1,188 @@
+"""The search for one schedule of k samples: starts, exchange, refinement. All of it seeded, none of it a claim."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.bounds.relaxation import Relaxation
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.search.fedorov_exchange import (
+    even,
+    exchanged,
+    is_admissible,
+    packed,
+    rounded,
+    shares_of,
+    spread,
+)
+from sampling_design.design.search.refine import refined
+from sampling_design.errors import SolverError
+
+Array = npt.NDArray[np.floating[Any]]
+Progress = Callable[[float, str], None]
+
+DRAWS = 60
+"""Random schedules that are looked at before the best few are refined."""
+
+KICKS = 4
+"""Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
+
+_KICKED = 3  # samples moved at once
+_PATIENCE = 12  # kicks in a row without gain
+_NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
+_HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
+_GAIN = 1e-6  # relative, of sigma^2: less is no gain
+_FIRST_STEPS = 12  # of that first refinement
+
+_LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
+_EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One start and where it led: sigma at the start and after refinement."""
+
+    start: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best schedule of the search, sigma as the search sees it, and all trials."""
+
+    times: Array
+    sigma: float
+    trials: tuple[Trial, ...]
+    complete: bool
+
+
+def search(
+    problem: DesignProblem,
+    relaxation: Relaxation,
+    rng: np.random.Generator,
+    starts: int,
+    deadline: float = np.inf,
+    progress: Progress | None = None,
+    enough: float = np.inf,
+) -> Found:
+    """Refine the best starts and return the best schedule.
+
+    Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better.
+
+    Raises
+    ------
+    SolverError
+        If no admissible start was found although the requirement leaves room for one.
+    """
+    pool = _starts(problem, relaxation, rng, deadline)
+    if not pool:
+        raise SolverError(
+            f"No admissible start was found for {problem.samples} samples, although there is room for them. "
+            "Widen the allowed times or ask for less spacing.",
+            status="no start",
+        )
+    run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
+    values = worst_sigma2(problem, np.array([t for _, t in pool]))
+    order = np.argsort(-values, kind="stable")[:starts]
+    named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
+    chosen = [*order, *named]
+    for done, i in enumerate(chosen):
+        if run.trials and run.is_over:
+            break
+        run.refine(pool[i][0], pool[i][1], float(values[i]))
+        if progress:
+            progress((done + 1) / (len(chosen) + 1), f"refined start {done + 1} of {len(chosen)}")
+    if len(run.trials) == len(chosen) and not run.is_over:
+        t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
+        if value > run.value:
+            run.refine("exchange", t, value)
+    _kick(run, rng, KICKS * starts)
+    complete = run.is_best or time.perf_counter() <= deadline
+    return Found(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
+
+
+@dataclass
+class _Refinement:
+    """The best schedule so far, its sigma^2, and the trials that led there."""
+
+    problem: DesignProblem
+    deadline: float
+    enough: float
+    best: Array
+    value: float
+    trials: list[Trial]
+
+    @property
+    def is_best(self) -> bool:
+        """Whether none can be better."""
+        return self.value >= self.enough**2
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is nothing left to gain, or no time."""
+        return self.is_best or time.perf_counter() > self.deadline
+
+    def refine(self, name: str, times: Array, value: float, before: float | None = None) -> bool:
+        """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""
+        times, after = refined(self.problem, times, value, deadline=self.deadline)
+        first = value if before is None else before
+        self.trials.append(Trial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        better = after > self.value * (1 + _GAIN) or len(self.trials) == 1
+        if after > self.value or len(self.trials) == 1:
+            self.best, self.value = times, after
+        return better
+
+
+def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
+    """Move a few samples of the best schedule, near or far, and refine; until nothing was gained for a while."""
+    problem, idle = run.problem, 0
+    free = problem.samples - problem.fixed.size
+    if free == 0:
+        return
+    for _ in range(most):
+        if run.is_over or idle == _PATIENCE or run.value >= (_NEAR * run.enough) ** 2:
+            return
+        idle += 1
+        shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])
+        moved = rng.choice(free, min(_KICKED, free), replace=False)
+        near = shares[moved] + rng.normal(size=moved.size) / free
+        shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
+        times = spread(problem, shares)
+        if times is None or not is_admissible(problem, times):
+            continue
+        before = float(worst_sigma2(problem, times[None, :])[0])
+        times, value = refined(problem, times, before, steps=_FIRST_STEPS, deadline=run.deadline)
+        if value > _HOPELESS * run.value and run.refine("kick", times, value, before):
+            idle = 0
+
+
+def _places(problem: DesignProblem) -> int:
+    """Places that exchange tries for one sample: about the same number of schedules whatever the count."""
+    return int(np.clip(_EXCHANGES / problem.samples, 8, 96))
+
+
+def _starts(
+    problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator, deadline: float
+) -> list[tuple[str, Array]]:
+    """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
+    found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
+    found.append(("packed", packed(problem)))
+    found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
+    size = problem.samples - problem.fixed.size
+    for i in range(DRAWS):
+        if i >= _LEAST_DRAWS and time.perf_counter() > deadline and any(t is not None for _, t in found):
+            break
+        if i % 3 == 0:
+            shares = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
+        else:
+            shares = rng.uniform(size=size)
+        found.append(("random", spread(problem, shares)))
+    return [(name, t) for name, t in found if t is not None and is_admissible(problem, t)]

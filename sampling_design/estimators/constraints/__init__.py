@@ -1,0 +1,1 @@
+"""Constraints of the window problem: convex sets, what they ask, and the engines that solve it."""

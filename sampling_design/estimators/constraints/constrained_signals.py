@@ -1,0 +1,171 @@
+"""Constrained signals: how they follow from the states, and the rows that their sets ask of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.constraints.convex_set import ConvexSet
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A constrained signal at K places; entries not `seen` are free.
+
+        value_k = base_k + here_k dx_j + before_k dx_{j-1} + own_k e_k,    j = at_k,
+
+    where dx are the states' deviations from those that belong to `base`, and e_k is noise of its own, and where
+    `here`, `before` or `own` is None: 1 (the state itself), 0, 0.
+
+    Attributes
+    ----------
+    times : (K,), base : (K, k), at : (K,), here, before : (K, k, n), own : (K, k, p)
+    entries : tuple of k str
+    sets : one set for all places, or one for each
+    seen : (K, k) of bool, or None for all
+    """
+
+    name: str
+    times: Array
+    entries: tuple[str, ...]
+    base: Array
+    sets: Sequence[ConvexSet]
+    at: Index
+    here: Array | None = None
+    before: Array | None = None
+    own: Array | None = None
+    seen: Mask | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.base.shape[1] if self.here is None else self.here.shape[2]
+
+    @cached_property
+    def boxed(self) -> bool:
+        """Whether all sets are boxes."""
+        return all(chosen.is_box for chosen in self.sets)
+
+    def values(self, dx: Array, noise: Array) -> Array:
+        """Return the signal for deviations dx (N+1, n) and own noise (K, p)."""
+        moved = dx[self.at]
+        total = self.base + (moved if self.here is None else np.matmul(self.here, moved[:, :, None])[:, :, 0])
+        if self.before is not None:
+            total += np.matmul(self.before, dx[self.at - 1, :, None])[:, :, 0]
+        if self.own is not None:
+            total += np.matmul(self.own, noise[:, :, None])[:, :, 0]
+        return total
+
+    def maps(self, T: Array, states: int) -> Array:
+        """Return the maps (K, k, size) from z to the signal, for dx = T z; z holds the own noise from `states` on."""
+        moved = T if self.at.size == T.shape[0] else T[self.at]
+        total = moved if self.here is None else np.matmul(self.here, moved)
+        if self.before is not None:
+            total += np.matmul(self.before, T[self.at - 1])
+        if self.own is not None:
+            p, place = self.own.shape[2], np.arange(self.at.size)[:, None, None]
+            total[place, np.arange(total.shape[1])[:, None], states + place * p + np.arange(p)] += self.own
+        return total
+
+    def groups(self) -> Iterator[tuple[ConvexSet, Index]]:
+        """Yield each set with the places at which all of its signal is seen: half-spaces and balls count only there."""
+        whole = np.arange(self.base.shape[0]) if self.seen is None else np.flatnonzero(self.seen.all(axis=1))
+        if len(self.sets) == 1:
+            yield self.sets[0], whole
+        else:
+            yield from ((self.sets[int(place)], np.array([place])) for place in whole)
+
+    def excess_of_balls(self, values: Array) -> float:
+        """Return by how much the worst of `values` leaves a ball."""
+        worst = -np.inf
+        for chosen, places in () if self.boxed else self.groups():
+            for ball in chosen.round_balls if places.size else ():
+                distance = np.linalg.norm((values[places] - ball.centre) @ ball.shape.T, axis=1)
+                worst = max(worst, float(distance.max()) - ball.radius)
+        return worst
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Inequalities lower <= row of a signal <= upper: an entry at a place each, or where `mix` is given that mixture.
+
+    `entries` counts half-spaces, and after them the rows of balls that are points, after the signal's own entries.
+    """
+
+    signal: Signal
+    places: Index
+    entries: Index
+    lower: Array
+    upper: Array
+    mix: Array | None = None
+
+    def of(self, values: Array) -> Array:
+        """Return what the rows see of the signal's values (K, k) or maps (K, k, n)."""
+        if self.mix is None:
+            if self.places.size == values.shape[0] * values.shape[1]:
+                return values.reshape(self.places.size, *values.shape[2:])
+            return values[self.places, self.entries]
+        return np.asarray(np.einsum("ik,ik...->i...", self.mix, values[self.places]))
+
+    def only(self, chosen: Mask) -> Rows:
+        """Return some of the rows."""
+        mix = None if self.mix is None else self.mix[chosen]
+        parts = (self.places[chosen], self.entries[chosen], self.lower[chosen], self.upper[chosen])
+        return Rows(self.signal, *parts, mix)
+
+    def gradients(self, states: int, size: int) -> Array:
+        """Return the rows as rows over the stacked states, `states` in all, then the noise: (r, size)."""
+        signal, n = self.signal, self.signal.n
+        found, row, column = np.zeros((self.places.size, size)), np.arange(self.places.size)[:, None], np.arange(n)
+        start = signal.at[self.places, None] * n
+        if signal.here is not None:
+            found[row, start + column] = self.of(signal.here)
+        elif self.mix is not None:
+            found[row, start + column] = self.mix
+        else:
+            found[row[:, 0], start[:, 0] + self.entries] = 1.0
+        if signal.before is not None:
+            found[row, start - n + column] = self.of(signal.before)
+        if signal.own is not None:
+            p = signal.own.shape[2]
+            found[row, states + self.places[:, None] * p + np.arange(p)] = self.of(signal.own)
+        return found
+
+    def label(self, index: int, below: bool) -> str:
+        """Say in words what a row asks, of its lower bound where `below`."""
+        signal, place, entry = self.signal, int(self.places[index]), int(self.entries[index])
+        where, k = f"t = {signal.times[place]:.6g}", signal.base.shape[1]
+        if self.mix is not None:
+            point = self.lower[index] == self.upper[index]
+            return f"{'a ball' if point else f'half-space {entry - k + 1}'} of {signal.name} at {where}"
+        bound = f">= {self.lower[index]:.6g}" if below else f"<= {self.upper[index]:.6g}"
+        return f"{signal.entries[entry]} {bound} at {where} ({signal.name})"
+
+
+def rows_of(signal: Signal) -> Iterator[Rows]:
+    """Yield the bounds on entries, then what else is linear."""
+    K, k = signal.base.shape
+    lower, upper = np.empty((K, k)), np.empty((K, k))
+    lower[:] = [chosen.lower for chosen in signal.sets]
+    upper[:] = [chosen.upper for chosen in signal.sets]
+    kept = np.isfinite(lower) | np.isfinite(upper)
+    if signal.seen is not None:
+        kept &= signal.seen
+    places, entries = np.nonzero(kept)
+    if places.size:
+        yield Rows(signal, places, entries, lower[kept], upper[kept])
+    for chosen, at in () if signal.boxed else signal.groups():
+        matrix, low, up = chosen.inequalities
+        count = matrix.shape[0]
+        if count and at.size:
+            places, entries = np.repeat(at, count), np.tile(k + np.arange(count), at.size)
+            repeated = (np.tile(low, at.size), np.tile(up, at.size), np.tile(matrix, (at.size, 1)))
+            yield Rows(signal, places, entries, *repeated)

@@ -1,0 +1,174 @@
+"""The window problem as it is written, for the modelling library: slow, readable, what the engines are judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _conic
+from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
+from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
+from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_problem import Window
+from sampling_design.evidence import SolverRecord
+
+Array = npt.NDArray[np.float64]
+
+SCALES = (1.0, 1e-3, 1e-6)
+"""Units of the steps in which the reference is solved and then refined around its own answer."""
+
+NEEDED = 1e-7
+"""A sum of slacks (in posterior standard deviations) above this means that the constraints cannot all be met."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A trajectory: states at the nodes, omega over the gaps, v at the samples, and its cost."""
+
+    x: Array
+    omega: list[Array]
+    v: dict[int, Array]
+    cost: float
+
+
+def solve_reference(
+    window: Window, constraints: Constraints, free: Solution, scales: Sequence[float] = SCALES
+) -> Solution:
+    """Solve the window problem as it is written, in states, omega and v, with the modelling library. Slow.
+
+    Nothing of the smoother's algebra is used (`free` lends only its type): this is what the others are judged by.
+
+    Notes
+    -----
+    *Numerical aspects.* A cost that is right to e leaves the states right to sqrt(e) only. So the problem is posed
+    again around its own last answer, as a difference from it and in units of the next of `scales`: the same
+    tolerances then bite that much further down, and what is curved is straight (`_inside`).
+    """
+    point = _Point(
+        window.reference,
+        [np.zeros(flow.root.shape[1]) for flow in window.flows],
+        {j: np.zeros(window.masks.shape[1]) for j in window.samples},
+        np.nan,
+    )
+    for scale in scales:
+        record, found = _improved(window, constraints, point, scale)
+        if found is not None:
+            point = found
+        elif np.isnan(point.cost):
+            if record.status == _conic.INFEASIBLE:
+                note = "No trajectory meets the constraints."
+                return replace(free, status="infeasible", note=note, engine="reference")
+            return replace(free, status="solver failed", note=f"Status {record.status}.", engine="reference")
+    dual = point.cost - ACCEPTED * max(1.0, abs(point.cost))
+    return replace(free, nodes=point.x, cost=point.cost, dual=dual, engine="reference")
+
+
+def _improved(
+    window: Window, constraints: Constraints, point: _Point, scale: float
+) -> tuple[SolverRecord, _Point | None]:
+    """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
+    cp = _conic.cvxpy()
+    weights, plant, root = window.weights, window.weights.plant, np.sqrt(window.discount)
+    x = [cp.Variable(plant.n_states) for _ in window.times]
+    omega = [cp.Variable(flow.root.shape[1]) for flow in window.flows]
+    v = {j: cp.Variable(plant.n_outputs) for j in window.samples}
+    program = _Program(cp, scale, [], [], 0.0)
+    program.add_square(window.prior_half @ (point.x[0] - window.reference[0]), window.prior_half @ x[0])
+    for j, flow in enumerate(window.flows):
+        drift = window.defect[j] + window.reference[j + 1] - flow.F @ window.reference[j]
+        missing = flow.F @ point.x[j] + drift + flow.root @ point.omega[j] - point.x[j + 1]
+        program.parts.append(x[j + 1] == flow.F @ x[j] + flow.root @ omega[j] + missing / scale)
+        program.add_square(root[j + 1] * point.omega[j], root[j + 1] * omega[j])
+        if constraints.reach is not None:
+            program.keep_inside(constraints.reach.over([flow])[0], point.omega[j], omega[j])
+    if constraints.x is not None:
+        for at, step in zip(point.x, x, strict=True):
+            program.keep_inside(constraints.x, at, step)
+    fit, own = np.linalg.cholesky(weights.R).T, np.linalg.cholesky(weights.v).T
+    for j, step in v.items():
+        mask, model, moved = window.masks[j], plant.C @ point.x[j] + window.feedthrough[j], plant.C @ x[j]
+        residual = mask * (window.y[j] - model) - point.v[j]
+        program.add_square(root[j] * (fit @ residual), root[j] * (fit @ (-cp.multiply(mask, moved) - step)))
+        program.add_square(root[j] * (own @ point.v[j]), root[j] * (own @ step))
+        for chosen, at, total in ((constraints.v, point.v[j], step), (constraints.y, model + point.v[j], moved + step)):
+            if chosen is not None:
+                program.keep_inside(chosen, at, total, mask)
+    problem = cp.Problem(cp.Minimize(cp.sum(program.terms)), program.parts)
+    record = _conic.solve(problem, tolerance=SOLVER_TOLERANCE)
+    if not _conic.usable(record) or problem.value is None or any(step.value is None for step in x):
+        return record, None
+    return record, _Point(
+        point.x + scale * np.array([step.value for step in x]),
+        [at + scale * step.value for at, step in zip(point.omega, omega, strict=True)],
+        {j: point.v[j] + scale * step.value for j, step in v.items()},
+        program.constant + scale**2 * float(problem.value),
+    )
+
+
+@dataclass
+class _Program:
+    """Terms of the cost, over scale^2 and without the constant, and constraints on signals value + scale step."""
+
+    cp: Any
+    scale: float
+    terms: list[Any]
+    parts: list[Any]
+    constant: float
+
+    def add_square(self, value: Array, step: Any) -> None:
+        """Add |value + scale step|^2."""
+        self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (value @ step)]
+        self.constant += float(value @ value)
+
+    def keep_inside(self, chosen: ConvexSet, value: Array, step: Any, mask: Array | None = None) -> None:
+        """Keep value + scale step in a set, measured entries only where there is a mask.
+
+        A ball |a + scale b| <= r is asked as 2 a'b + scale |b|^2 <= (r^2 - |a|^2)/scale: no small difference of norms.
+        """
+        seen = np.ones(chosen.dimension, bool) if mask is None else mask > 0
+        low, up = seen & np.isfinite(chosen.lower), seen & np.isfinite(chosen.upper)
+        self.parts += [step[low] >= (chosen.lower[low] - value[low]) / self.scale] if low.any() else []
+        self.parts += [step[up] <= (chosen.upper[up] - value[up]) / self.scale] if up.any() else []
+        if not seen.all():
+            return
+        if chosen.rows.shape[0]:
+            self.parts.append(chosen.rows @ step <= (chosen.offsets - chosen.rows @ value) / self.scale)
+        for ball in chosen.balls:
+            if ball.radius == 0:
+                self.parts.append(ball.shape @ step == ball.shape @ (ball.centre - value) / self.scale)
+                continue
+            a, b = ball.shape @ (value - ball.centre) / ball.radius, ball.shape @ step / ball.radius
+            self.parts.append(2 * a @ b + self.scale * self.cp.sum_squares(b) <= (1 - a @ a) / self.scale)
+
+
+def find_obstacle(problem: LeastDistance) -> str:
+    """Name the constraint that needs the largest slack when the sum of slacks is least ("" if none is needed)."""
+    cp = _conic.cvxpy()
+    z = cp.Variable(problem.size)
+    slack, wide = cp.Variable(problem.A.shape[0], nonneg=True), cp.Variable(len(problem.cones), nonneg=True)
+    has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
+    parts = []
+    if problem.A.shape[0]:
+        value = problem.A @ z
+        parts += [value[has_up] <= problem.upper[has_up] + slack[has_up]]
+        parts += [value[has_low] >= problem.lower[has_low] - slack[has_low]]
+    parts += [cp.norm(M @ z + c) <= r + wide[i] for i, (M, c, r) in enumerate(problem.cones)]
+    record = _conic.solve(cp.Problem(cp.Minimize(cp.sum(slack) + cp.sum(wide)), parts))
+    if not _conic.usable(record):
+        return ""
+    needs = [(float(s) * scale, i, True) for i, (s, scale) in enumerate(zip(slack.value, problem.scales, strict=True))]
+    needs += [(float(s), i, False) for i, s in enumerate(wide.value)]
+    amount, index, is_row = max(needs, default=(0.0, 0, True))
+    total = float(slack.value.sum() + wide.value.sum())
+    if total <= NEEDED:
+        return ""
+    if not is_row:
+        return f"{problem.cone_label(index)} (needs {amount:.3g} more)"
+    below = problem.A[index] @ z.value < problem.lower[index]
+    return f"{problem.row_label(index, bool(below))} (needs {amount:.3g} more)"

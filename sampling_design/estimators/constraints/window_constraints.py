@@ -1,0 +1,88 @@
+"""Constraints of the window problem: sets for x, y, v and w, and how the signals follow from the states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.constraints.constrained_signals import Signal
+from sampling_design.estimators.constraints.convex_set import convex_set
+from sampling_design.estimators.constraints.disturbance import DisturbanceReach
+from sampling_design.estimators.constraints.least_distance_problem import Demands
+from sampling_design.estimators.gap_flows.flows import FlowTable
+from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_problem import Window
+
+Array = npt.NDArray[np.float64]
+
+
+class Constraints:
+    """The sets of one estimator, and what they ask of a window."""
+
+    def __init__(self, table: FlowTable, x: Any, y: Any, v: Any, w: Any):
+        plant = table.weights.plant
+        self.plant, self.weights = plant, table.weights
+        self.x = convex_set("x_set", x, plant.n_states)
+        self.y = convex_set("y_set", y, plant.n_outputs)
+        self.v = convex_set("v_set", v, plant.n_outputs)
+        self.w = convex_set("w_set", w, plant.n_disturbances)
+        self.keeps_v = self.v is not None or self.y is not None
+        self._omega_names = tuple(f"omega{i + 1}" for i in range(plant.n_states))
+        weights = self.weights
+        self._gain = np.linalg.solve(weights.R + weights.v, weights.R)
+        self._v_root = np.linalg.solve(np.linalg.cholesky(weights.R + weights.v), np.eye(plant.n_outputs)).T
+        self.reach = None if self.w is None else DisturbanceReach(table, self.w)
+
+    @property
+    def active(self) -> bool:
+        """Whether there is any constraint."""
+        return any(s is not None for s in (self.x, self.y, self.v, self.w))
+
+    @property
+    def has_balls(self) -> bool:
+        """Whether there is any norm ball."""
+        return any(s is not None and s.round_balls for s in (self.x, self.y, self.v, self.w))
+
+    def noise(self, window: Window, nodes: Array) -> Array:
+        """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
+        return ((window.y - window.feedthrough - nodes @ self.plant.C.T) * window.masks) @ self._gain.T
+
+    def demands(self, window: Window, free: Solution) -> Demands:
+        """Return what the constraints ask of all trajectories around the minimiser without them."""
+        nodes = free.nodes
+        signals = []
+        if self.x is not None:
+            at = np.arange(window.times.size)
+            signals.append(Signal("x_set", window.times, self.plant.states.names, nodes, [self.x], at))
+        if self.keeps_v:
+            signals += self._noisy_signals(window, nodes)
+        if self.reach is not None and window.flows:
+            whiten = np.array([flow.whiten for flow in window.flows])
+            base, before = _omegas(window, nodes, whiten), -np.matmul(whiten, window.F)
+            names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
+            sets = self.reach.over(window.flows)
+            signals.append(Signal("w_set", window.times[1:], names, base, sets, at, whiten, before))
+        return Demands(free.spread, signals, *nodes.shape)
+
+    def _noisy_signals(self, window: Window, nodes: Array) -> list[Signal]:
+        """The noise v = gain (y - C x - D u) + its own part, and the output C x + D u + v, at the samples."""
+        plant, at, found = self.plant, window.samples, []
+        times, names, seen = window.times[at], plant.outputs.names, window.masks[at] > 0
+        v = self.noise(window, nodes)[at]
+        here = np.matmul(-self._gain, window.masks[at][:, :, None] * plant.C)
+        own = self._v_root / np.sqrt(window.discount[at])[:, None, None]
+        if self.v is not None:
+            found.append(Signal("v_set", times, names, v, [self.v], at, here, own=own, seen=seen))
+        if self.y is not None:
+            y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
+            found.append(Signal("y_set", times, names, y, [self.y], at, plant.C + here, own=own, seen=seen))
+        return found
+
+
+def _omegas(window: Window, nodes: Array, whiten: Array) -> Array:
+    """The least omega of every gap for given states, (N, width)."""
+    deviation = nodes - window.reference
+    moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect
+    return np.asarray(np.matmul(whiten, moved[:, :, None])[:, :, 0])

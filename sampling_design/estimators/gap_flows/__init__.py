@@ -1,0 +1,1 @@
+"""What happens over one gap: transition, noise, discount, and the weights of the cost."""

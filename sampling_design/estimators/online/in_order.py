@@ -1,0 +1,215 @@
+"""From samples as they come to estimates: order, lateness, repetition. What a sample is worth is the child's job."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from bisect import insort
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.flows import FlowTable
+from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+
+class OnlineEstimator(ABC):
+    """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
+
+    plant: Plant
+    weights: Weights
+    table: FlowTable
+    memory: float
+    lateness: float
+    feedthrough: str
+    state: State
+
+    @abstractmethod
+    def _advance(self, state: State, sample: Sample) -> Node:
+        """Return the node of a checked sample that is later than all nodes of `state` (or at the prior's time)."""
+
+    @abstractmethod
+    def _predict(self, state: State, t: float) -> Estimate:
+        """Return the estimate at t, at or after the first node of `state`."""
+
+    def step(self, state: State, sample: Sample | tuple[Any, ...]) -> tuple[State, Estimate]:
+        """Return the state after `sample` and the estimate at the latest sample; `state` itself stays as it was.
+
+        Parameters
+        ----------
+        state : State
+            From `initial_state` or an earlier `step`.
+        sample : (t, y, u)
+            y (p,) with NaN for "not measured", None for no measurement; u (m,) holds from t on, None for unchanged.
+
+        Raises
+        ------
+        ArgumentError
+            If t lies further back than late samples are kept, y or u has the wrong length, u holds NaN, all of
+            y is NaN, or t was already given with other values.
+
+        Notes
+        -----
+        *Method.* A late sample is inserted and everything after it is replayed from the snapshot before it, so
+        that the result is that of the samples in order; estimates that were handed out stay what they were.
+        """
+        checked = self._check(Sample(*sample), state)
+        if checked.u is not None:
+            state = _with_input(state, checked)
+        if checked.t > state.last.t:
+            if checked.y is None:
+                return state, self._predict(state, checked.t)
+            state = State((*state.nodes, self._advance(state, checked)), state.inputs).trimmed(self.memory)
+            return state, state.last.estimate
+        return self._late(state, checked)
+
+    def _late(self, state: State, sample: Sample) -> tuple[State, Estimate]:
+        """Insert a sample (or an input) at or before the last node and replay what comes after it."""
+        at = state.node_before(sample.t)
+        first = [sample]
+        if state.nodes[at].t == sample.t and state.nodes[at].sample.y is not None:
+            merged = _merge(state.nodes[at].sample, sample)
+            if merged is None:
+                return state, state.last.estimate
+            first, at = [merged], at - 1
+        elif sample.y is None:
+            first = []
+        return self._replay(state, at, first, sample.t)
+
+    def _replay(self, state: State, at: int, first: list[Sample], t: float) -> tuple[State, Estimate]:
+        if at < 0:
+            raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
+        later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
+        replayed = State(state.nodes[: at + 1], state.inputs)
+        for item in [*first, *later]:
+            replayed = State((*replayed.nodes, self._advance(replayed, item)), state.inputs)
+        replayed = replayed.trimmed(self.memory)
+        return replayed, replayed.last.estimate
+
+    def _check(self, sample: Sample, state: State) -> Sample:
+        t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)
+        oldest = max(state.nodes[0].t, state.last.t - self.lateness)
+        if t < oldest:
+            raise ArgumentError(
+                f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
+                f"samples (latest sample at {state.last.t!r})."
+            )
+        y = None if sample.y is None else self._check_y(sample.y, t)
+        if sample.u is None:
+            if y is None:
+                raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
+            return Sample(t, y, None)
+        u = np.atleast_1d(np.array(sample.u, dtype=np.float64))
+        if np.isnan(u).any():
+            raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
+        return Sample(t, y, _checks.vector("u", u, self.plant.n_inputs))
+
+    def _check_y(self, value: Any, t: float) -> Array:
+        try:
+            y = np.atleast_1d(np.array(value, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise ArgumentError(f"`y` must hold numbers, got {value!r:.60} at t = {t!r}.") from None
+        p = self.plant.n_outputs
+        if y.shape != (p,):
+            raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
+        if not np.isfinite(y).all():
+            if np.isinf(y).any():
+                raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
+            if np.isnan(y).all():
+                raise ArgumentError(
+                    f"`y` must measure at least one output, got all NaN at t = {t!r}. "
+                    "Was the sample lost? Leave it out, or pass y=None if only the input changes."
+                )
+        y.flags.writeable = False
+        return y
+
+    def update(self, t: float, y: Any = None, u: Any = None) -> Estimate:
+        """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
+        self.state, estimate = self.step(self.state, Sample(t, y, u))
+        return estimate
+
+    def predict(self, t: float) -> Estimate:
+        """Return the online estimate at t, open loop from the last sample at or before t.
+
+        Raises
+        ------
+        ArgumentError
+            If t lies before the oldest snapshot kept.
+        """
+        when = _checks.number("t", t)
+        first = self.state.nodes[0].t
+        if when < first:
+            raise ArgumentError(f"`t` must be at least {first!r}, the oldest time kept, got {when!r}.")
+        return self._predict(self.state, when)
+
+    def stream(self, samples: Iterable[Any]) -> Iterator[Estimate]:
+        """Yield the estimate after each (t, y, u); nothing but the last two windows is kept."""
+        for item in samples:
+            yield self.update(*item)
+
+    def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:
+        """Take in a whole record of samples and return all estimates.
+
+        Parameters
+        ----------
+        record : Measurements or iterable of (t, y, u)
+        progress : callable, optional
+            Called with a fraction in [0, 1] and a message after each hundredth of the record.
+
+        Returns
+        -------
+        EstimateRecord
+        """
+        samples = list(record)
+        every = max(1, len(samples) // 100)
+        found = []
+        for k, estimate in enumerate(self.stream(samples)):
+            found.append(estimate)
+            if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
+                progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
+        return EstimateRecord.collect(self.plant, found)
+
+
+def _is_time(value: Any) -> bool:
+    """Whether a time stamp is what it mostly is, a finite float that needs no closer look."""
+    return isinstance(value, float) and math.isfinite(value)
+
+
+def _with_input(state: State, sample: Sample) -> State:
+    """Return the state that also knows the input from `sample.t` on."""
+    for t, u in state.inputs:
+        if t == sample.t:
+            if not np.array_equal(u, sample.u):
+                raise ArgumentError(
+                    f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: "
+                    "duplicates must agree."
+                )
+            return state
+    inputs = list(state.inputs)
+    insort(inputs, (sample.t, sample.u), key=lambda pair: pair[0])
+    return State(state.nodes, tuple(inputs))
+
+
+def _merge(old: Sample, new: Sample) -> Sample | None:
+    """Join two samples at one time; None if the new one adds nothing."""
+    if new.y is None:
+        return old
+    both = np.isfinite(old.y) & np.isfinite(new.y)
+    if np.any(old.y[both] != new.y[both]):
+        raise ArgumentError(
+            f"`y` at t = {old.t!r} was already given as {old.y.tolist()}, got {new.y.tolist()}: duplicates must agree."
+        )
+    if new.u is None and not np.any(np.isnan(old.y) & np.isfinite(new.y)):
+        return None
+    y = np.where(np.isnan(old.y), new.y, old.y)
+    y.flags.writeable = False
+    return Sample(old.t, y, None)

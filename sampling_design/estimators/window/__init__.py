@@ -1,0 +1,1 @@
+"""The window problem as a finite one, and its solution without constraints."""

@@ -1,0 +1,103 @@
+"""What an engine hands back: the minimiser of a window problem, and every other trajectory relative to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.online.estimator import Status
+
+Array = npt.NDArray[np.float64]
+
+DUAL_MARGIN = 1e-11
+"""Share of the reference trajectory's cost by which a computed optimum may exceed the exact one (see `smooth`)."""
+
+
+class Spread(Protocol):
+    """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more."""
+
+    def kernel(self) -> Kernel:
+        """Return T as a backward recursion."""
+        ...
+
+    def maps(self) -> Array:
+        """Return T as (N+1, n, (N+1) n)."""
+        ...
+
+    def states(self, z: Array) -> Array:
+        """Return T z, (N+1, n)."""
+        ...
+
+    def rows(self, g: Array) -> Array:
+        """Return g T for (r, (N+1) n) rows g."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """x_N = x*_N + S_N z_N, x_j = x*_j + G_j (x_{j+1} - x*_{j+1}) + S_j z_j: roots S (N+1, n, n), gains G (N, n, n)."""
+
+    roots: Array
+    gains: Array
+
+    def kernel(self) -> Kernel:
+        """Return itself."""
+        return self
+
+    @cached_property
+    def _T(self) -> Array:
+        """Block rows T_j = [0, S_j, G_j S_{j+1}, G_j G_{j+1} S_{j+2}, ...]."""
+        count, n = self.roots.shape[:2]
+        T = np.zeros((count, n, count * n))
+        T[-1, :, (count - 1) * n :] = self.roots[-1]
+        for j in range(count - 2, -1, -1):
+            np.matmul(self.gains[j], T[j + 1, :, (j + 1) * n :], out=T[j, :, (j + 1) * n :])
+            T[j, :, j * n : (j + 1) * n] = self.roots[j]
+        return T.reshape(count * n, count * n)
+
+    def maps(self) -> Array:
+        """Return T as (N+1, n, (N+1) n)."""
+        return self._T.reshape(*self.roots.shape[:2], -1)
+
+    def states(self, z: Array) -> Array:
+        """Return T z, (N+1, n)."""
+        return (self._T @ z).reshape(self.roots.shape[:2])
+
+    def rows(self, g: Array) -> Array:
+        """Return g T for (r, (N+1) n) rows g."""
+        return np.asarray(g @ self._T)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The minimiser of a window problem.
+
+    Attributes
+    ----------
+    nodes : (N+1, n)
+        Smoothed states.
+    covariance : (n, n)
+        Pi(t)^-1 at the last node.
+    cost, dual : float
+        Cost at the minimiser, and a lower bound on the least cost.
+    engine : str
+    spread : Spread
+        Every other trajectory relative to this one.
+    status : str
+        "ok", "infeasible" or "solver failed".
+    note : str
+        What could not be met.
+    """
+
+    nodes: Array
+    covariance: Array
+    cost: float
+    dual: float
+    engine: str
+    spread: Spread
+    status: Status = "ok"
+    note: str = ""

@@ -1,0 +1,82 @@
+"""The window problem without constraints by orthogonal factorisations: no noise Gramian is inverted."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from sampling_design.estimators.window.solution import DUAL_MARGIN, Kernel, Solution
+from sampling_design.estimators.window.window_problem import Window
+
+Array = npt.NDArray[np.float64]
+
+
+def solve_square_root(window: Window) -> Solution:
+    """Return the minimiser by orthogonal factorisations, forward and backward.
+
+    Notes
+    -----
+    *Method.* In units of the last node the covariance root S_j goes through the triangular factor of
+    [[S_j'F', S_j'], [root', 0]] = Q [[P', K], [0, D']]: P is the predicted root, (P^-T K)' = G_j the smoother's
+    gain, D the root of what x_{j+1} leaves unknown of x_j. A sample does the same with [[I, 0], [S'C', S']].
+    """
+    n, count = window.reference.shape[1], window.times.size
+    roots, gains = np.empty((count, n, n)), np.empty((count - 1, n, n))
+    filtered, predicted = np.empty((count, n)), np.empty((count, n))
+    scale = np.sqrt(window.discount)
+    root, mean, cost = window.prior_root / scale[0], np.zeros(n), 0.0
+    for j in range(count):
+        predicted[j] = mean
+        if window.masks[j].any():
+            root, mean, part = _absorb(window, j, root, mean, scale[j])
+            cost += part
+        filtered[j] = mean
+        if j + 1 == count:
+            break
+        flow = window.flows[j]
+        width = flow.root.shape[1]
+        stacked = np.zeros((n + max(n, width), 2 * n))
+        stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
+        stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
+        triangle = _upper(stacked)
+        gains[j] = _triangular(triangle[:n, :n], triangle[:n, n:]).T
+        roots[j] = triangle[n : 2 * n, n:].T
+        root, mean = triangle[:n, :n].T, flow.F @ mean + window.defect[j]
+    roots[-1] = root
+    nodes = filtered
+    for j in range(count - 2, -1, -1):
+        nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
+    margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
+    found = Kernel(roots, gains)
+    return Solution(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
+
+
+def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:
+    """Return root and mean after the sample at node j, and what the innovation costs."""
+    weights = window.weights
+    n, p = root.shape[0], window.masks.shape[1]
+    H = weights.y_root @ (weights.plant.C * window.masks[j][:, None]) * scale
+    innovation = weights.y_root @ (window.residual[j] - window.masks[j] * (weights.plant.C @ mean)) * scale
+    stacked = np.zeros((p + n, p + n))
+    stacked[:p, :p] = np.eye(p)
+    stacked[p:, :p], stacked[p:, p:] = (H @ root).T, root.T
+    triangle = _upper(stacked)
+    half = _triangular(triangle[:p, :p], innovation, transposed=True)
+    return triangle[p:, p:].T, mean + triangle[:p, p:].T @ half, float(half @ half)
+
+
+def _cost_of_reference(window: Window) -> float:
+    """What the outputs cost along the reference: the size of the numbers that the optimum is a difference of."""
+    fit = window.residual @ window.weights.y_root.T
+    return float(np.einsum("k,ki,ki->", window.discount, fit, fit))
+
+
+def _triangular(R: Array, right: Array, transposed: bool = False) -> Array:
+    """Solve R x = right (or R'x = right), R upper triangular."""
+    return np.asarray(lapack.dtrtrs(R, right, lower=0, trans=int(transposed))[0])
+
+
+def _upper(matrix: Array) -> Array:
+    """Triangular factor of an orthogonal factorisation."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -1,0 +1,127 @@
+"""The window problem: a finite problem that is exactly the one over functions w.
+
+Nodes s = s_0 < s_1 < ... < s_N = t are the window's start, its samples and, if asked for, check points.
+With x_{j+1} = F_j x_j + b_j + L_j omega_j and L_j L_j' = W_j the cost is
+    e^{-eta M}|x_0 - prior|^2_P + sum_j e^{-eta(t - s_{j+1})}|omega_j|^2
+        + sum_j e^{-eta(t - s_j)}|y_j - C x_j - D u_j|^2_Y,
+since the least int e^{-eta(s_{j+1} - tau)}|w|^2_Qw that leads to a displacement d is d'W^-1 d, with
+W_h = int_0^h e^{+eta s} e^{As} G Qw^-1 G' e^{A's} ds (the sign is that of the theory: s counts backwards).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.flows import Flow
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Data of one window problem, centred on a reference trajectory.
+
+    Attributes
+    ----------
+    times : (N+1,)
+        Nodes.
+    flows : N flows, one per gap between nodes.
+    reference : (N+1, n)
+        Any trajectory; reference[0] is the prior. Unknown is the deviation from it, so that numbers stay of
+        the size of the errors however far the state itself wanders.
+    defect : (N, n)
+        F_j reference_j + b_j - reference_{j+1}.
+    residual : (N+1, p)
+        y - D u - C reference where measured, else 0.
+    masks : (N+1, p)
+        1.0 where measured.
+    prior_root : (n, n)
+        S with S S' = P^-1.
+    discount : (N+1,)
+        e^{-eta(t - s_j)}.
+    y, feedthrough : (N+1, p)
+        Measurements (0 where missing) and D u.
+    F : (N, n, n)
+        Transitions.
+    """
+
+    weights: Weights
+    times: Array
+    flows: list[Flow]
+    reference: Array
+    defect: Array
+    residual: Array
+    masks: Array
+    prior_root: Array
+    discount: Array
+    y: Array
+    feedthrough: Array
+    F: Array
+
+    @cached_property
+    def information(self) -> Array | None:
+        """Discounted blocks W^-1, W^-1 F, F'W^-1 F of every gap, (N, 3, n, n); None if some W is not to be inverted."""
+        blocks = [flow.information for flow in self.flows]
+        if any(block is None for block in blocks):
+            return None
+        n = self.reference.shape[1]
+        return np.array(blocks).reshape(-1, 3, n, n) * self.discount[1:, None, None, None]
+
+    @cached_property
+    def prior_half(self) -> Array:
+        """U with U'U = e^{-eta M} P."""
+        if self.prior_root is self.weights.prior_root:
+            half = self.weights.prior_factor.T
+        else:
+            half = np.asarray(np.linalg.solve(self.prior_root, np.eye(self.prior_root.shape[0])))
+        return half * np.sqrt(self.discount[0])
+
+    @cached_property
+    def fully_measured(self) -> bool:
+        """Whether every node measures every output."""
+        return bool(self.masks.all())
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """Indices of the nodes at which something is measured."""
+        return np.flatnonzero(self.masks.any(axis=1))
+
+
+def build_window(
+    weights: Weights,
+    times: Array,
+    flows: list[Flow],
+    drift: Array,
+    reference: Array,
+    y: Array,
+    masks: Array,
+    feedthrough: Array,
+    prior_root: Array | None = None,
+) -> Window:
+    """Return the window problem; `reference[0]` is the prior, `drift` (N, n) the inputs' part of each gap."""
+    C = weights.plant.C
+    n = C.shape[1]
+    F = np.array([flow.F for flow in flows]).reshape(-1, n, n)
+    if flows:
+        defect = np.matmul(F, reference[:-1, :, None])[:, :, 0] + drift - reference[1:]
+    else:
+        defect = np.zeros((0, n))
+    return Window(
+        weights=weights,
+        times=times,
+        flows=flows,
+        reference=reference,
+        defect=defect,
+        residual=(y - feedthrough - reference @ C.T) * masks,
+        masks=masks,
+        prior_root=weights.prior_root if prior_root is None else prior_root,
+        discount=np.exp(weights.eta * (times - times[-1])),
+        y=y,
+        feedthrough=feedthrough,
+        F=F,
+    )

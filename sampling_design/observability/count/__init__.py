@@ -1,0 +1,1 @@
+"""How many samples determine the state, and which modes no output sees."""

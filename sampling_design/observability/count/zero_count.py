@@ -1,0 +1,205 @@
+"""How many samples in a window determine the state, whatever the times: the counts side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.evidence import Claim
+from sampling_design.observability.count.critical_length import search
+from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
+from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
+from sampling_design.plants.plant import Plant
+
+ROUNDING_GUARD = 1e-9
+"""k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
+
+LARGEST_SUBSETS = 12  # outputs up to which every set of outputs is tried for the lower bound (2^12 rank decisions)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ZeroCountBound(Record):
+    """Numbers of samples in a closed window of length `duration`, side by side.
+
+    Attributes
+    ----------
+    value : float
+        k* = r - 1 + T delta/(2 pi): any more than k* distinct times determine the state.
+    samples_needed : int
+        Smallest whole number above k*, strictly; 0 for a plant without states.
+    order : int
+        r, the sum of the indices of the distinct eigenvalues (n where rounding leaves them in doubt).
+    frequency_spread : float
+        delta, twice the largest imaginary part [rad/time].
+    duration : float
+        T [time].
+    critical_length : float or None
+        Below it any n distinct times suffice [time]; None for several outputs, a large order
+        or a stiff spectrum.
+    samples_critical : int or None
+        n where `duration` is strictly below the critical length, else None.
+    samples_least : int
+        No fewer samples can do, wherever they are placed.
+    claim : Claim
+    """
+
+    value: float
+    samples_needed: int
+    order: int
+    frequency_spread: float
+    duration: float
+    n_states: int
+    n_outputs: int
+    critical_length: float | None
+    samples_critical: int | None
+    samples_least: int
+    claim: Claim
+
+    @property
+    def binding(self) -> str:
+        """Which count asks for the fewest samples: "zero count" or "critical length"."""
+        if self.samples_critical is not None and self.samples_critical < self.samples_needed:
+            return "critical length"
+        return "zero count"
+
+    @property
+    def samples(self) -> int:
+        """The binding count: this many distinct times suffice wherever they are placed in the window."""
+        critical = self.samples_critical
+        return self.samples_needed if critical is None else min(critical, self.samples_needed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; an infinite critical length (all eigenvalues real) becomes the word "infinite"."""
+        length = "infinite" if self.critical_length == np.inf else self.critical_length
+        keys = ("value", "samples_needed", "order", "frequency_spread", "duration", "n_states", "n_outputs")
+        return {
+            **{key: getattr(self, key) for key in keys},
+            "critical_length": length,
+            "samples_critical": self.samples_critical,
+            "samples_least": self.samples_least,
+            "binding": self.binding,
+            "samples": self.samples,
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        length = "-" if self.critical_length is None else short(self.critical_length)
+        return [
+            ("k*", short(self.value)),
+            ("samples needed", str(self.samples_needed)),
+            ("order r", str(self.order)),
+            ("frequency spread", short(self.frequency_spread)),
+            ("duration", short(self.duration)),
+            ("critical length", length),
+            ("samples by critical length", "-" if self.samples_critical is None else str(self.samples_critical)),
+            ("samples at least", str(self.samples_least)),
+            ("binding", f"{self.binding}: {self.samples}"),
+        ]
+
+    def explain(self) -> str:
+        """Say how many samples suffice, and by which count."""
+        if not self.n_states:
+            return "Nothing has to be observed: no samples needed."
+        return (
+            f"Any {self.samples} distinct times in a closed window of length {short(self.duration)} determine the "
+            f"state ({self.binding}); fewer than {self.samples_least} never do."
+        )
+
+
+def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
+    """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
+
+        k* = r - 1 + T delta/(2 pi),    delta = 2 max |Im lambda|
+
+    Parameters
+    ----------
+    plant : Plant
+        Observable; give the retained part of a plant that is only detectable.
+    duration : float
+        T >= 0 [the plant's time unit].
+
+    Returns
+    -------
+    ZeroCountBound
+
+    Raises
+    ------
+    ArgumentError
+        If `duration` is negative.
+    NotObservableError
+        If some mode is seen by no output; names its eigenvalue and direction.
+
+    Notes
+    -----
+    *Assumptions.* Real A and C, every mode seen by some output. *Claim.* Ce^{At}x, x != 0, has at most k*
+    zeros in a closed interval of length T, so that any floor(k*) + 1 distinct times make O_s full rank. For
+    several outputs this holds for a generic combination of them, and is conservative. With one output and
+    T below the critical length, n times suffice. In the other direction k samples of p outputs can only do if
+    k (p - |S|) >= n - n_S for every set S of outputs, n_S the dimension that S alone sees.
+    *Numerical aspects.* Eigenvalues that rounding cannot tell apart are one; where their grouping or index is
+    in doubt, r = n and delta is taken from their members. k* counts as whole within `ROUNDING_GUARD`. A count
+    says whether the state is determined, sigma says how well.
+
+    References
+    ----------
+    The paper, equation (29), and its reference for it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bound = zero_count_bound(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), np.pi)
+    >>> bound.value, bound.samples_needed, bound.binding
+    (2.0, 3, 'zero count')
+    """
+    T = _checks.nonnegative("duration", duration)
+    n, p = plant.n_states, plant.n_outputs
+    if not n:
+        return _record(plant, T, -1.0, 0, 0, 0.0, None, 0)
+    require_observable(plant, "a zero count")
+    clusters = eigenvalue_clusters(plant.A)
+    order, spread = _order_and_spread(clusters)
+    value = order - 1 + T * spread / (2 * np.pi)
+    needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
+    length = search(spectrum(clusters)) if p == 1 else None
+    return _record(plant, T, value, needed, order, spread, length, _least(plant))
+
+
+def _record(
+    plant: Plant, T: float, value: float, needed: int, order: int, spread: float, length: float | None, least: int
+) -> ZeroCountBound:
+    n = plant.n_states
+    below = length is not None and length * (1 - ROUNDING_GUARD) > T
+    claim = Claim(
+        f"any {needed} distinct times in a closed window of length {short(T)} determine the state",
+        "the paper, equation (29)",
+        ("every mode is seen by some output", f"r = {order} and delta = {short(spread)} as computed"),
+        citation="paper, equation (29)",
+    )
+    critical = n if below else None
+    return ZeroCountBound(float(value), needed, order, spread, T, n, plant.n_outputs, length, critical, least, claim)
+
+
+def _order_and_spread(clusters: tuple[EigenvalueCluster, ...]) -> tuple[int, float]:
+    """Sum of indices and twice the largest imaginary part; the larger values where rounding leaves a doubt."""
+    if all(c.sure for c in clusters):
+        imaginary = max(abs(c.value.imag) for c in clusters)
+        return sum(c.index for c in clusters), 2.0 * float(imaginary)
+    imaginary = max(float(np.max(np.abs(c.members.imag))) for c in clusters)
+    return sum(c.multiplicity for c in clusters), 2.0 * imaginary
+
+
+def _least(plant: Plant) -> int:
+    """Largest over the sets S of outputs of ceil((n - n_S)/(p - |S|)); S empty and all but one if there are many."""
+    n, p = plant.n_states, plant.n_outputs
+    sizes = range(p) if p <= LARGEST_SUBSETS else (0, 1, p - 1)
+    least = 0
+    for size in sizes:
+        for seen in combinations(range(p), size):
+            rank = observable_rank(plant, list(seen)) if seen else 0
+            least = max(least, -(-(n - rank) // (p - size)))
+    return least

@@ -1,0 +1,1 @@
+"""Sigma of given samples: the observability matrix, and every real position of a sliding window."""

@@ -1,0 +1,292 @@
+"""The search behind `window_sigma`: every piece of window positions is bounded, then halved until closed.
+
+On a piece O(s) = O(b) e^{A(b-s)}, so that 1/sigma(s) = |F(s)| with F(s) = e^{-A(b-s)} O(b)^+ and F'' = A^2 F.
+An upper bound on a norm is what follows, and norms are convex.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int_]
+Progress = Callable[[float, str], None]
+
+# relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
+# the tests of the exponentials hold them to it against 50-digit arithmetic
+ALLOWANCE = 1e-12
+_FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture
+_MOST_NODES = 2_000_000  # evaluations after which a search without a budget ends as well
+_CHUNK = 2_000_000  # numbers per batch, so that long windows with many samples fit into memory
+_EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """What the search found, in window starts; `status` as in `WindowSigma`."""
+
+    lower: float
+    upper: float
+    status: str
+    start: float
+    side: str
+    samples: Array
+    direction: Array
+    pieces: Pieces
+    nodes: Array
+    sigma: Array
+    owner: Indices
+    piece_lower: Array
+
+
+class _Pieced:
+    """The pseudo-inverse F of each piece at its right end, carried to any other position."""
+
+    def __init__(self, plant: Plant, pieces: Pieces) -> None:
+        self.plant, self.pieces, n = plant, pieces, plant.n_states
+        self.A2 = plant.A @ plant.A
+        self.fourth = float(np.linalg.norm(self.A2 @ self.A2, 2))
+        half = (plant.A + plant.A.T) / 2
+        growth = np.linalg.eigvalsh(half)
+        self.forward, self.backward = max(0.0, float(growth[-1])), max(0.0, -float(growth[0]))
+        singular, right, size = self._references()
+        self.zero = singular[:, -1] <= n * _EPS * singular[:, 0]
+        safe = np.where(self.zero, 1.0, singular[:, -1])
+        spread = np.where(self.zero[:, None], 1.0, singular)
+        self.F = np.swapaxes(right, 1, 2) / spread[:, None, :]
+        self.G = np.where(self.zero[:, None, None], 0.0, singular[:, :, None] * right)
+        span = float(np.max(pieces.right - pieces.left)) + float(np.ptp(pieces.times)) if len(pieces.times) else 0.0
+        grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
+        self.kept = np.maximum(0.0, 1 - 3 * grade * size / safe)
+
+    def _references(self) -> tuple[Array, Array, Array]:
+        """Singular values, right vectors and rounding size of each piece's O at its right end."""
+        pieces, n, p = self.pieces, self.plant.n_states, self.plant.n_outputs
+        count = pieces.stop - pieces.first
+        most = max(1, int(count.max(initial=0)))
+        singular, right, size = np.zeros((len(pieces), n)), np.zeros((len(pieces), n, n)), np.zeros(len(pieces))
+        step = max(1, _CHUNK // (most * n * max(n, p)))
+        for low in range(0, len(pieces), step):
+            part = slice(low, low + step)
+            index = pieces.first[part, None] + np.arange(most)
+            there = index < pieces.stop[part, None]
+            index = np.where(there, index, 0)
+            tau = (
+                np.where(there, pieces.times[index] - pieces.right[part, None], 0.0)
+                if len(pieces.times)
+                else there * 0.0
+            )
+            with np.errstate(over="ignore", invalid="ignore"):
+                flow = self.plant.transition(tau.ravel()).reshape(*tau.shape, n, n)
+            if not np.isfinite(flow).all():
+                raise ArgumentError(
+                    f"`window` must be short enough for e^(A T) to be a number, got {pieces.window!r}: "
+                    "its unstable modes overflow. Refer sigma to a shorter window."
+                )
+            weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
+            rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
+            rows = np.concatenate(
+                [rows.reshape(len(tau), -1, n), np.zeros((len(tau), max(0, n - most * p), n))], axis=1
+            )
+            _, singular[part], right[part] = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+            squares = np.sum(np.where(weight, np.sum(self.plant.C**2, axis=1), 0.0), axis=-1)
+            size[part] = np.sqrt(np.sum(squares * np.sum(flow**2, axis=(-1, -2)), axis=-1))
+        return singular, right, size
+
+    def at(self, owner: Indices, start: Array) -> tuple[Array, Array]:
+        """|F| = 1/sigma, and an upper bound on |A^2 F|, at window starts on the pieces `owner`."""
+        value, second = np.empty(start.size), np.empty(start.size)
+        step = max(1, _CHUNK // self.plant.n_states**2)
+        for low in range(0, start.size, step):
+            part = slice(low, low + step)
+            with np.errstate(over="ignore", invalid="ignore"):
+                F = self.plant.transition(start[part] - self.pieces.right[owner[part]]) @ self.F[owner[part]]
+                sound = np.isfinite(F).all(axis=(1, 2)) & ~self.zero[owner[part]]
+                F = np.where(sound[:, None, None], F, 0.0)
+                value[part] = np.where(sound, np.linalg.norm(F, 2, axis=(1, 2)), np.inf)
+                second[part] = np.where(sound, np.linalg.norm(self.A2 @ F, axis=(1, 2)), np.inf)
+        return value, second
+
+    def unseen(self, owner: Indices, start: Array, value: Array) -> npt.NDArray[np.bool_]:
+        """Where sigma = 1/value lies below n eps |O(s)|."""
+        back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
+        with np.errstate(divide="ignore"):
+            sigma = 1 / value
+        least = self.plant.n_states * _EPS * np.linalg.norm(back, axis=(1, 2))
+        return np.asarray(least >= sigma)
+
+    def ceiling(self, h: Array, fa: Array, fb: Array, ga: Array, gb: Array) -> Array:
+        """Proven upper bound on |F| over intervals of length h with |F|, |A^2 F| at both ends."""
+        q = h * h / 8
+        slack = 1 - q * q * self.fourth
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            # |F| <= chord + q sup|A^2 F|, and the same for A^2 F with |A^4 F| <= |A^4| |F|
+            second = np.where(slack > 0, (np.maximum(fa, fb) + q * np.maximum(ga, gb)) / slack, np.inf)
+            # |F| grows from either end at most by the logarithmic norm: highest where the two bounds cross
+            total = max(self.forward + self.backward, 1e-300)
+            x = np.clip((np.log(fb / fa) + self.backward * h) / total, 0.0, h)
+            first = np.minimum(fa * np.exp(self.forward * x), fb * np.exp(self.backward * (h - x)))
+        return np.asarray(np.fmin(second, first))
+
+
+class _Search:
+    """Open intervals, all nodes so far, and the least proven bound of the closed ones."""
+
+    def __init__(self, pieced: _Pieced, rtol: float) -> None:
+        self.pieced, self.rtol = pieced, rtol
+        left, right = pieced.pieces.left, pieced.pieces.right
+        owner = np.repeat(np.arange(left.size), _FIRST_CUTS + 1)
+        part = np.tile(np.arange(_FIRST_CUTS + 1) / _FIRST_CUTS, left.size)
+        start = np.clip(left[owner] + part * (right - left)[owner], left[owner], right[owner])
+        start[part == 1] = right
+        value, second = pieced.at(owner, start)
+        self.nodes, self.values, self.owners = [start], [value], [owner]
+        self.zero = pieced.unseen(owner, start, value)
+        inner = np.flatnonzero(part < 1)
+        self.owner, self.a, self.b = owner[inner], start[inner], start[inner + 1]
+        self.fa, self.fb, self.ga, self.gb = value[inner], value[inner + 1], second[inner], second[inner + 1]
+        self.piece_lower = np.full(left.size, np.inf)
+        self.top = float(value.max())
+        self.total, self.evaluations = float(np.sum(right - left)), start.size
+
+    def close(self) -> None:
+        """Take out the intervals whose bound is good enough for the bracket."""
+        ceiling = self.pieced.ceiling(self.b - self.a, self.fa, self.fb, self.ga, self.gb)
+        lower = self.pieced.kept[self.owner] / ceiling
+        middle = (self.a + self.b) / 2
+        done = (lower >= (1 - 0.99 * self.rtol) / self.top) | (middle <= self.a) | (middle >= self.b)
+        # nothing to gain by halving: only the allowance for rounding keeps such an interval open
+        done |= ceiling <= (1 + 0.1 * self.rtol) * np.maximum(self.fa, self.fb)
+        np.minimum.at(self.piece_lower, self.owner[done], lower[done])
+        self.lower_open = lower[~done]
+        for name in ("owner", "a", "b", "fa", "fb", "ga", "gb"):
+            setattr(self, name, getattr(self, name)[~done])
+
+    def halve(self) -> None:
+        """Evaluate the middle of every open interval and cut there."""
+        middle = (self.a + self.b) / 2
+        f, g = self.pieced.at(self.owner, middle)
+        self.nodes.append(middle)
+        self.values.append(f)
+        self.owners.append(self.owner)
+        self.top, self.evaluations = max(self.top, float(f.max())), self.evaluations + middle.size
+        self.a, self.b = np.concatenate([self.a, middle]), np.concatenate([middle, self.b])
+        self.fa, self.fb = np.concatenate([self.fa, f]), np.concatenate([f, self.fb])
+        self.ga, self.gb = np.concatenate([self.ga, g]), np.concatenate([g, self.gb])
+        self.owner = np.concatenate([self.owner, self.owner])
+
+    def run(self, seconds: float, progress: Progress | None) -> str:
+        """Halve until nothing is open or the budget is spent."""
+        began = time.monotonic()
+        self.close()
+        while self.owner.size:
+            if time.monotonic() - began > seconds or self.evaluations > _MOST_NODES:
+                np.minimum.at(self.piece_lower, self.owner, self.lower_open)
+                return "budget"
+            self.halve()
+            self.close()
+            if progress is not None:
+                open_part = float(np.sum(self.b - self.a)) / max(self.total, 1e-300)
+                progress(1 - open_part, f"sigma over windows: {self.owner.size} intervals open")
+        return "closed"
+
+
+def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> Bracket:
+    """Bracket the least sigma over all pieces; `seconds` may be infinite."""
+    if plant.n_states == 0:
+        return _nothing_to_see(pieces)
+    short = _too_few(plant, pieces)
+    search = _Search(_Pieced(plant, pieces), rtol)
+    if short is not None:
+        status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
+    elif search.zero.any():
+        i = int(np.argmax(np.where(search.zero, search.values[0], -1.0)))
+        status, g, start = "below rounding", int(search.owners[0][i]), float(search.nodes[0][i])
+    else:
+        status = search.run(seconds, progress)
+        values = np.concatenate(search.values)
+        i = int(np.argmax(values))
+        g, start = int(np.concatenate(search.owners)[i]), float(np.concatenate(search.nodes)[i])
+    if status in ("too few samples", "below rounding"):
+        search.close()
+        np.minimum.at(search.piece_lower, search.owner, search.lower_open)
+    return _bracket(plant, search, status, g, start)
+
+
+def _bracket(plant: Plant, search: _Search, status: str, g: int, start: float) -> Bracket:
+    """The result, with the witness evaluated afresh from its own rows."""
+    pieces = search.pieced.pieces
+    rows = _rows(plant, pieces, g, start)
+    _, singular, right = np.linalg.svd(rows, full_matrices=True)
+    upper = 0.0 if rows.shape[0] < plant.n_states else float(singular[plant.n_states - 1])
+    lower = min(float(search.piece_lower.min()), upper)
+    if status in ("too few samples", "below rounding"):
+        lower = 0.0
+    elif status == "closed" and lower < (1 - search.rtol) * upper:
+        status = "rounding"
+    owner, nodes = np.concatenate(search.owners), np.concatenate(search.nodes)
+    order = np.lexsort((nodes, owner))
+    with np.errstate(divide="ignore"):
+        sigma = 1 / np.concatenate(search.values)
+    return Bracket(
+        lower,
+        upper,
+        status,
+        start,
+        pieces.side(g, start),
+        pieces.samples(g),
+        right[-1],
+        pieces,
+        nodes[order],
+        sigma[order],
+        owner[order],
+        search.piece_lower,
+    )
+
+
+def _rows(plant: Plant, pieces: Pieces, g: int, start: float) -> Array:
+    """Rows C e^{A(tau - start)} of the samples on piece g."""
+    rows = plant.C @ plant.transition(pieces.samples(g) - start)
+    mask = pieces.measured(g)
+    return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
+
+
+def _too_few(plant: Plant, pieces: Pieces) -> int | None:
+    """The piece with fewest measurements, where these are fewer than the states."""
+    if pieces.mask is None:
+        count = plant.n_outputs * (pieces.stop - pieces.first)
+    else:
+        total = np.concatenate([[0], np.cumsum(pieces.mask.sum(axis=1))])
+        count = total[pieces.stop] - total[pieces.first]
+    g = int(np.argmin(count))
+    return g if count[g] < plant.n_states else None
+
+
+def _nothing_to_see(pieces: Pieces) -> Bracket:
+    """A plant without states: sigma is the least over no direction, infinity."""
+    nothing, start = np.zeros(0), float(pieces.left[0])
+    infinite = np.full(len(pieces), np.inf)
+    owner = np.arange(len(pieces))
+    return Bracket(
+        np.inf,
+        np.inf,
+        "no states",
+        start,
+        "at",
+        pieces.samples(0),
+        nothing,
+        pieces,
+        pieces.left,
+        infinite,
+        owner,
+        infinite,
+    )

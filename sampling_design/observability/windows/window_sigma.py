@@ -1,0 +1,325 @@
+"""Sigma over every real position of a sliding window: a proven lower and an attained upper bound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import Claim
+from sampling_design.observability.meeting import meet
+from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
+from sampling_design.observability.windows.pieces import Pieces, window_pieces
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowWitness(Record):
+    """The window at which the attained sigma was found.
+
+    Attributes
+    ----------
+    t : float
+        End of the window [t - T, t].
+    side : str
+        "at" t; "after", the limit from above, just after a sample has left; "before", the limit from
+        below, just before a sample arrives.
+    samples : (k,) array
+        Times of the samples that it holds.
+    direction : (n,) array
+        Unit state at the window's start that is seen least.
+    sigma : float
+        |O x| for that direction.
+    """
+
+    t: float
+    side: str
+    samples: Array
+    direction: Array
+    sigma: float
+
+    @property
+    def position(self) -> str:
+        """The end of the window in words, such as 'just after 3'."""
+        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + short(self.t)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("window end", self.position),
+            ("samples", short(self.samples)),
+            ("direction", short(self.direction)),
+            ("sigma", short(self.sigma)),
+        ]
+
+    def explain(self) -> str:
+        """Say which window it is and what it sees least."""
+        return (
+            f"The window that ends {self.position} holds {self.samples.size} samples and sees the initial "
+            f"state {short(self.direction)} least."
+        )
+
+
+@dataclass(frozen=True)
+class WindowProfile:
+    """Sigma over the window's end, for pictures: one curve per piece, with a jump between two pieces.
+
+    `t`, `sigma` and `piece` hold the points, ordered; the ends of a piece are one-sided limits.
+    `start`, `stop` and `lower` hold for each piece its interval of window ends and its proven bound.
+    """
+
+    t: Array
+    sigma: Array
+    piece: npt.NDArray[np.int_]
+    start: Array
+    stop: Array
+    lower: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowSigma(Record):
+    """Bounds on the least sigma over all real positions of a window along one schedule.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every real position, limits just after a departure or before an arrival included.
+    upper : float
+        Attained at `witness`.
+    witness : WindowWitness
+    closed : bool
+        Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
+    status : str
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding" or
+        "no states".
+    window : float
+    profile : WindowProfile
+    scaled : WindowSigma or None
+        The same in scaled coordinates, where the plant has scales; never instead of this one.
+    time_unit : str
+    rigorous : bool
+        Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
+    slack : float
+        With `rigorous`: the windows of that theorem are [t - T - slack, t + slack]. Zero unless samples leave and
+        arrive within rounding of each other, which count as one event.
+    """
+
+    lower: float
+    upper: float
+    witness: WindowWitness
+    closed: bool
+    status: str
+    window: float
+    rtol: float
+    profile: WindowProfile
+    scaled: WindowSigma | None = field(default=None, kw_only=True)
+    time_unit: str = field(default="s", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
+        return Claim(
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t, T = {short(self.window)}"
+            + wider,
+            theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
+            assumptions=("the plant's matrices and the sample times are exact",),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the curve; infinite values (a plant without states) become None."""
+        finite = bool(np.isfinite(self.upper))
+        witness = self.witness
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "closed": self.closed,
+            "status": self.status,
+            "window": self.window,
+            "rtol": self.rtol,
+            "time_unit": self.time_unit,
+            "refers_to": "the state at the window's start",
+            "rigorous": self.rigorous,
+            "slack": self.slack,
+            "witness": {
+                "t": witness.t,
+                "side": witness.side,
+                "samples": witness.samples.tolist(),
+                "direction": witness.direction.tolist(),
+            },
+            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+            "claim": self.claim.to_dict(),
+        }
+
+    @property
+    def _grounds(self) -> str:
+        return "proven in ball arithmetic" if self.rigorous else "proven"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [
+            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
+            ("sigma at most", f"{short(self.upper)} (attained)"),
+            ("worst window ends", f"{self.witness.position} {self.time_unit}"),
+            ("samples in it", str(self.witness.samples.size)),
+            ("window", f"{short(self.window)} {self.time_unit}"),
+            ("status", self.status),
+        ]
+        if self.scaled is not None:
+            rows.append(("sigma, scaled", f"{short(self.scaled.lower)} to {short(self.scaled.upper)}"))
+        return rows
+
+    def explain(self) -> str:
+        """Say what was proven, where the worst window is, and why a bracket did not close."""
+        where = (
+            f"The worst window ends {self.witness.position} {self.time_unit} with {self.witness.samples.size} samples"
+        )
+        if self.status == "no states":
+            return "The plant has no states: there is nothing to see, and sigma is infinite."
+        if self.status == "too few samples":
+            empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
+            return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
+        if self.status == "below rounding":
+            return f"{where}; it does not see the state {short(self.witness.direction)}: sigma is zero to rounding."
+        length = f"{short(self.window)} {self.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
+        if self.closed:
+            return f"{proven} and {short(self.upper)} is attained. {where}."
+        reason = {
+            "budget": "the budget ran out before the bracket closed; more time would narrow it",
+            "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
+        }[self.status]
+        return f"{proven}; {short(self.upper)} is attained, and {reason}."
+
+
+def window_sigma(
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    rtol: float = 0.01,
+    budget: float | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+) -> WindowSigma:
+    """Bound sigma over all real positions of a sliding window.
+
+        sigma = inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+        A finite schedule is judged from its first full window [0, T] to the last, which ends with its
+        last sample; an endless one in its rhythm, over one period of t.
+    window : float [plant.time_unit]
+        Length T > 0.
+    rtol : float
+        The search ends when lower >= (1 - rtol) upper; in (0, 1).
+    budget : float, optional [seconds]
+        When it runs out, the bounds so far are returned with closed = False.
+    progress : callable, optional
+        Called with the fraction done and a message.
+    rigorous : bool
+        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
+        for that proof too.
+
+    Returns
+    -------
+    WindowSigma
+        lower = upper = 0 where a window holds fewer measurements than states; infinity for a plant
+        without states.
+
+    Raises
+    ------
+    ArgumentError
+        If plant and schedule do not fit, or the window is not positive or longer than the schedule.
+    MissingExtraError
+        If `rigorous` is asked for and python-flint is not installed.
+
+    Notes
+    -----
+    *Claim.* `lower` holds for every real t, the limits just after a sample leaves included (there the
+    infimum is often attained). Sigma refers to the state at the window's *start*, in the plant's
+    coordinates; with scales, `scaled` holds the same for the scaled plant.
+    *Method.* Between two events all relative times shift together, O(s) = O(b) e^{A(b-s)}, so that
+    1/sigma(s) = |F(s)| with F(s) = e^{-A(b-s)} O(b)^+. A norm is convex: |F| lies below its chord plus
+    (h^2/8) max |A^2 F|, an error of second order, relative to 1/sigma itself whatever the condition
+    of O. Intervals are halved, all at once, until each is closed.
+    *Numerical aspects.* The lower bound is reduced by the named allowance of `bracket.ALLOWANCE`.
+    Sigma counts as zero below n eps |O|; then lower = 0 and the witness holds the unseen direction.
+    Events that coincide to rounding (`pieces.SAME_TIME`) are one event.
+
+    References
+    ----------
+    The paper, Theorem 14: its hypothesis, for all real t >= T.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    >>> sigma = window_sigma(plant, PeriodicSchedule([1.0]), 2.0)
+    >>> sigma.witness.samples.size, round(sigma.upper, 6)
+    (2, 0.381966)
+    >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
+    0.0
+    """
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    aligned = meet(plant, schedule)
+    length = _checks.positive("window", window)
+    tolerance = _checks.positive("rtol", rtol)
+    if tolerance >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    pieces = window_pieces(aligned, length)
+    parts = [plant, plant.scaled()] if plant.has_scales else [plant]
+    scaled = None
+    for part in reversed(parts):
+        found = bracket_sigma(part, pieces, tolerance, seconds / len(parts), progress)
+        result = _record(found, length, tolerance, part, scaled)
+        if rigorous:
+            result = _in_balls(result, part, aligned, pieces, seconds / len(parts))
+        scaled = result
+    return result
+
+
+def _in_balls(
+    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+) -> WindowSigma:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.windows.balls import prove_window_sigma
+
+    proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    closed = result.closed and status == result.status
+    return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
+
+
+def _record(found: Bracket, window: float, rtol: float, plant: Plant, scaled: WindowSigma | None) -> WindowSigma:
+    """The public record: window starts become window ends."""
+    witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)
+    left, right = found.pieces.left + window, found.pieces.right + window
+    profile = WindowProfile(found.nodes + window, found.sigma, found.owner, left, right, found.piece_lower)
+    return WindowSigma(
+        found.lower,
+        found.upper,
+        witness,
+        found.status not in ("budget", "rounding"),
+        found.status,
+        window,
+        rtol,
+        profile,
+        scaled=scaled,
+        time_unit=plant.time_unit,
+    )

@@ -1,0 +1,281 @@
+"""Lower bound of sigma over all spaced schedules, proven with enclosed arithmetic (extra `rigorous`).
+
+Claim: z'G z >= mu |L z|^2 for every direction z and G the sum of (C e^{A tau_i} L)'(C e^{A tau_i} L) over any
+admissible schedule. For a cell of directions z0 + d, d in a box, G psd:
+
+    z'Gz - mu |Lz|^2  >=  z0'Gz0 + 2 d'Gz0 - mu |L(z0 + d)|^2,
+
+concave in d: its corners decide. At a corner the right side is a sum over the samples; between the points of a time
+grid each term lies above its chords minus (h^2/8) max of its second derivative, and the least sum over ordered slacks
+is a least path. Rows come from balls; sums of doubles are lowered by the bound on their rounding; directions are
+dyadic, so that their products are exact.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Clock, Flow, OutOfTime
+from sampling_design._balls import Ball, ball, definite, flint, matrix, precision
+from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.spaced_windows import SpacedWindows
+
+Array = npt.NDArray[np.float64]
+
+FIRST_GRID, LAST_GRID = 32, 8192
+"""Cells of the time grid at first and at most."""
+THINNEST = 20
+"""Most halvings of a side: products of such dyadic numbers are exact doubles."""
+MOST_STATES = 8
+"""2^(n-1) corners per cell."""
+MOST_CELLS = 200_000
+"""Open at once."""
+BATCH = 2_000_000
+"""Numbers per batch."""
+FALSE = 1e-9
+"""A schedule this far below the claim, relative, ends the attempt."""
+UNIT = 2.0**-53
+"""Rounding unit of doubles."""
+UP = 1 + 2.0**-40
+"""Factor that covers the rounding of a few products of positive doubles."""
+
+
+class Cells(NamedTuple):
+    """Boxes of directions on the faces z_face = 1 of a cube: centre, halvings of each side, halvings of time."""
+
+    centre: Array  # (m, n)
+    depth: npt.NDArray[np.int_]  # (m, n)
+    face: npt.NDArray[np.int_]  # (m,)
+    grid: npt.NDArray[np.int_]  # (m,)
+
+    def take(self, index: npt.NDArray[np.bool_] | npt.NDArray[np.int_]) -> Cells:
+        """The cells at `index`."""
+        return Cells._make(part[index] for part in self)
+
+    @property
+    def half(self) -> Array:
+        """Half-widths, 0 at the face."""
+        half = np.ldexp(1.0, -self.depth)
+        half[np.arange(len(self.face)), self.face] = 0.0
+        return half
+
+
+class Table(NamedTuple):
+    """Per sample and grid point vec G and vec (h^2/8) G''; for |X| = 1 the rounding of both and the bend's bend."""
+
+    gram: Array  # (k, N + 1, q)
+    bend: Array  # (k, N + 1, q)
+    rounding: Array  # (k, N + 1) of <G, X>
+    blur: Array  # (k, N + 1) of <(h^2/8) G'', X>
+    fourth: Array  # (k, N) (h^2/8)^2 times the supremum of the fourth derivative over each cell
+
+
+class WorstCase:
+    """Tables and cells of one plant and family, in coordinates x = L z."""
+
+    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: Clock) -> None:
+        self.n, self.p, self.k, self.clock = plant.n_states, plant.n_outputs, family.count, clock
+        self.offsets = [Fraction(family.spacing) * i for i in range(self.k)]
+        self.slack = max(Fraction(family.window) - self.offsets[-1], Fraction(0))
+        L, A = matrix(basis), matrix(plant.A)
+        self.flow = Flow(L.solve(A * L), matrix(np.zeros((self.n, self.n))))
+        rows = [matrix(plant.C) * L]
+        for _ in range(4):
+            rows.append(rows[-1] * self.flow.A)
+        self.rows = flint().arb_mat([row for part in rows for row in part.tolist()])
+        self.upper = np.triu_indices(self.n)
+        self.weight = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
+        self.basis = L
+        metric = (L.transpose() * L).tolist()
+        self.metric = np.array([[float(x) for x in row] for row in metric])
+        self.terms = 8 * (self.weight.size + self.p + self.n + self.k + 8)
+        signs = np.array(list(product((-1.0, 1.0), repeat=self.n - 1))).reshape(2 ** (self.n - 1), self.n - 1)
+        signs = np.vstack([signs, np.zeros((1, self.n - 1))])  # the centre too: it tells a claim that is false
+        self.signs = np.stack([np.insert(signs, f, 0.0, axis=1) for f in range(self.n)])
+        self._tables: dict[int, Table] = {}
+
+    def table(self, cells: int) -> Table:
+        """The table of a grid of `cells` cells."""
+        if cells not in self._tables:
+            self._tables[cells] = self._made(cells)
+        return self._tables[cells]
+
+    def _made(self, cells: int) -> Table:
+        step = fraction(self.slack / cells)
+        E = self.flow.over(step)[0]
+        y = np.empty((self.k, cells + 1, 5, self.p, self.n))
+        for i, offset in enumerate(self.offsets):
+            self.clock.check()
+            at = self.rows * self.flow.over(fraction(offset))[0]
+            for j in range(cells + 1):
+                y[i, j] = np.array([float(x) for x in at.entries()]).reshape(5, self.p, self.n)
+                at = at * E
+        eighth = float(step) ** 2 / 8 * UP
+        turned = np.swapaxes(y, -1, -2)
+        cross = turned[:, :, 0] @ y[:, :, 2]
+        gram = turned[:, :, 0] @ y[:, :, 0]
+        bend = (2 * turned[:, :, 1] @ y[:, :, 1] + cross + np.swapaxes(cross, -1, -2)) * eighth
+        size = np.linalg.norm(y, axis=(-1, -2)) * UP
+        reach = np.sqrt(self._reach(step)) * UP
+        a = [size[:, :, m] * reach for m in range(5)]
+        fourth = (2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2) * UP
+        bent = (2 * size[:, :, 1] ** 2 + 2 * size[:, :, 0] * size[:, :, 2]) * eighth
+        lost = self.terms * UNIT
+        rounding = lost * size[:, :, 0] ** 2
+        return Table(self._vec(gram), self._vec(bend), rounding, lost * bent, fourth[:, :-1] * eighth**2 * UP)
+
+    def _reach(self, step: Ball) -> float:
+        """At least sup |e^{Bs}|^2 over a step."""
+        if not step > 0:
+            return 1.0
+        return float((self.flow.reach(step) * 8 / step**2).upper()) * UP
+
+    def _vec(self, matrices: Array) -> Array:
+        return np.asarray(matrices[..., self.upper[0], self.upper[1]] * self.weight)
+
+    def norms(self, z: Array) -> Array:
+        """At least |L z|^2."""
+        lost = self.terms * UNIT * np.sum(np.abs(z), axis=-1) ** 2 * np.abs(self.metric).max()
+        return np.asarray(np.einsum("...i,ij,...j->...", z, self.metric, z) + lost)
+
+    def least(self, cells: Cells) -> tuple[Array, Array, Array]:
+        """Least sums at the corners (m, c): proven; the same without the bend of time; and at least |L z|^2 there."""
+        z = cells.centre[:, None, :]
+        d = self.signs[cells.face] * cells.half[:, None, :]
+        other = z + 2 * d
+        pair = z[..., :, None] * other[..., None, :]
+        X = ((pair + np.swapaxes(pair, -1, -2)) / 2)[..., self.upper[0], self.upper[1]]
+        nuclear = np.linalg.norm(z, axis=-1) * np.linalg.norm(other, axis=-1) * UP
+        table = self.table(int(cells.grid[0]))
+        forms, nuclear = X.reshape(-1, X.shape[-1]).T, nuclear.ravel()
+        value = table.gram @ forms - table.rounding[..., None] * nuclear
+        bent = table.bend @ forms + table.blur[..., None] * nuclear
+        sink = np.maximum(np.maximum(bent[:, :-1], bent[:, 1:]) + table.fourth[..., None] * nuclear, 0.0) * UP
+        around = np.concatenate([sink[:, :1], np.maximum(sink[:, :-1], sink[:, 1:]), sink[:, -1:]], axis=1)
+        found = [self._path(value - around), self._path(value)]
+        shape = X.shape[:-1]
+        return found[0].reshape(shape), found[1].reshape(shape), self.norms(z + d)
+
+    def _path(self, cost: Array) -> Array:
+        """At most the least sum of one cost per sample along non-decreasing grid points, (k, N + 1, K) -> (K,)."""
+        total = cost[0]
+        for row in cost[1:]:
+            total = np.minimum.accumulate(total, axis=0) + row
+        lost = self.terms * UNIT * np.sum(np.abs(cost).max(axis=1), axis=0)
+        return np.asarray(total.min(axis=0) - lost)
+
+    def only(self, mu: float) -> bool:
+        """The same where one schedule alone is admissible."""
+        total = matrix(np.zeros((self.n, self.n)))
+        first = flint().arb_mat(self.rows.tolist()[: self.p])
+        for offset in self.offsets:
+            at = first * self.flow.over(fraction(offset))[0]
+            total = total + at.transpose() * at
+        return definite(total - ball(mu) * self.basis.transpose() * self.basis) is True
+
+    def proves(self, mu: float) -> bool:
+        """Whether z'Gz >= mu |Lz|^2 is proven for all directions and schedules."""
+        if self.slack == 0:
+            return self.only(mu)
+        n = self.n
+        pending = Cells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
+        while pending.face.size:
+            if pending.face.size > MOST_CELLS:
+                raise OutOfTime("too many cells are open")
+            grid = int(pending.grid.min())
+            same = np.flatnonzero(pending.grid == grid)
+            same = same[: max(1, BATCH // (self.k * (grid + 1) * self.signs.shape[1]))]
+            rest = np.ones(pending.face.size, dtype=bool)
+            rest[same] = False
+            self.clock.check()
+            cut = self._cut(pending.take(same), mu)
+            if cut is None:
+                return False
+            pending = Cells._make(np.concatenate(parts) for parts in zip(pending.take(rest), *cut, strict=True))
+        return True
+
+    def _cut(self, cells: Cells, mu: float) -> list[Cells] | None:
+        """The cells that stay open, cut in two or with a finer grid; None where one can be cut no further."""
+        proven, flat, norms = self.least(cells)
+        needed = mu * norms * UP
+        if np.any(flat[:, -1] < needed[:, -1] * (1 - FALSE)):
+            return None
+        open_ = np.asarray(~np.all(proven >= needed, axis=1))  # nan stays open
+        cells, short, flat_short = cells.take(open_), (needed - proven)[open_], (needed - flat)[open_]
+        if not open_.any():
+            return []
+        # time is to blame where, without its bends, half of what is missing would not be
+        by_time = flat_short.max(axis=1) < short.max(axis=1) / 2
+        finer = by_time & (2 * cells.grid <= LAST_GRID)
+        loss = cells.half * np.sqrt(np.maximum(self._stretch(), 0.0))
+        loss[cells.depth >= THINNEST] = 0.0
+        if (~finer & (by_time | (loss.max(axis=1, initial=0.0) <= 0))).any():
+            return None
+        whole = cells.take(finer)
+        parts, axis = cells.take(~finer), np.argmax(loss[~finer], axis=1)
+        row, depth = np.arange(parts.face.size), parts.depth.copy()
+        depth[row, axis] += 1
+        step = np.zeros_like(parts.centre)
+        step[row, axis] = parts.half[row, axis] / 2
+        halves = [parts._replace(centre=parts.centre + sign * step, depth=depth) for sign in (-1, 1)]
+        return [whole._replace(grid=2 * whole.grid), *halves]
+
+    def _stretch(self) -> Array:
+        """How much a step along each axis costs: the mean diagonal of G."""
+        gram = self.table(FIRST_GRID).gram[..., self.upper[0] == self.upper[1]]
+        return np.asarray(gram.mean(axis=(0, 1)))
+
+
+def prove_worst_sigma(
+    plant: Plant, family: SpacedWindows, guess: float, worst: Array, seconds: float = 60.0
+) -> ProvenSigma:
+    """Prove a lower bound of sigma over all schedules of a family, as near to `guess` as can be.
+
+    Parameters
+    ----------
+    plant : Plant
+    family : SpacedWindows
+        Window, count and spacing are the doubles that the theorem is about.
+    guess : float
+        What floats believe.
+    worst : (k,) array
+        Times of a bad schedule: they choose the coordinates, nothing else.
+    seconds : float
+        Budget.
+
+    Returns
+    -------
+    ProvenSigma
+        lower = 0 where nothing is proven in time.
+
+    Raises
+    ------
+    MissingExtraError
+        If python-flint is not installed.
+    """
+    flint()
+    if not 0 < guess < np.inf:
+        return ProvenSigma(guess, 0.0, "closed")
+    if plant.n_states > MOST_STATES:
+        return ProvenSigma(0.0, 0.0, "too many states")
+    rows = SpacedRows(plant, family.window, family.count, family.spacing)
+    basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
+    clock = Clock(seconds)
+    with precision():
+        try:
+            search = WorstCase(plant, family, basis, clock)
+            for shave in SHAVES:
+                sigma = guess * (1 - shave)
+                mu = float(np.nextafter(sigma * sigma, np.inf))
+                if search.proves(mu):
+                    return ProvenSigma(sigma, 0.0, "closed")
+        except OutOfTime:
+            return ProvenSigma(0.0, 0.0, "budget")
+    return ProvenSigma(0.0, 0.0, "rounding")

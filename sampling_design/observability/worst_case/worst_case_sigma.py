@@ -1,0 +1,350 @@
+"""Worst case of sigma over all schedules with k spaced samples in a window (Theorem 17), bracketed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import Claim
+from sampling_design.observability.windows.sampled import sigma_min
+from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_search import Attained, search_worst, worst_of
+from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.spaced_windows import SpacedWindows
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+_PICTURE = 401  # points of the profile
+_REASONS = {
+    "budget": "the budget ran out before the bracket closed; more time narrows it",
+    "rounding": "rounding keeps the bracket open; scale the plant",
+    "too many states": f"a proof by directions is not tried beyond {MOST_STATES} states; retain fewer of them",
+}
+
+
+@dataclass(frozen=True)
+class WorstCaseProfile:
+    """What the worst schedule sees of the worst state, for pictures.
+
+    `times` and `seen` hold f(s) = |C e^{As} x| over the window, `samples` and `at_samples` the witness on
+    that curve; sigma^2 is the sum of at_samples^2.
+    """
+
+    times: Array
+    seen: Array
+    samples: Array
+    at_samples: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WorstCaseSigma(Record):
+    """Bounds on the least sigma over all schedules with k samples, epsilon apart, in a window of length T.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every admissible schedule at real times.
+    upper : float
+        Attained at `witness`.
+    witness : (k,) array
+        Sample times within [0, T], relative to the window's start.
+    direction : (n,) array
+        Unit state at the window's start that `witness` sees least.
+    closed : bool
+        Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
+    status : str
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding",
+        "too many states" or "no states".
+    method : str
+        What `lower` rests on, in words.
+    cells : int
+        How many cells of directions were bounded.
+    family : SpacedWindows
+    profile : WorstCaseProfile
+    scaled : WorstCaseSigma or None
+        The same in scaled coordinates, where the plant has scales; never instead of this one.
+    time_unit : str
+    rigorous : bool
+        Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
+    """
+
+    lower: float
+    upper: float
+    witness: Array
+    direction: Array
+    status: str
+    method: str
+    cells: int
+    family: SpacedWindows
+    rtol: float
+    profile: WorstCaseProfile
+    scaled: WorstCaseSigma | None = field(default=None, kw_only=True)
+    time_unit: str = field(default="s", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in _REASONS
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        f = self.family
+        return Claim(
+            f"sigma_n(O_s) >= {short(self.lower)} for all schedules with at least {f.count} samples, at least "
+            f"{short(f.spacing)} apart, in every window of {short(f.window)}",
+            theorem="Theorem 17" + (", in ball arithmetic" if self.rigorous else ""),
+            assumptions=("the plant's matrices are exact", "every sample measures all outputs"),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the profile; infinite values (a plant without states) become None."""
+        f, finite = self.family, bool(np.isfinite(self.upper))
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "witness": self.witness.tolist(),
+            "direction": self.direction.tolist(),
+            "closed": self.closed,
+            "status": self.status,
+            "method": self.method,
+            "cells": self.cells,
+            "rtol": self.rtol,
+            "rigorous": self.rigorous,
+            "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
+            "time_unit": self.time_unit,
+            "claim": self.claim.to_dict(),
+            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+        }
+
+    @property
+    def _grounds(self) -> str:
+        return "proven in ball arithmetic" if self.rigorous else "proven"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        f, unit = self.family, self.time_unit
+        rows = [
+            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
+            ("sigma at most", f"{short(self.upper)} (attained)"),
+            ("worst times", f"{short(self.witness)} {unit}"),
+            ("worst state", short(self.direction)),
+            ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
+            ("status", self.status),
+            ("method", f"{self.method}, {self.cells} cells" if self.cells else self.method),
+        ]
+        if self.scaled is not None:
+            rows.append(("sigma, scaled", f"{short(self.scaled.lower)} to {short(self.scaled.upper)}"))
+        return rows
+
+    def explain(self) -> str:
+        """Say what was proven for the family, which schedule is worst, and why a bracket did not close."""
+        f, unit = self.family, self.time_unit
+        if self.status == "no states":
+            return "The plant has no states: there is nothing to see, and sigma is infinite."
+        many = f"{f.count} samples, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}"
+        if self.status == "too few samples":
+            return f"{many}, are fewer measurements than the {self.direction.size} states: sigma is 0."
+        where = f"The worst times are {short(self.witness)} {unit}"
+        if self.status == "below rounding":
+            return f"{where}; they do not see the state {short(self.direction)}: sigma is zero to rounding."
+        proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
+        if self.closed:
+            return f"{proven} and {short(self.upper)} is attained. {where}."
+        return f"{proven}; {short(self.upper)} is attained, and {_REASONS[self.status]}. {where}."
+
+
+def worst_case_sigma(
+    plant: Plant,
+    family: SpacedWindows,
+    rtol: float = 0.01,
+    budget: float | None = 60.0,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+) -> WorstCaseSigma:
+    """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
+
+        sigma_bar = min of sigma_n(rows C e^{A tau_i}) over 0 <= tau_1, tau_i + epsilon <= tau_{i+1}, tau_k <= T
+
+    Parameters
+    ----------
+    plant : Plant
+    family : SpacedWindows
+        T = window, k = count, epsilon = spacing. More than k samples in a window only raise sigma, so
+        exactly k are looked at.
+    rtol : float
+        The search ends when lower >= (1 - rtol) upper; in (0, 1).
+    budget : float, optional [seconds]
+        When it runs out, the bounds so far are returned with closed = False. None: no limit.
+    rng : numpy.random.Generator, optional
+        Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
+    progress : callable, optional
+        Called with the share of directions that is settled, and a message.
+    rigorous : bool
+        Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; the budget then
+        holds for that proof once more.
+
+    Returns
+    -------
+    WorstCaseSigma
+        lower = upper = 0 where k samples give fewer measurements than states; infinity for a plant
+        without states.
+
+    Raises
+    ------
+    ArgumentError
+        If plant and family have different units of time, rtol is not in (0, 1), or e^{At} overflows
+        within the window.
+    MissingExtraError
+        If `rigorous` is asked for and python-flint is not installed.
+
+    Notes
+    -----
+    *Assumptions.* Every sample measures all outputs; the matrices are exact. That the samples fit,
+    (k - 1) epsilon <= T, is a matter of the family, which refuses otherwise and says what would fit.
+    *Claim.* `lower` holds for all real sample times, with sigma of the state at the window's *start*, in
+    the plant's coordinates; with scales, `scaled` holds the same for the scaled plant. `upper` is sigma
+    of `witness`.
+    *Method.* Upper: worst direction and worst times in turn, the latter by dynamic programming on a
+    grid, from many starts; then Newton off the grid. Lower: branch and bound over the sphere of states.
+    In slacks u_i = tau_i - (i - 1) epsilon the constraint is order alone, so that no gap is ever rounded.
+    A cell of directions is closed by its corners: x'Gx - mu |x|^2 lies above a function that is concave
+    in the cell, and whose least value over all schedules is a least path, where each sample's term lies
+    above its chords minus (h^2/8) max of its second derivative. Cell, grid and the windows in which each
+    sample can still matter shrink together.
+    *Numerical aspects.* The coordinates are those in which a survey of the window and the worst schedule
+    found see all directions alike. Remainders are suprema over the grid cells (fourth derivatives,
+    bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by
+    `bracket.ALLOWANCE` for the exponentials and by a multiple of eps for the sums; it is no interval
+    arithmetic unless `rigorous` asks for it. Sigma counts as zero below n eps |O|. Cost grows exponentially
+    with the number of states, about linearly with k; retain few states.
+
+    References
+    ----------
+    The paper, Theorem 17.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    >>> sigma = worst_case_sigma(plant, SpacedWindows(window=4.0, count=2, spacing=0.5))
+    >>> sigma.witness, round(sigma.upper, 5), sigma.closed
+    (array([3.5, 4. ]), 0.09092, True)
+    >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
+    True
+    """
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    if not isinstance(family, SpacedWindows):
+        raise ArgumentError(f"`family` must be a SpacedWindows, got {type(family).__name__}.")
+    if family.time_unit is not None and family.time_unit != plant.time_unit:
+        raise ArgumentError(
+            f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
+        )
+    tolerance = _checks.positive("rtol", rtol)
+    if tolerance >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    generator = np.random.default_rng(0) if rng is None else rng
+    parts = [plant.scaled(), plant] if plant.has_scales else [plant]
+    result = None
+    for part in parts:
+        result = _bracketed(part, family, tolerance, seconds / len(parts), generator, progress, result)
+        if rigorous:
+            result = _in_balls(result, part, seconds / len(parts))
+    assert result is not None
+    return result
+
+
+def _in_balls(result: WorstCaseSigma, plant: Plant, seconds: float) -> WorstCaseSigma:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.worst_case.balls import prove_worst_sigma
+
+    proof = prove_worst_sigma(plant, result.family, result.lower, result.witness, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(result, lower=proof.lower, status=status, rigorous=True)
+
+
+def _bracketed(
+    plant: Plant,
+    family: SpacedWindows,
+    rtol: float,
+    seconds: float,
+    rng: np.random.Generator,
+    progress: Progress | None,
+    scaled: WorstCaseSigma | None,
+) -> WorstCaseSigma:
+    """The record for one plant in its own coordinates."""
+    if plant.n_states == 0:
+        times = _checks.freeze(family.spacing * np.arange(family.count))
+        proof, method = Proof(np.inf, Attained(np.inf, times, np.zeros(0)), "no states", 0), "no states"
+        return _record(plant, family, rtol, proof, times, method, scaled)
+    rows = SpacedRows(plant, family.window, family.count, family.spacing)
+    proof, method = _proof(rows, rtol, seconds, rng, progress)
+    return _record(plant, family, rtol, proof, rows.times(proof.attained.slacks), method, scaled)
+
+
+def _proof(
+    rows: SpacedRows, rtol: float, seconds: float, rng: np.random.Generator, progress: Progress | None
+) -> tuple[Proof, str]:
+    """Both bounds, by the shortest way that the problem allows, and its name."""
+    if rows.count * rows.p < rows.n:
+        found = worst_of(rows, np.linspace(0.0, rows.slack, rows.count)[None])
+        return Proof(0.0, found, "too few samples", 0), "fewer measurements than states"
+    if rows.slack == 0.0:
+        found = worst_of(rows, np.zeros((1, rows.count)))
+        lower = max(0.0, found.sigma - rows.rounding(found.slacks))
+        proof = Proof(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
+        method = "only one schedule is admissible"
+    else:
+        found, method = search_worst(rows, rng), "branch and bound over directions"
+        if rows.counts_as_zero(found.sigma, found.slacks):
+            proof, method = Proof(0.0, found, "", 0), "a schedule that leaves a direction unseen"
+        elif rows.n > MOST_STATES:
+            proof, method = Proof(0.0, found, "too many states", 0), "none"
+        else:
+            proof = prove_worst(rows, found, rtol, seconds, progress)
+    if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks):
+        proof = proof._replace(lower=0.0, status="below rounding")
+    return proof, method
+
+
+def _record(
+    plant: Plant,
+    family: SpacedWindows,
+    rtol: float,
+    proof: Proof,
+    times: Array,
+    method: str,
+    scaled: WorstCaseSigma | None,
+) -> WorstCaseSigma:
+    """The public record, its witness evaluated afresh by the room's own sigma."""
+    upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
+    s = np.linspace(0.0, family.window, _PICTURE)
+    seen, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
+    frozen = [_checks.freeze(a) for a in (s, seen, times, at_samples)]
+    return WorstCaseSigma(
+        min(proof.lower, upper),
+        upper,
+        frozen[2],
+        _checks.freeze(x),
+        proof.status,
+        method,
+        proof.cells,
+        family,
+        rtol,
+        WorstCaseProfile(*frozen),
+        scaled=scaled,
+        time_unit=plant.time_unit,
+    )

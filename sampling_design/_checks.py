@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._linalg import unit_diagonal
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
@@ -177,18 +178,31 @@ def symmetric(name: str, value: Any, size: int) -> Array:
     return freeze((array + array.T) / 2)
 
 
-def definite(name: str, value: Any, size: int) -> Array:
+def definite(name: str, value: Any, size: int, slip: str = "") -> Array:
     """Return `value` as a frozen symmetric positive definite matrix.
+
+    Judged in units in which its diagonal is about one, so that the answer does not depend on those of the caller.
 
     Raises
     ------
     ArgumentError
-        If it has an eigenvalue that is not positive, or as in `symmetric`.
+        If an eigenvalue is not positive there beyond rounding, or as in `symmetric`; `slip` is appended.
     """
     array = symmetric(name, value, size)
-    least = float(np.linalg.eigvalsh(array)[0]) if size else 1.0
-    if least <= 0:
-        raise ArgumentError(f"`{name}` must be positive definite, got least eigenvalue {least:.6g}.")
+    hint = f" {slip}" if slip else ""
+    low = np.flatnonzero(np.diagonal(array) <= 0)
+    if low.size:
+        i = int(low[0])
+        raise ArgumentError(
+            f"`{name}` must be positive definite, got {name}[{i}, {i}] = {float(array[i, i])!r} on its diagonal.{hint}"
+        )
+    with np.errstate(over="ignore"):  # an entry beyond 4 is indefinite already
+        unit = np.clip(unit_diagonal(array)[1], -8.0, 8.0)
+    least = float(np.linalg.eigvalsh(unit)[0]) if size else 1.0
+    if least <= size * np.finfo(float).eps:
+        raise ArgumentError(
+            f"`{name}` must be positive definite, got least eigenvalue {least:.3g} once its diagonal is one.{hint}"
+        )
     return array
 
 

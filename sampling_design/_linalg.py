@@ -116,6 +116,18 @@ def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.
     return plain, (W + np.swapaxes(W, 1, 2)) / 2
 
 
+def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
+    """Return d (powers of two) and M with `matrix` = d M d exactly, the diagonal of M in [1, 4): its scale-free form.
+
+    A positive definite matrix keeps its signs and its Cholesky factor L = d L_M to the last bit. Where an entry of the
+    diagonal is not positive, d is 1 there.
+    """
+    diagonal = np.diagonal(matrix)
+    _, exponent = np.frexp(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+    half = -(exponent - 1)
+    return np.ldexp(1.0, exponent - 1), np.ldexp(np.ldexp(matrix, half[:, None]), half[None, :])
+
+
 def psd_root(matrix: Array, rtol: float | None = None) -> Array:
     """Return L (..., n, r) with L L' = `matrix`, r its numerical rank over the whole stack.
 

@@ -14,7 +14,7 @@ from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.exact.weight_choice import choose_rate, choose_weights
-from sampling_design.certificates.exact.window_problem import AnySchedule, WindowProblem, noise_input, window_problem
+from sampling_design.certificates.exact.window_problem import AnySchedule, WindowProblem, window_problem
 from sampling_design.certificates.existence.periodic import require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.errors import ArgumentError, CertificateError
@@ -125,7 +125,7 @@ def certify(
     P2 : (n, n) array, optional
         Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
     Qw : (q, q) array, optional
-        Default diag(1/s_w^2). May be singular only in directions that G does not use.
+        Default diag(1/s_w^2).
     R, Qv : (p, p) arrays, optional
         Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
     budget : float
@@ -180,7 +180,6 @@ def certify(
         return certify_family(plant, schedule, **given, budget=budget, progress=progress)
     schedule = _met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
-    noise_input(plant.G, weights[0])
     prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else _checks.positive("eta", eta)
     if not _checks.number("budget", budget) > 1:

@@ -44,10 +44,10 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Any = None) -> A
     """Draw lambda_max(P2, Phi_s(P_u)) over the time s since a sample, one curve per node of the family's graph."""
     ax = style.new_axes(ax)
     plant, eta = certificate.plant, certificate.eta
-    root = np.linalg.cholesky(certificate.P2)
+    root, drive = np.linalg.cholesky(certificate.P2), noise_input(plant.G, certificate.Qw)
     for node, (P, top) in enumerate(zip(certificate.P, certificate.graph.tops, strict=True)):
         s = np.linspace(0.0, top, 80)
-        F, W = discounted_flow(plant.A, noise_input(plant.G, certificate.Qw), s, eta)
+        F, W = discounted_flow(plant.A, drive @ drive.T, s, eta)
         Y = np.exp(eta * s)[:, None, None] * (F @ np.linalg.solve(P, np.swapaxes(F, 1, 2))) + W
         lam = np.linalg.eigvalsh(root.T @ Y @ root)[:, -1]
         colour, width = (style.TRUTH, 1.6) if node == 0 else (style.MEASURED, 0.9)

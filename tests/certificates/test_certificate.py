@@ -173,7 +173,7 @@ def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
         ({"eta": 0.0}, "`eta` must be positive"),
         ({"R": [[-1.0]]}, "`R` must be positive definite"),
         ({"Qv": [[0.0]]}, "`Qv` must be positive definite"),
-        ({"Qw": np.diag([1.0, 0.0])}, "its null direction is a free disturbance"),
+        ({"Qw": np.diag([1.0, 0.0])}, "A direction without weight is a free disturbance"),
         ({"budget": 1.0}, "`budget` must be above 1"),
     ],
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, certify
+from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, Signals, certify, certify_family
 from sampling_design.certificates.exact.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, SolverError
@@ -125,13 +125,42 @@ def test_a_finite_schedule_ends_its_windows():
     assert [peak.step <= 0 for peak in found] == [True, True]
 
 
-def test_singular_weights_are_accepted_only_where_nothing_drives():
-    G = np.array([[1.0], [0.0]])
-    assert np.allclose(noise_input(np.hstack([G, 0 * G]), np.diag([4.0, 0.0])), np.diag([0.25, 0.0]))
-    with pytest.raises(ArgumentError, match="its null direction is a free disturbance"):
-        noise_input(np.eye(2), np.diag([1.0, 0.0]))
-    with pytest.raises(ArgumentError, match="`Qw` must be positive definite, got least eigenvalue -1"):
-        noise_input(np.eye(2), np.diag([1.0, -1.0]))
+@pytest.mark.parametrize("tiny", [1e-13, 1e-6, 1.0, 1e9])
+@pytest.mark.parametrize("weight", [1e-30, 1.0, 1e30])
+def test_no_direction_of_the_disturbance_is_dropped(tiny, weight):
+    """A disturbance that enters by 1e-13 with weight 1e-30 is one that enters by 100 with weight one."""
+    H = noise_input(np.diag([1.0, tiny]), np.diag([1.0, weight]))
+    assert np.allclose(H @ H.T, np.diag([1.0, tiny**2 / weight]), rtol=1e-14, atol=0)
+    rng = np.random.default_rng(4)
+    G, root, units = rng.standard_normal((3, 4)), rng.standard_normal((4, 4)), 10.0 ** np.array([9, -12, 3, 0])
+    H = noise_input(G * units, root @ root.T * np.outer(units, units))
+    assert np.allclose(H @ H.T, G @ np.linalg.solve(root @ root.T, G.T), rtol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0])
+def test_a_direction_without_weight_is_refused_in_one_sentence(weight):
+    plant, schedule = Plant(np.diag([0.1, 0.1]), np.eye(2), G=np.diag([1.0, 1e-13])), PeriodicSchedule([1.0])
+    words = rf"`Qw` must be positive definite, got Qw\[1, 1\] = {weight} on its diagonal. A direction without weight"
+    with pytest.raises(ArgumentError, match=words):
+        certify(plant, schedule, eta=0.2, P2=np.eye(2), Qw=np.diag([1.0, weight]))
+    with pytest.raises(ArgumentError, match=words):
+        certify_family(plant, GapRange(0.5, 1.0), eta=0.2, P2=np.eye(2), Qw=np.diag([1.0, weight]))
+    with pytest.raises(ArgumentError, match=r"got least eigenvalue .* once its diagonal is one. A direction without"):
+        certify(plant, schedule, eta=0.2, P2=np.eye(2), Qw=[[1e-20, 1.0], [1.0, 1e20]])
+
+
+@pytest.mark.parametrize("weight", [1e-30, 1e-26, 1.0])
+def test_a_tiny_disturbance_without_trust_counts_in_full(weight):
+    """lam is that of the plant in which this disturbance is written in its own unit."""
+    A, C, one = np.diag([0.1, 0.1]), np.eye(2), np.eye(2)
+
+    def lam(G, Qw):
+        problem = window_problem(Plant(A, C, G=np.diag(G)), PeriodicSchedule([1.0]), one, np.diag(Qw), one, one, 0.2)
+        return supremum(problem)[0].value
+
+    found = lam([1.0, 1e-13], [1.0, weight])
+    assert found == pytest.approx(lam([1.0, 1e-13 / np.sqrt(weight)], [1.0, 1.0]), rel=1e-9)
+    assert found > 12000 or weight > 1e-30
 
 
 @pytest.mark.parametrize("scale", [(2.0**10, 2.0**-10), (2.0**20, 2.0**-10), (2.0**30, 2.0**-20)])

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._linalg import generalised_max
 from sampling_design._record import Record, short
+from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
@@ -98,7 +99,7 @@ class Certificate(Record):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
         schedule = self._met()
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
-        owned: dict[str, Any] = {"schedule": schedule, "Qw": _checks.symmetric("Qw", self.Qw, q)}
+        owned: dict[str, Any] = {"schedule": schedule, "Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
             owned[key] = _checks.definite(key, getattr(self, key), size)
         for key in ("eta", "lam", "lam_samples"):

@@ -13,6 +13,12 @@ from sampling_design.plants.plant import Plant
 Array = npt.NDArray[np.float64]
 
 
+FREE_DISTURBANCE = (
+    "A direction without weight is a free disturbance; one that does not exist is removed through the plant's G."
+)
+"""What a singular Qw means, for the refusal."""
+
+
 def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
     """Return Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), so that R~ = diag(1/s_y^2)."""
     noise = 2.0 * np.diag(1.0 / plant.outputs.scales**2)
@@ -25,7 +31,7 @@ def weights_of(plant: Plant, Qw: Any, R: Any, Qv: Any) -> tuple[Array, Array, Ar
     one = r if R is None and Qv is None else (Qv if R is None else R)
     p = plant.n_outputs
     return (
-        _checks.symmetric("Qw", w if Qw is None else Qw, plant.n_disturbances),
+        _checks.definite("Qw", w if Qw is None else Qw, plant.n_disturbances, FREE_DISTURBANCE),
         _checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
         _checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
     )

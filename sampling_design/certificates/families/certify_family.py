@@ -15,7 +15,7 @@ from sampling_design._record import short
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import steady_lap
 from sampling_design.certificates.exact.weight_choice import rate_range
-from sampling_design.certificates.exact.window_problem import noise_input, window_problem
+from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.counterexample import narrowed, refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import graph_of, in_plant_terms, levels_of_memory
@@ -301,7 +301,6 @@ def certify_family(
     weights = weights_of(plant, Qw, R, Qv)
     given = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else _checks.positive("eta", eta)
-    noise_input(plant.G, weights[0])
     if not _checks.number("budget", budget) > 1:
         raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
     levels = range(levels_of_memory(family)) if memory is None else [_checks.whole("memory", memory)]

@@ -73,7 +73,8 @@ def dynamics_of(plant: Plant, weights: Weights, eta: float, root: Array, graph: 
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
-    noise = symmetrise(root.T @ noise_input(plant.G, Qw) @ root)  # no root of it: units of states may differ by 1e9
+    drive = root.T @ noise_input(plant.G, Qw)
+    noise = drive @ drive.T
     rows = {}
     for outputs in {edge.outputs for edge in graph.edges}:
         whitened = whitened_rows(plant.C, R, Qv, np.array([outputs], dtype=bool), 1)[0]

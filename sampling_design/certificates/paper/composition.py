@@ -94,7 +94,8 @@ def compose(split: ModalSplit, chain: Chain, decay: ResidualDecay, window: float
 def residual_alone(plant: Plant, decay: ResidualDecay) -> Chain:
     """Chain of a plant of which nothing is retained: no sample is needed, lambda = 1 but for SLACK."""
     eta = decay.eta
-    floor = np.eye(plant.n_disturbances) * np.finfo(float).eps * (np.linalg.norm(decay.W) or 1.0)
+    sizes = np.diagonal(decay.W)
+    floor = np.diag(np.where(sizes > 0, SLACK * sizes, 1.0))  # G'P^2G may be singular, a weight must not be
     steps = (
         Constant("eta_s", eta, r"1/(2\lambda_{\max}(P_s))", "Theorem 16 with an empty retained part", r"\eta_s"),
         Constant("R0", 1.0, r"\text{any positive number}", "Theorem 16 with an empty retained part", "R_0"),

@@ -1,12 +1,13 @@
 """Pages and pictures that are made from the package itself, so that they cannot drift from it.
 
 `made/items.md`: the table item -> theory -> function -> test, from `paper_items.toml`.
-`made/api/ROOM.md`: a room's README, then every name of the front door that lives there.
+`made/api/ROOM.md`: a room's README, every name of the front door that lives there, and the records that they return.
 `made/command-line.md`: every command with its flags. `made/reports.md`, `made/notebooks/`: what is there to include.
 `made/floors.svg`: who imports whom.
 """
 
 import ast
+import importlib
 import tomllib
 from pathlib import Path
 
@@ -102,13 +103,14 @@ def item_row(item: dict) -> str:
 
 
 def function_link(name: str) -> str:
-    """Return a link where the function stands on the front door, its dotted name elsewhere."""
+    """Return a link where the name has a place on the pages of the rooms, its dotted name elsewhere."""
     import sampling_design
 
     last = name.split(".")[-1]
     if last in sampling_design.__all__:
         return f"{{py:obj}}`~sampling_design.{last}`"
-    return f"`{name}`"
+    room = name.split(".")[0]
+    return f"{{py:obj}}`~sampling_design.{name}`" if room in ROOMS and name in records_of(room) else f"`{name}`"
 
 
 def test_label(name: str, printed: bool) -> str:
@@ -131,14 +133,37 @@ def room_page(room: str) -> str:
         lines += [f"### `{module.replace('.', '/')}.py`", ""]
         for name in names:
             lines += interface_of(name, getattr(sampling_design, name))
+    records = records_of(room)
+    if records:
+        lines += ["## Records and their parts", "", "Imported from the files that they stand in.", ""]
+    for place, thing in records.items():
+        lines += interface_of(place, thing)
     if room == "plants":
         lines += ["### `plants/library.py`", "", "```{eval-rst}", ".. automodule:: sampling_design.plants.library"]
         lines += ["   :members:", "", "```", ""]
     return "\n".join(lines)
 
 
+def records_of(room: str) -> dict[str, object]:
+    """Return the records and helpers of a room that are public and not at the front door, by file and name."""
+    import sampling_design
+    from sampling_design._record import Record
+
+    found: dict[str, object] = {}
+    package = Path(sampling_design.__file__).parent
+    for path in sorted((package / room).rglob("[a-z]*.py")):
+        file = ".".join(path.relative_to(package).with_suffix("").parts)
+        module = importlib.import_module(f"sampling_design.{file}")
+        for name, thing in vars(module).items():
+            own = isinstance(thing, type) and issubclass(thing, Record) and thing.__module__ == module.__name__
+            moved = name in sampling_design._MOVED.get(file, ())
+            if (own or moved) and not name.startswith("_") and name not in sampling_design.__all__:
+                found[f"{file}.{name}"] = thing
+    return found
+
+
 def interface_of(name: str, thing: object) -> list[str]:
-    """Return the directive that documents one name of the front door."""
+    """Return the directive that documents one name, given by its place below the package."""
     kind = "autoclass" if isinstance(thing, type) else "autofunction" if callable(thing) else "autodata"
     if kind == "autodata":
         return []
@@ -151,7 +176,8 @@ def api_index(rooms: list[str]) -> str:
     lines = [
         "# Interface, room by room",
         "",
-        "Everything public opens at the front door: `from sampling_design import ...`.",
+        "What a user types opens at the front door: `from sampling_design import ...`; records and their parts open in "
+        "their rooms.",
     ]
     lines += ["Each page begins with the README that stands in the room itself.", ""]
     lines += ["| room | question | names |", "|---|---|---|"]

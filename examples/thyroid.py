@@ -17,6 +17,7 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.nonlinear import thyroid
+from sampling_design.nonlinear.detectability import DetectabilityEvidence
 from sampling_design.nonlinear.experiment import HORIZON, paper_weights
 from sampling_design.nonlinear.patient_run import rmse
 from sampling_design.nonlinear.simulation import simulate
@@ -70,7 +71,7 @@ def error_on(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, weeks: i
     return rmse(errors), failed
 
 
-def assumption_7(patient: sd.NonlinearPlant, pairs: int) -> sd.DetectabilityEvidence:
+def assumption_7(patient: sd.NonlinearPlant, pairs: int) -> DetectabilityEvidence:
     """Return inequality (16) for the paper's weights and one sample a day, along random pairs of patients."""
     box = (thyroid.TRUE_START / 2, 2 * thyroid.TRUE_START)
     daily = sd.PeriodicSchedule([1.0], time_unit="d")

@@ -2,45 +2,41 @@
 
     plant -> modal split -> zero count -> schedule -> worst-case sigma -> certificate -> estimator -> validation report
 
-Names load on first use, so that importing this package costs nothing but itself.
+Names and rooms load on first use, so that importing this package costs nothing but itself. What editors and
+type checkers know of it stands beside it in `__init__.pyi`, which `python -m tests.house.front_door` writes.
 """
 
-from __future__ import annotations
-
+import sys
 from importlib import import_module
-from typing import Any
 
 __version__ = "0.1.0"
 
+# What a user types: things to make, verbs, files. What a verb returns, and its parts, live in the verb's room.
 _FRONT_DOOR = {
     "errors": ("SamplingDesignError", "ArgumentError"),
     "plants.plant": ("Plant", "Signals"),
-    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
-    "plants.modes": ("ModalSplit", "split_modes"),
+    "plants.modes": ("split_modes",),
     "plants.files": ("read_plant", "write_plant"),
     "plants.library": ("named_plant",),
     "plants": ("library",),
-    "observability.count.zero_count": ("ZeroCountBound", "zero_count_bound"),
+    "observability.count.zero_count": ("zero_count_bound",),
     "observability.count.critical_length": ("critical_length",),
-    "observability.count.pbh": ("UnseenModes", "unseen_modes", "require_observable"),
+    "observability.count.pbh": ("unseen_modes",),
     "observability.windows.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
-    "observability.windows.window_sigma": ("window_sigma", "WindowSigma", "WindowWitness", "WindowProfile"),
-    "observability.worst_case.worst_case_sigma": ("worst_case_sigma", "WorstCaseSigma", "WorstCaseProfile"),
+    "observability.windows.window_sigma": ("window_sigma",),
+    "observability.worst_case.worst_case_sigma": ("worst_case_sigma",),
     "certificates.exact.certificate": ("Certificate",),
-    "certificates.form.verdict": ("Verification",),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),
     "certificates.families.certify_family": ("certify_family",),
     "certificates.families.family_certificate": ("FamilyCertificate",),
-    "certificates.compare.robustness": ("survival", "Survival"),
-    "certificates.existence.counterexample": ("Counterexample", "find_counterexample"),
+    "certificates.compare.robustness": ("survival",),
+    "certificates.existence.counterexample": ("find_counterexample",),
     "certificates.existence.periodic": ("certificate_exists", "smallest_repair"),
-    "certificates.compare.four_horizons": ("four_horizons", "FourHorizons"),
+    "certificates.compare.four_horizons": ("four_horizons",),
     "certificates.exact.bound_weights": ("weights_from_bounds",),
-    "certificates.exact.information": ("information_curve", "InformationCurve"),
-    "certificates.form.horizon": ("Horizon",),
-    "certificates.compare.tradeoff": ("tradeoff_curve", "TradeoffCurve"),
-    "certificates.compare.contraction": ("spectral_radius", "least_contracting"),
+    "certificates.exact.information": ("information_curve",),
+    "certificates.compare.tradeoff": ("tradeoff_curve",),
     "estimators.mhe": ("MovingHorizonEstimator",),
     "estimators.kalman": ("KalmanFilter",),
     "estimators.constraints.convex_set": ("ConvexSet",),
@@ -50,51 +46,114 @@ _FRONT_DOOR = {
     "nonlinear.model": ("NonlinearPlant",),
     "nonlinear.conversion": ("from_expressions", "from_linear"),
     "nonlinear.mhe": ("NonlinearMovingHorizonEstimator",),
-    "nonlinear.detectability": ("check_detectability", "DetectabilityEvidence"),
+    "nonlinear.detectability": ("check_detectability",),
     "nonlinear.experiment": ("thyroid_experiment",),
-    "nonlinear.report": ("ThyroidReport",),
-    "estimators.online.estimator": ("Estimate", "EstimateRecord", "Estimator", "Sample", "GuaranteeWarning"),
+    "estimators.online.estimator": ("Estimate", "EstimateRecord", "Sample", "GuaranteeWarning"),
     "validation.validate": ("validate",),
-    "validation.report": ("ValidationReport", "Finding"),
-    "validation.scenario": ("simulate_record", "SimulatedRecord"),
-    "validation.schedule_log": ("compare_schedule", "ScheduleLog"),
-    "design.problem.posing": ("default_window",),
+    "validation.report": ("ValidationReport",),
+    "validation.scenario": ("simulate_record",),
+    "validation.schedule_log": ("compare_schedule",),
     "schedules.schedule": ("Schedule", "PeriodicSchedule"),
     "schedules.sampling_set": ("SamplingSet",),
     "schedules.spaced_windows": ("SpacedWindows",),
     "schedules.gap_range": ("GapRange",),
-    "schedules.family": ("SamplingFamily",),
     "schedules.jitter": ("Jitter",),
     "schedules.lost_samples": ("LostSamples",),
-    "schedules.files": ("read_schedule", "write_schedule", "schedule_to_dict", "schedule_from_dict"),
-    "schedules.family_files": ("family_to_dict", "family_from_dict"),
+    "schedules.files": ("read_schedule", "write_schedule"),
     "schedules.time_stamps": ("import_time_stamps",),
-    "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv", "write_ics"),
-    "certificates.form.constants": ("Constant", "ConstantList"),
+    "schedules.calendar": ("write_calendar_csv", "write_ics"),
     "certificates.detectability.dissipation": ("DetectabilityCertificate",),
     "certificates.detectability.best_rate": ("certify_detectability", "detectability_from_proof"),
-    "certificates.paper.restarts": ("restart_times", "output_predictor"),
-    "certificates.paper.proof_constants": ("ProofConstants", "constants_from_proof", "certify_from_proof"),
+    "certificates.paper.proof_constants": ("constants_from_proof", "certify_from_proof"),
     "design.problem.requirement": ("Requirement", "OutputAccess"),
-    "design.problem.requirement_file": ("read_requirement", "write_requirement", "requirement_from_dict"),
+    "design.problem.requirement_file": ("read_requirement", "write_requirement"),
     "design.design": ("design_schedule",),
     "design.schedule_design": ("ScheduleDesign",),
-    "design.bounds.evidence": ("UpperBound", "BoundPart"),
-    "design.losses": ("SampleLosses", "sample_losses"),
-    "design.pareto": ("ParetoFront", "ParetoPoint", "pareto"),
+    "design.losses": ("sample_losses",),
+    "design.pareto": ("pareto",),
 }
+# Left the front door in 0.1; each says where it went until 0.2.
+_MOVED = {
+    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
+    "plants.modes": ("ModalSplit",),
+    "observability.count.zero_count": ("ZeroCountBound",),
+    "observability.count.pbh": ("UnseenModes", "require_observable"),
+    "observability.windows.window_sigma": ("WindowSigma", "WindowWitness", "WindowProfile"),
+    "observability.worst_case.worst_case_sigma": ("WorstCaseSigma", "WorstCaseProfile"),
+    "certificates.form.verdict": ("Verification",),
+    "certificates.compare.robustness": ("Survival",),
+    "certificates.existence.counterexample": ("Counterexample",),
+    "certificates.compare.four_horizons": ("FourHorizons",),
+    "certificates.exact.information": ("InformationCurve",),
+    "certificates.form.horizon": ("Horizon",),
+    "certificates.compare.tradeoff": ("TradeoffCurve",),
+    "certificates.compare.contraction": ("spectral_radius", "least_contracting"),
+    "nonlinear.detectability": ("DetectabilityEvidence",),
+    "nonlinear.report": ("ThyroidReport",),
+    "estimators.online.estimator": ("Estimator",),
+    "validation.report": ("Finding",),
+    "validation.scenario": ("SimulatedRecord",),
+    "validation.schedule_log": ("ScheduleLog",),
+    "design.problem.posing": ("default_window",),
+    "schedules.family": ("SamplingFamily",),
+    "schedules.files": ("schedule_to_dict", "schedule_from_dict"),
+    "schedules.family_files": ("family_to_dict", "family_from_dict"),
+    "schedules.calendar": ("CalendarEntry", "calendar"),
+    "certificates.form.constants": ("Constant", "ConstantList"),
+    "certificates.paper.restarts": ("restart_times", "output_predictor"),
+    "certificates.paper.proof_constants": ("ProofConstants",),
+    "design.problem.requirement_file": ("requirement_from_dict",),
+    "design.bounds.evidence": ("UpperBound", "BoundPart"),
+    "design.losses": ("SampleLosses",),
+    "design.pareto": ("ParetoFront", "ParetoPoint"),
+}
+_ROOMS = (
+    "certificates",
+    "cli",
+    "design",
+    "errors",
+    "estimators",
+    "evidence",
+    "nonlinear",
+    "observability",
+    "plants",
+    "plotting",
+    "schedules",
+    "validation",
+)
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
 
 __all__ = ["__version__", *sorted(_HOME)]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'sampling_design' has no attribute {name!r}")
-    value = getattr(import_module(f"sampling_design.{_HOME[name]}"), name)
+def __getattr__(name: str) -> object:
+    if name in _HOME:
+        value = getattr(import_module(f"sampling_design.{_HOME[name]}"), name)
+    elif name in _ROOMS:
+        value = import_module(f"sampling_design.{name}")
+    else:
+        raise _absent(name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *_ROOMS])
+
+
+def _absent(name: str) -> AttributeError | ImportError:
+    """Return the error for a name that is not here: where it went, or what was probably meant."""
+    message = f"module 'sampling_design' has no attribute {name!r}"
+    if name.startswith("_"):
+        return AttributeError(message)
+    home = next((room for room, names in _MOVED.items() if name in names), None)
+    if home is not None:
+        hint = f": it moved; write `from sampling_design.{home} import {name}`"
+    else:
+        from difflib import get_close_matches
+
+        close = get_close_matches(name, __dir__(), n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+    # `from sampling_design import NAME` swallows an AttributeError with its words, and says only "cannot import name"
+    importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"
+    return (ImportError if importing else AttributeError)(message + hint)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import sampling_design as sd
+from sampling_design.validation.scenario import SimulatedRecord
 
 HERE = Path(__file__).parent
 PLANTS = HERE.parent / "plants"
@@ -29,7 +30,7 @@ def irregular(period: float, count: int, jitter: float, lost: tuple[int, ...], r
     return sd.Schedule(np.delete(times, lost))
 
 
-def satellite() -> sd.SimulatedRecord:
+def satellite() -> SimulatedRecord:
     """Return two orbits of position fixes, three of them lost; a short thrust after the first orbit."""
     rng = np.random.default_rng(20260105)
     plant = sd.read_plant(PLANTS / "satellite.toml")
@@ -39,7 +40,7 @@ def satellite() -> sd.SimulatedRecord:
     return sd.simulate_record(plant, schedule, 11_500.0, x0=start, inputs=thrust, rng=rng, **BOUNDS["satellite"])
 
 
-def three_compartment() -> sd.SimulatedRecord:
+def three_compartment() -> SimulatedRecord:
     """Return a day of blood samples, about one an hour, two of them lost; the infusion is changed four times."""
     rng = np.random.default_rng(20260106)
     plant = sd.read_plant(PLANTS / "three_compartment.toml")

@@ -101,7 +101,7 @@ def witness_of(problem: WindowProblem, peak: Peak) -> Witness:
 
 def certify(
     plant: Plant,
-    schedule: AnySchedule | SamplingFamily,
+    schedule: AnySchedule | SamplingFamily | None,
     *,
     eta: float | None = None,
     P2: npt.ArrayLike | None = None,
@@ -178,6 +178,11 @@ def certify(
 
         given: dict[str, Any] = {"eta": eta, "P2": P2, "Qw": Qw, "R": R, "Qv": Qv}
         return certify_family(plant, schedule, **given, budget=budget, progress=progress)
+    if schedule is None:
+        raise ArgumentError(
+            "`schedule` is None, as in a design with nothing to observe: "
+            "`certify_detectability(plant)` certifies such a plant without samples."
+        )
     schedule = _met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
     prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)

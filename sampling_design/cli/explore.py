@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -154,4 +155,4 @@ def survive(
     settings.show(result.to_dict(), record_table(result), result.explain())
 
 
-COMMANDS = (worst_case, pareto, losses, survive)
+COMMANDS: tuple[Callable[..., None], ...] = (worst_case, pareto, losses, survive)

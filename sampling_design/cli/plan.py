@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +14,7 @@ from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.design.problem.posing import default_window
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
 
@@ -44,7 +46,7 @@ def window_length(settings: Settings, split: Any, given: float | None) -> float:
     """Return the window that was given, or the plant's default with a notice that says so."""
     if given is not None:
         return positive("window", given)
-    length = sd.default_window(split) or 1.0
+    length = default_window(split) or 1.0
     settings.notice(f"window not given: {short(length)} {split.plant.time_unit} is used.")
     return length
 
@@ -175,4 +177,4 @@ def sigma(
         raise typer.Exit(1)
 
 
-COMMANDS = (info, design, sigma)
+COMMANDS: tuple[Callable[..., None], ...] = (info, design, sigma)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
+from sampling_design.certificates.detectability.best_rate import BUDGET
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
@@ -95,8 +97,8 @@ def _detectability(
 ) -> None:
     """Certify the plant alone, at the rate and within the budget that are asked for."""
     rate = None if eta is None else positive("eta", eta)
-    given = {} if noise_budget is None else {"budget": positive("noise-budget", noise_budget)}
-    certificate = sd.certify_detectability(plant, rate, **given)
+    budget = BUDGET if noise_budget is None else positive("noise-budget", noise_budget)
+    certificate = sd.certify_detectability(plant, rate, budget=budget)
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:
@@ -185,4 +187,4 @@ def verify(
         raise typer.Exit(1)
 
 
-COMMANDS = (certify, verify)
+COMMANDS: tuple[Callable[..., None], ...] = (certify, verify)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 from typing import Annotated
 
@@ -63,4 +64,4 @@ def thyroid(
     settings.show(report.to_dict(), record_table(report), report.explain(), open_points)
 
 
-COMMANDS = (thyroid,)
+COMMANDS: tuple[Callable[..., None], ...] = (thyroid,)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -204,7 +205,7 @@ def _estimator(
     return estimator
 
 
-def _followed(estimator: Any, record: Any, progress: Any) -> tuple[Any, Any]:
+def _followed(estimator: Any, record: Any, progress: Any) -> tuple[sd.EstimateRecord, sd.EstimateRecord]:
     """Estimates at every row, and the same with the open loop between them."""
     rows, curve, last = [], [estimator.predict(0.0)], 0.0
     for k, (t, y, u) in enumerate(record):
@@ -215,7 +216,7 @@ def _followed(estimator: Any, record: Any, progress: Any) -> tuple[Any, Any]:
             curve.append(rows[-1])
             last = t
         progress((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
-    return tuple(sd.EstimateRecord.collect(record.plant, each) for each in (rows, curve))
+    return sd.EstimateRecord.collect(record.plant, rows), sd.EstimateRecord.collect(record.plant, curve)
 
 
 def _last(record: Any) -> Any:
@@ -314,4 +315,4 @@ def log(
     settings.show(result.to_dict(), record_table(result), result.explain())
 
 
-COMMANDS = (estimate, validate, log)
+COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

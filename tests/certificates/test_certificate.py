@@ -185,6 +185,8 @@ def test_bad_weights_are_refused(changes, words):
 def test_bad_plants_and_schedules_are_refused():
     with pytest.raises(ArgumentError, match="`times` must increase strictly"):
         given(schedule=Schedule([1.0, 1.0]))
+    with pytest.raises(ArgumentError, match="`schedule` is None, as in a design with nothing to observe"):
+        certify(OSCILLATOR, None)
     with pytest.raises(ArgumentError, match="`schedule` must hold a sample later than time 0"):
         given(schedule=Schedule([0.0]))
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got int"):

@@ -14,9 +14,8 @@ from sampling_design import (
     certify_detectability,
     constants_from_proof,
     detectability_from_proof,
-    output_predictor,
-    restart_times,
 )
+from sampling_design.certificates.paper.restarts import output_predictor, restart_times
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError
 from tests.oracles.proof_constants import partition_exists, riccati_margin, worst_28
 

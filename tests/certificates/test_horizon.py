@@ -3,16 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import (
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    certify,
-    four_horizons,
-    least_contracting,
-    spectral_radius,
-)
-from sampling_design.certificates.compare.contraction import error_map
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify, four_horizons
+from sampling_design.certificates.compare.contraction import error_map, least_contracting, spectral_radius
 from sampling_design.errors import ArgumentError, CertificateError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -15,10 +15,10 @@ from sampling_design import (
     certify_from_proof,
     constants_from_proof,
     detectability_from_proof,
-    output_predictor,
     split_modes,
 )
 from sampling_design.certificates.paper import gain_sweep
+from sampling_design.certificates.paper.restarts import output_predictor
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
 from tests.oracles.proof_constants import largest_on_a_grid, riccati_margin, worst_27, worst_28
 

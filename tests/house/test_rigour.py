@@ -166,12 +166,13 @@ import dataclasses
 import sampling_design as sd
 from sampling_design.certificates.exact import certificate
 from sampling_design.certificates.certify import certify
+from sampling_design.certificates.form.verdict import Verification
 
 def test_honest():
     assert certify(sd.Plant([[0.1]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0]])
 
 def test_lying(monkeypatch):
-    room, believed = certify.__globals__, sd.Verification(True, "", None, None, 1.0, "")
+    room, believed = certify.__globals__, Verification(True, "", None, None, 1.0, "")
     made = room["_made"]
     monkeypatch.setitem(room, "_made", lambda *a: dataclasses.replace(made(*a), P1=[[1.0]]))
     monkeypatch.setattr(certificate.Certificate, "verify", lambda self: believed)

@@ -12,7 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, certify, default_window, read_plant, split_modes, write_schedule
+from sampling_design import PeriodicSchedule, certify, read_plant, split_modes, write_schedule
+from sampling_design.design.problem.posing import default_window
 from tests import rigour
 from tests.examples.notebooks import run_cell
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, Plant, require_observable, unseen_modes
+from sampling_design import ArgumentError, Plant, unseen_modes
 from sampling_design.errors import NotObservableError
-from sampling_design.observability.count.pbh import observable_rank
+from sampling_design.observability.count.pbh import observable_rank, require_observable
 
 
 def planted(seed, hidden):

@@ -6,15 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import (
-    ArgumentError,
-    eigenvalue_clusters,
-    library,
-    named_plant,
-    read_plant,
-    split_modes,
-    write_plant,
-)
+from sampling_design import ArgumentError, library, named_plant, read_plant, split_modes, write_plant
+from sampling_design.plants.clusters import eigenvalue_clusters
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = list(library.PLANTS)

@@ -2,7 +2,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, calendar, write_calendar_csv, write_ics
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule, write_calendar_csv, write_ics
+from sampling_design.schedules.calendar import calendar
 
 DAY = PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h", origin="2026-01-05")
 

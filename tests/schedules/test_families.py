@@ -9,14 +9,13 @@ from sampling_design import (
     Jitter,
     LostSamples,
     PeriodicSchedule,
-    SamplingFamily,
     SamplingSet,
     Schedule,
     SpacedWindows,
-    family_from_dict,
-    family_to_dict,
 )
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family_files import family_from_dict, family_to_dict
 from tests.oracles import schedules as oracle
 
 eighths = st.integers(1, 24).map(lambda k: k / 8)

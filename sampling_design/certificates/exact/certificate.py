@@ -28,8 +28,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
-MATRICES = ("P1", "P2", "Qw", "R", "Qv")
-NUMBERS = ("eta", "lam", "lam_samples", "margin")
+MATRICES: tuple[str, ...] = ("P1", "P2", "Qw", "R", "Qv")
+NUMBERS: tuple[str, ...] = ("eta", "lam", "lam_samples", "margin")
 """What a file of this claim holds as it is, beside plant, times and witness."""
 
 

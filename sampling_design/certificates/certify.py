@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import SamplingFamily
+
+if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
+    from sampling_design.certificates.families.family_certificate import FamilyCertificate
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -44,7 +47,9 @@ def certify_given(
     """
     require_certificate(plant, schedule, eta)
     if not plant.n_states:
-        return Certificate(plant, schedule, P2, P2, Qw, R, Qv, eta, 1.0, 1.0, 0.0, None, solver)
+        return Certificate(
+            plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
+        )
     problem = window_problem(plant, schedule, P2, Qw, R, Qv, eta)
     finer = 1
     anywhere, at_samples = supremum(problem)
@@ -88,7 +93,21 @@ def _made(
     P2, Qw, R, Qv = weights
     P1 = (1 - RESOLUTION) * P2 / lam
     seen = witness_of(problem, peaks[0])
-    return Certificate(plant, schedule, P1, P2, Qw, R, Qv, problem.eta, lam, lam_samples, STATED_MARGIN, seen, solver)
+    return Certificate(
+        plant,
+        schedule,
+        P1=P1,
+        P2=P2,
+        Qw=Qw,
+        R=R,
+        Qv=Qv,
+        eta=problem.eta,
+        lam=lam,
+        lam_samples=lam_samples,
+        margin=STATED_MARGIN,
+        witness=seen,
+        solver=solver,
+    )
 
 
 def witness_of(problem: WindowProblem, peak: Peak) -> Witness:
@@ -99,6 +118,32 @@ def witness_of(problem: WindowProblem, peak: Peak) -> Witness:
     return Witness(t, start, tuple(float(v) for v in direction), float(values[-1]))
 
 
+@overload
+def certify(
+    plant: Plant,
+    schedule: AnySchedule | None,
+    *,
+    eta: float | None = ...,
+    P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ...,
+    R: npt.ArrayLike | None = ...,
+    Qv: npt.ArrayLike | None = ...,
+    budget: float = ...,
+    progress: Progress | None = ...,
+) -> Certificate: ...
+@overload
+def certify(
+    plant: Plant,
+    schedule: SamplingFamily,
+    *,
+    eta: float | None = ...,
+    P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ...,
+    R: npt.ArrayLike | None = ...,
+    Qv: npt.ArrayLike | None = ...,
+    budget: float = ...,
+    progress: Progress | None = ...,
+) -> FamilyCertificate: ...
 def certify(
     plant: Plant,
     schedule: AnySchedule | SamplingFamily | None,
@@ -110,7 +155,7 @@ def certify(
     Qv: npt.ArrayLike | None = None,
     budget: float = 3.0,
     progress: Progress | None = None,
-) -> Certificate:
+) -> Certificate | FamilyCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
 
         lam = sup over real window starts and all later t of lambda_max(P2, Pi(t)),    P1 = (1 - 1e-3) P2/lam
@@ -119,7 +164,8 @@ def certify(
     ----------
     plant : Plant
     schedule : PeriodicSchedule, Schedule or a family of schedules
-        A finite schedule is certified to its last time. For a family see `certify_family`.
+        A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
+        design that needs no samples, is refused.
     eta : float, optional [1/time]
         Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon.
     P2 : (n, n) array, optional
@@ -136,7 +182,7 @@ def certify(
 
     Returns
     -------
-    Certificate
+    Certificate, or FamilyCertificate for a family
         Proven: its `verify()` has passed.
 
     Raises

@@ -108,7 +108,7 @@ def certificate_from_dict(
 
 
 def _sampled(data: dict[str, Any], plant: Plant) -> Certificate:
-    return Certificate(plant, schedule=times_from_dict(data["times"]), **_values(data))
+    return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
 def _of_family(data: dict[str, Any], plant: Plant) -> FamilyCertificate:

@@ -12,6 +12,7 @@ import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._files import to_json, write_text
 from sampling_design.certificates.detectability.best_rate import BUDGET
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
@@ -106,7 +107,7 @@ def _detectability(
     settings.show(certificate.to_dict(), record_table(certificate), certificate.explain())
 
 
-def sampling_certificate(path: Path, plant: Any) -> Any:
+def sampling_certificate(path: Path, plant: Any) -> SampledCertificate:
     """The certificate of a file, if it is about samples of this plant."""
     certificate = sd.load_certificate(path, plant)
     if isinstance(certificate, sd.DetectabilityCertificate):
@@ -139,7 +140,7 @@ def _times(settings: Settings, plant: Any, path: Path | None, families: dict[str
     return sd.Jitter(schedule, value) if kind == "jitter" else sd.LostSamples(schedule, *value)
 
 
-def _files(settings: Settings, certificate: Any, horizons: Any) -> None:
+def _files(settings: Settings, certificate: SampledCertificate, horizons: Any) -> None:
     folder = settings.folder()
     assert folder is not None
     markdown, latex = [certificate.to_markdown()], [certificate.to_latex()]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Sample
 from sampling_design.estimators.online.history import Node, State
@@ -56,7 +57,7 @@ class KalmanFilter(OpenLoopEstimator):
     def __init__(
         self,
         plant: Plant,
-        certificate: Any = None,
+        certificate: SampledCertificate | None = None,
         *,
         P2: Any = None,
         Qw: Any = None,

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
@@ -123,7 +124,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     def __init__(
         self,
         plant: Plant,
-        certificate: Any = None,
+        certificate: SampledCertificate | None = None,
         *,
         horizon: float | None = None,
         P2: Any = None,
@@ -151,7 +152,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
         _one_of("w_model", w_model, W_MODELS)
         constant = w_model == "constant" and w_set is not None
-        self._set_up(plant, weights, getattr(certificate, "schedule", None), feedthrough, constant)
+        self._set_up(plant, weights, None if certificate is None else certificate.covers, feedthrough, constant)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
         self.engine = _engine(engine, self.constraints)
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)

@@ -54,6 +54,10 @@ class SamplingFamily(Protocol):
         """Plain data with a key "kind"."""
         ...
 
+    def explain(self) -> str:
+        """Say what the family is, in one sentence."""
+        ...
+
 
 def in_family_unit(schedule: Any, time_unit: str | None) -> AnySchedule:
     """Return `schedule` in the family's time unit where both are known, else as it is.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
 
@@ -38,7 +39,7 @@ def _stops(line: Timeline, start: int, span: float) -> int:
     return int(np.searchsorted(line.times, line.times[start] + span, side="right")) - 1
 
 
-def sides(line: Timeline, certificate: Any, start: int, stop: int, pairs: Pairs) -> Look:
+def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int, pairs: Pairs) -> Look:
     """Simulate pairs from break point `start` to `stop`; return the largest |Dx|^2_P1 over the right side of (16).
 
     The right side counts samples in (start, t]; before and after each sample is looked at.
@@ -66,12 +67,12 @@ def sides(line: Timeline, certificate: Any, start: int, stop: int, pairs: Pairs)
 
 
 def random_pairs(
-    line: Timeline, certificate: Any, span: float, rng: np.random.Generator, count: int, starts: int = 8
+    line: Timeline, certificate: SampledCertificate, span: float, rng: np.random.Generator, count: int, starts: int = 8
 ) -> Look:
     """Return the worst of `count` random pairs from each of some starts; noise that hides what is seen among them."""
     plant, looks = line.plant, []
     R, Qv = certificate.R, certificate.Qv
-    blind = -np.linalg.solve(R + Qv, R @ plant.C)
+    blind = np.asarray(-np.linalg.solve(R + Qv, R @ plant.C))
     units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (certificate.P2, certificate.Qw)]
     last = max(1, _stops(line, 0, max(line.times[-1] - span, 0.0)))
     for start in rng.integers(0, last, size=starts):
@@ -103,7 +104,7 @@ class _Forward(NamedTuple):
     after: list[Array]
 
 
-def worst_pair(line: Timeline, certificate: Any, span: float) -> Look:
+def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> Look:
     """Return how near the worst pair comes to equality in (16), over starts, times and w constant on cells.
 
     Least right side that leads to Dx(t) = xi is xi'Y^-1 xi; the pair that reaches it is found by going back from the
@@ -122,14 +123,14 @@ def worst_pair(line: Timeline, certificate: Any, span: float) -> Look:
     return sides(line, certificate, start, stop, _backward(line, certificate, start, stop))
 
 
-def _cell_noise(line: Timeline, certificate: Any, c: int) -> tuple[Array, Array]:
+def _cell_noise(line: Timeline, certificate: SampledCertificate, c: int) -> tuple[Array, Array]:
     """Gamma and (Qw delta)^-1 of a cell."""
     unit = np.linalg.inv(certificate.Qw) / discounted(certificate.eta, line.lengths[c])
     return line.gamma[c], unit
 
 
-def _forward(line: Timeline, certificate: Any, start: int, stop: int) -> _Forward:
-    Y = np.linalg.inv(certificate.P2)
+def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> _Forward:
+    Y = np.asarray(np.linalg.inv(certificate.P2))
     samples = {int(b): j for j, b in enumerate(line.samples)}
     run = _Forward([Y], [Y])
     for c in range(start, stop):
@@ -149,7 +150,7 @@ def _forward(line: Timeline, certificate: Any, start: int, stop: int) -> _Forwar
     return run
 
 
-def _backward(line: Timeline, certificate: Any, start: int, stop: int) -> Pairs:
+def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> Pairs:
     """The pair of least right side that ends, just before `stop`'s sample, in the worst direction."""
     run, plant = _forward(line, certificate, start, stop), line.plant
     root = np.linalg.cholesky(certificate.P1).T

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.validation.error_map import Inputs, Rows, discounted
 from sampling_design.validation.timeline import Timeline
 
@@ -65,7 +65,9 @@ def _square(values: Array, weight: Array) -> Array:
     return np.asarray(np.einsum("...i,ij,...j->...", values, weight, values))
 
 
-def promise_of(certificate: Any, horizon: float, cost: str = "certificate", carried: bool = False) -> Promise:
+def promise_of(
+    certificate: SampledCertificate, horizon: float, cost: str = "certificate", carried: bool = False
+) -> Promise:
     """Return what a certificate promises of an estimator with its weights.
 
     The sharper theorem for the certificate's own cost, Thm 9 for the paper's; with the prior's weight carried on the
@@ -73,10 +75,10 @@ def promise_of(certificate: Any, horizon: float, cost: str = "certificate", carr
     """
     if carried:
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
-        root = np.linalg.cholesky(certificate.P1).T
+        root = np.asarray(np.linalg.cholesky(certificate.P1).T)
         return Promise("carried weight, full rate", root, *inside, rate=certificate.eta, gain=1.0)
     found = certificate.horizon("sharp" if cost == "certificate" else "paper", horizon)
-    root = np.linalg.cholesky(certificate.P2 / found.lam).T
+    root = np.asarray(np.linalg.cholesky(certificate.P2 / found.lam).T)
     if cost == "certificate":
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
         return Promise("sharper horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)

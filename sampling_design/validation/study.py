@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import short
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
@@ -35,7 +36,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 Seeds = Sequence[np.random.SeedSequence]
 
-SCENARIOS = ("pairs", "random", "worst", "resonant", "initial", "estimator", "constraints", "paper")
+SCENARIOS: tuple[str, ...] = ("pairs", "random", "worst", "resonant", "initial", "estimator", "constraints", "paper")
 
 GROWTH_LIMIT = 1.5
 """Largest error of the second half over that of the first, for a disturbance in step with a mode, from rest. A settled
@@ -64,7 +65,13 @@ class Study:
     """One plant, schedule and estimator under all scenarios."""
 
     def __init__(
-        self, plant: Plant, schedule: Any, certificate: Any, bounds: Bounds, options: dict[str, Any], duration: Any
+        self,
+        plant: Plant,
+        schedule: Any,
+        certificate: SampledCertificate | None,
+        bounds: Bounds,
+        options: dict[str, Any],
+        duration: Any,
     ):
         taken = [key for key in CHOSEN_HERE if key in options]
         if taken:
@@ -81,6 +88,11 @@ class Study:
         self.map = build_error_map(self.line, estimator, bounds)
         self.promise = self._promise(estimator)
         self.measure = self.promise.root if self.promise is not None else np.diag(1 / plant.states.scales)
+
+    @property
+    def _certified(self) -> SampledCertificate:
+        assert self.certificate is not None  # there is no promise without one
+        return self.certificate
 
     def _timeline(self, duration: Any, horizon: float) -> Timeline:
         length = default_duration(self.schedule, horizon) if duration is None else duration
@@ -154,7 +166,7 @@ class Study:
 
     def _plain(self, scenario: str, seen: Trials, strength: Any) -> None:
         b, times = self.bounds, self.map.rows.times
-        found = self.certificate.error_bound(
+        found = self._certified.error_bound(
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="sharp", length=self.horizon
         )
         worst = float(np.max(ratio(seen.plain.max(axis=0), found)))
@@ -177,10 +189,10 @@ class Study:
         span = 3 * max(self.horizon, float(np.max(np.diff(self.line.times[self.line.samples]), initial=0.0)))
         rng = np.random.default_rng(seeds[0])
         source = "Assumption 7, equation (16)"
-        look = random_pairs(self.line, self.certificate, span, rng, PAIRS)
+        look = random_pairs(self.line, self._certified, span, rng, PAIRS)
         where = f"at {short(look.time)} from {short(look.start)}"
         self._find("inequality (16)", "random pairs", 1.0, look.ratio, source=source, note=where)
-        look = worst_pair(self.line, self.certificate, span)
+        look = worst_pair(self.line, self._certified, span)
         where = f"at {short(look.time)} from {short(look.start)}"
         self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
 
@@ -225,7 +237,7 @@ class Study:
         estimator = self.estimator(cost="paper")
         line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
-        promise = promise_of(self.certificate, float(estimator.horizon), "paper")
+        promise = promise_of(self._certified, float(estimator.horizon), "paper")
         seen = monte_carlo(found, self.bounds, promise, promise.root, seeds[:PAPER_RUNS], workers, tell)
         worst = float(np.max(seen.promised))
         self._find(

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.monte_carlo import Workers
@@ -24,7 +25,7 @@ Progress = Callable[[float, str], None]
 def validate(
     plant: Plant,
     schedule: Any,
-    certificate: Any = None,
+    certificate: SampledCertificate | None = None,
     *,
     runs: int = 200,
     duration: float | None = None,

@@ -29,6 +29,7 @@ DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
 FOUR = Plant(
     [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, 0.0]], [[1.0, 1.0, 1.0, 0.0]]
 )
+ONES = {**{key: [[1.0]] for key in ("P1", "P2", "Qw", "R", "Qv")}, **dict.fromkeys(("eta", "lam", "lam_samples"), 1.0)}
 EVERY = PeriodicSchedule([1.0])
 
 
@@ -192,9 +193,9 @@ def test_bad_plants_and_schedules_are_refused():
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got int"):
         certify(3, EVERY)
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
-        Certificate("x", EVERY, [[1]], [[1]], [[1]], [[1]], [[1]], 1.0, 1.0, 1.0)
+        Certificate("x", EVERY, **ONES)
     with pytest.raises(ArgumentError, match="`schedule` must hold at least one sample"):
-        Certificate(Plant([[0.0]], [[1.0]]), Schedule([]), [[1]], [[1]], [[1]], [[1]], [[1]], 1.0, 1.0, 1.0)
+        Certificate(Plant([[0.0]], [[1.0]]), Schedule([]), **ONES)
 
 
 def test_aliased_schedule_is_refused_with_reason_and_a_repair_that_works():

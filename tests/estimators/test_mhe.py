@@ -2,12 +2,14 @@
 
 import math
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sampling_design import GuaranteeWarning, Plant, certify
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.mhe import MovingHorizonEstimator
@@ -16,24 +18,26 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DRIVEN = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.5], [0.0]])
+EVERY = PeriodicSchedule([1.0])
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
 
 
-def stand_in(**changes):
-    """A certificate's fields, for a plant and a schedule of period 1."""
+def stand_in(plant=PLANT, times=EVERY, **changes):
+    """A certificate made by hand, lambda proven at most 5 (4 from samples); nothing here asks whether it is true."""
     fields = {
-        "plant": PLANT,
-        "schedule": PeriodicSchedule([1.0]),
         "P1": 0.2 * np.eye(2),
         "P2": np.eye(2),
-        "Qw": np.eye(2),
+        "Qw": np.eye(plant.n_disturbances),
         "R": [[2.0]],
         "Qv": [[2.0]],
         "eta": 0.4,
-        "lam": 5.0,
-        "lam_samples": 4.0,
+        "lam": 5.0 * (1 - RESOLUTION),
+        "lam_samples": 4.0 * (1 - RESOLUTION),
+        **changes,
     }
-    return SimpleNamespace(**{**fields, **changes})
+    if isinstance(times, GapRange):
+        return FamilyCertificate(plant, times, **fields, P=fields["P2"][None])
+    return Certificate(plant, times, **fields)
 
 
 def test_a_certificate_brings_weights_horizon_and_claim():
@@ -68,9 +72,9 @@ def test_online_radius_contracts_to_its_limit_and_obeys_the_window_recursion():
 )
 def test_default_horizon(cost, expected):
     assert MovingHorizonEstimator(PLANT, stand_in(), cost=cost).horizon == pytest.approx(expected)
-    far = stand_in(schedule=PeriodicSchedule([50.0]))
+    far = stand_in(times=PeriodicSchedule([50.0]))
     assert MovingHorizonEstimator(PLANT, far, cost=cost).horizon == 50.0
-    late = stand_in(schedule=Schedule([40.0, 41.0]))
+    late = stand_in(times=Schedule([40.0, 41.0]))
     assert MovingHorizonEstimator(PLANT, late, cost=cost).horizon == 40.0
 
 
@@ -126,7 +130,7 @@ def test_samples_off_the_schedule_drop_the_claim_and_keep_the_ellipsoid():
 
 def test_partial_outputs_must_cover_what_was_planned():
     planned = PeriodicSchedule([1.0, 1.0], outputs=[[1, 0], [1, 1]])
-    certificate = stand_in(plant=DRIVEN, schedule=planned, R=2 * np.eye(2), Qv=2 * np.eye(2))
+    certificate = stand_in(plant=DRIVEN, times=planned, R=2 * np.eye(2), Qv=2 * np.eye(2))
     mhe = MovingHorizonEstimator(DRIVEN, certificate)
     assert mhe.update(1.0, [0.1, np.nan]).on_schedule
     assert mhe.update(2.0, [0.1, 0.2]).on_schedule
@@ -135,15 +139,13 @@ def test_partial_outputs_must_cover_what_was_planned():
 
 
 def test_a_family_and_a_finite_schedule_are_watched_too():
-    family = MovingHorizonEstimator(PLANT, stand_in(schedule=GapRange(0.8, 1.5)))
+    family = MovingHorizonEstimator(PLANT, stand_in(times=GapRange(0.8, 1.5)))
     assert [family.update(t, [0.0]).on_schedule for t in (1.0, 2.4, 3.2, 4.8, 5.8)] == [True, True, True, False, False]
-    close = MovingHorizonEstimator(PLANT, stand_in(schedule=GapRange(0.8, 1.5)))
+    close = MovingHorizonEstimator(PLANT, stand_in(times=GapRange(0.8, 1.5)))
     assert [close.update(t, [0.0]).on_schedule for t in (0.1, 0.9, 1.5)] == [True, True, False]
-    finite = MovingHorizonEstimator(PLANT, stand_in(schedule=Schedule([1.0, 2.0])))
+    finite = MovingHorizonEstimator(PLANT, stand_in(times=Schedule([1.0, 2.0])))
     assert [finite.update(t, [0.0]).on_schedule for t in (1.0, 2.0, 3.0)] == [True, True, False]
     assert not finite.predict(2.5).on_schedule
-    minutes = PeriodicSchedule([1.0 / 60], time_unit="min")
-    assert MovingHorizonEstimator(PLANT, stand_in(schedule=minutes)).update(1.0, [0.0]).on_schedule
 
 
 def test_bounds_that_are_missing_mean_no_radius():
@@ -342,7 +344,8 @@ def test_an_estimate_says_what_it_promises():
         ({"horizon": 1.0, "w_set": ([0.0, -np.inf], [1.0, 1.0])}, "`w_set` is unbounded"),
         ({"horizon": 1.0, "check_spacing": 0.0}, "`check_spacing` must be positive"),
         ({"horizon": 1.0, "w_set": ConvexSet.ball(1.0, dimension=2), "engine": "active set"}, "knows no norm balls"),
-        ({"certificate": stand_in(plant=DRIVEN)}, "`certificate` belongs to another plant"),
+        ({"certificate": PeriodicSchedule([1.0])}, "`certificate` must be a Certificate or FamilyCertificate, got Per"),
+        ({"certificate": stand_in(plant=DRIVEN, R=np.eye(2), Qv=np.eye(2))}, "`certificate` belongs to another plant"),
     ],
 )
 def test_refusals_at_the_door(arguments, message):
@@ -418,10 +421,10 @@ def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch
 
 def test_the_least_horizon_is_that_of_the_proven_lambda():
     from sampling_design import PeriodicSchedule, certify
-    from sampling_design.estimators.online.guarantee import default_horizon, least_horizon
+    from sampling_design.estimators.online.guarantee import least_horizon
 
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     certificate = certify(plant, PeriodicSchedule([1.0]), eta=0.4)
     assert least_horizon(certificate, "certificate") == pytest.approx(certificate.horizon().minimum, rel=1e-12)
-    for cost, theorem in (("certificate", "sharp"), ("paper", "paper")):
-        assert default_horizon(certificate, cost, 1.0) == pytest.approx(certificate.horizon(theorem).length, rel=1e-12)
+    paper = min(certificate.horizon("paper").minimum, np.log(2 * certificate.lam_proven) / certificate.eta)
+    assert least_horizon(certificate, "paper") == pytest.approx(paper, rel=1e-12)

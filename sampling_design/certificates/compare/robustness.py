@@ -103,7 +103,8 @@ class Survival(Record):
     @property
     def tolerated(self) -> tuple[tuple[int, int], ...]:
         """(d, w): at most d of any w consecutive samples may be lost, w the least for each d."""
-        return tuple((c.family.most, c.family.of) for c in self.thinned)
+        families = [c.family for c in self.thinned]
+        return tuple((f.most, f.of) for f in families if isinstance(f, LostSamples))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, without the certificates; a lambda that does not exist is None."""

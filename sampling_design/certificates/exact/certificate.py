@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +25,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -47,31 +49,30 @@ class Witness:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Certificate(Record):
-    """Weights with which a schedule makes a plant sample-based exponentially i-iIOSS.
+class SampledCertificate(Record, ABC):
+    """Weights with which samples make a plant sample-based exponentially i-iIOSS: what estimators and validation take.
 
         |Dx(t)|^2_{P1} <= e^{-eta t} |Dx(0)|^2_{P2} + int e^{-eta (t-s)} |Dw|^2_{Qw} ds
                           + sum over [0,t] n K_i of e^{-eta (t-tau)} (|Dy|^2_R + |Dv|^2_{Qv})
 
-    for all t >= 0, all K_i and, beyond the paper, for windows that start at any real time.
+    for all t >= 0, all K_i and, beyond the paper, for windows that start at any real time. A leaf says for which sample
+    times: one schedule (`Certificate`) or every schedule of a family (`FamilyCertificate`).
 
     Attributes
     ----------
     plant : Plant
-    schedule : Schedule or PeriodicSchedule
-        A finite one is certified to its last time.
     P1, P2 : (n, n) arrays
     Qw : (q, q) array; R, Qv : (p, p) arrays
     eta : float [1/time]
         Discount rate of the squared error.
     lam : float
-        Supremum of lambda_max(P2, Pi) over all real window starts and later times.
+        Supremum of lambda_max(P2, Pi) over all real window starts and later times (for a family an upper bound).
     lam_samples : float
         The same over windows that start at samples (Thm 9).
     margin : float
         Pi >= (1 + margin) P1 is what `verify` proves.
     witness : Witness or None
-        Where `lam` is attained; None for a hand-made certificate.
+        Where `lam` is attained; None where it need not be.
     solver : SolverRecord
         How the weights were found. Never evidence.
 
@@ -81,25 +82,23 @@ class Certificate(Record):
     """
 
     plant: Plant
-    schedule: Schedule | PeriodicSchedule
-    P1: Array
-    P2: Array
-    Qw: Array
-    R: Array
-    Qv: Array
-    eta: float
-    lam: float
-    lam_samples: float
-    margin: float = 0.0
-    witness: Witness | None = None
-    solver: SolverRecord = field(default_factory=lambda: SolverRecord("given"))
+    P1: Array = field(kw_only=True)
+    P2: Array = field(kw_only=True)
+    Qw: Array = field(kw_only=True)
+    R: Array = field(kw_only=True)
+    Qv: Array = field(kw_only=True)
+    eta: float = field(kw_only=True)
+    lam: float = field(kw_only=True)
+    lam_samples: float = field(kw_only=True)
+    margin: float = field(default=0.0, kw_only=True)
+    witness: Witness | None = field(default=None, kw_only=True)
+    solver: SolverRecord = field(default_factory=lambda: SolverRecord("given"), kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
-        schedule = self._met()
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
-        owned: dict[str, Any] = {"schedule": schedule, "Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
+        owned: dict[str, object] = {"Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
             owned[key] = _checks.definite(key, getattr(self, key), size)
         for key in ("eta", "lam", "lam_samples"):
@@ -108,93 +107,28 @@ class Certificate(Record):
         for key, value in owned.items():
             object.__setattr__(self, key, value)
 
-    def _met(self) -> Any:
-        """The schedule in the plant's terms; a family certificate holds a family in its place."""
-        schedule = meet(self.plant, self.schedule)
-        if not len(schedule):
-            raise ArgumentError("`schedule` must hold at least one sample: without any there is nothing to certify.")
-        return schedule
-
-    def _file_parts(self) -> dict[str, Any]:
-        """What the file says of claim and times."""
-        return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
-
-    @classmethod
-    def from_matrices(
-        cls,
-        plant: Plant,
-        schedule: Schedule | PeriodicSchedule,
-        *,
-        P1: npt.ArrayLike,
-        P2: npt.ArrayLike,
-        Qw: npt.ArrayLike,
-        R: npt.ArrayLike,
-        Qv: npt.ArrayLike,
-        eta: float,
-        lam: float | None = None,
-        lam_samples: float | None = None,
-        margin: float = 0.0,
-        solver: SolverRecord | None = None,
-    ) -> Certificate:
-        """Return a certificate made by hand; nothing is proven before `verify()` passes.
-
-        Parameters
-        ----------
-        plant, schedule
-        P1, P2, Qw, R, Qv : arrays
-            Symmetric positive definite.
-        eta : float [1/time]
-        lam, lam_samples : float, optional
-            Default lambda_max(P2, P1), which is what the matrices claim.
-        margin : float
-        solver : SolverRecord, optional
-            Where the matrices come from.
-
-        Returns
-        -------
-        Certificate
-
-        Raises
-        ------
-        ArgumentError
-            If a weight is not symmetric positive definite, a rate is not positive, or plant and schedule
-            do not fit.
-
-        Examples
-        --------
-        >>> plant, schedule = Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0])
-        >>> made = Certificate.from_matrices(plant, schedule, P1=[[0.2]], P2=[[1.0]], Qw=[[1.0]],
-        ...                                  R=[[2.0]], Qv=[[2.0]], eta=0.1)
-        >>> made.verify().passed
-        True
-        """
-        n = plant.n_states
-        claimed = generalised_max(_checks.definite("P2", P2, n), _checks.definite("P1", P1, n))
-        top = max(claimed, 1.0) if lam is None else lam
-        return cls(
-            plant,
-            schedule,
-            P1=P1,  # type: ignore[arg-type]
-            P2=P2,  # type: ignore[arg-type]
-            Qw=Qw,  # type: ignore[arg-type]
-            R=R,  # type: ignore[arg-type]
-            Qv=Qv,  # type: ignore[arg-type]
-            eta=eta,
-            lam=top,
-            lam_samples=top if lam_samples is None else lam_samples,
-            margin=margin,
-            solver=solver or SolverRecord("by hand"),
-        )
+    @property
+    @abstractmethod
+    def covers(self) -> AnySchedule | SamplingFamily:
+        """The sample times that it is about: a schedule, or all schedules of a family."""
 
     @property
+    @abstractmethod
     def claim(self) -> Claim:
         """What the certificate says; `verify()` proves it."""
-        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
-        return Claim(
-            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{until}, for every real window start",
-            "Assumption 7",
-            ("linear plant",),
-        )
+
+    @property
+    @abstractmethod
+    def d_max(self) -> float:
+        """Largest gap, the one before the first sample included."""
+
+    @abstractmethod
+    def _file_parts(self) -> dict[str, Any]:
+        """What the file says of claim and times."""
+
+    @abstractmethod
+    def _samples_until(self, end: float) -> Array:
+        """Sample times in [0, end]: of the schedule, or the most that any schedule of the family has."""
 
     @property
     def lam_proven(self) -> float:
@@ -210,13 +144,6 @@ class Certificate(Record):
     def Rtilde(self) -> Array:
         """R~ = (R^-1 + Qv^-1)^-1, the information of one sample."""
         return _checks.freeze(output_information(self.R, self.Qv))
-
-    @property
-    def d_max(self) -> float:
-        """Largest gap, the one before the first sample included."""
-        schedule = self.schedule
-        later = schedule.gaps.max() if schedule.gaps.size else 0.0
-        return float(max(later, schedule.times[0]))
 
     def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
         """Return the estimation horizon and its error bound; see `horizon_of`."""
@@ -317,9 +244,6 @@ class Certificate(Record):
         squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
         return np.asarray(np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
 
-    def _samples_until(self, end: float) -> Array:
-        return self.schedule.between(0.0, max(end, 0.0)).times
-
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
         sharp, paper = self.horizon(), self.horizon("paper")
@@ -332,6 +256,121 @@ class Certificate(Record):
             ("C_x, C_w, C_v", f"{short(sharp.C_x, 3)}, {short(sharp.C_w, 3)}, {short(sharp.C_v, 3)}"),
             ("margin", short(self.margin, 3)),
         ]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(SampledCertificate):
+    """The certificate of one schedule; a finite one is certified to its last time.
+
+    Attributes
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        All others are those of `SampledCertificate`.
+    """
+
+    schedule: AnySchedule
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        schedule = meet(self.plant, self.schedule)
+        if not len(schedule):
+            raise ArgumentError("`schedule` must hold at least one sample: without any there is nothing to certify.")
+        object.__setattr__(self, "schedule", schedule)
+
+    @property
+    def covers(self) -> AnySchedule:
+        """The schedule."""
+        return self.schedule
+
+    def _file_parts(self) -> dict[str, Any]:
+        return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
+
+    @classmethod
+    def from_matrices(
+        cls,
+        plant: Plant,
+        schedule: Schedule | PeriodicSchedule,
+        *,
+        P1: npt.ArrayLike,
+        P2: npt.ArrayLike,
+        Qw: npt.ArrayLike,
+        R: npt.ArrayLike,
+        Qv: npt.ArrayLike,
+        eta: float,
+        lam: float | None = None,
+        lam_samples: float | None = None,
+        margin: float = 0.0,
+        solver: SolverRecord | None = None,
+    ) -> Certificate:
+        """Return a certificate made by hand; nothing is proven before `verify()` passes.
+
+        Parameters
+        ----------
+        plant, schedule
+        P1, P2, Qw, R, Qv : arrays
+            Symmetric positive definite.
+        eta : float [1/time]
+        lam, lam_samples : float, optional
+            Default lambda_max(P2, P1), which is what the matrices claim.
+        margin : float
+        solver : SolverRecord, optional
+            Where the matrices come from.
+
+        Returns
+        -------
+        Certificate
+
+        Raises
+        ------
+        ArgumentError
+            If a weight is not symmetric positive definite, a rate is not positive, or plant and schedule
+            do not fit.
+
+        Examples
+        --------
+        >>> plant, schedule = Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0])
+        >>> made = Certificate.from_matrices(plant, schedule, P1=[[0.2]], P2=[[1.0]], Qw=[[1.0]],
+        ...                                  R=[[2.0]], Qv=[[2.0]], eta=0.1)
+        >>> made.verify().passed
+        True
+        """
+        n = plant.n_states
+        claimed = generalised_max(_checks.definite("P2", P2, n), _checks.definite("P1", P1, n))
+        top = max(claimed, 1.0) if lam is None else lam
+        return cls(
+            plant,
+            schedule,
+            P1=P1,  # type: ignore[arg-type]
+            P2=P2,  # type: ignore[arg-type]
+            Qw=Qw,  # type: ignore[arg-type]
+            R=R,  # type: ignore[arg-type]
+            Qv=Qv,  # type: ignore[arg-type]
+            eta=eta,
+            lam=top,
+            lam_samples=top if lam_samples is None else lam_samples,
+            margin=margin,
+            solver=solver or SolverRecord("by hand"),
+        )
+
+    @property
+    def claim(self) -> Claim:
+        """What the certificate says; `verify()` proves it."""
+        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
+        return Claim(
+            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{until}, for every real window start",
+            "Assumption 7",
+            ("linear plant",),
+        )
+
+    @property
+    def d_max(self) -> float:
+        """Largest gap, the one before the first sample included."""
+        schedule = self.schedule
+        later = schedule.gaps.max() if schedule.gaps.size else 0.0
+        return float(max(later, schedule.times[0]))
+
+    def _samples_until(self, end: float) -> Array:
+        return self.schedule.between(0.0, max(end, 0.0)).times
 
     def explain(self) -> str:
         """Say what the certificate proves."""

@@ -318,10 +318,23 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
     if given is not None:
         P[0] = given
     lam = max(found.lam, 1.0)
+    Qw, R, Qv = weights
     made = FamilyCertificate(
-        plant, family, (1 - RESOLUTION) * P[0] / lam, P[0], *weights, found.dynamics.eta, lam, lam,
-        STATED_MARGIN, None, found.solver, graph=found.graph, P=P,
-    )  # fmt: skip
+        plant,
+        family,
+        P1=(1 - RESOLUTION) * P[0] / lam,
+        P2=P[0],
+        Qw=Qw,
+        R=R,
+        Qv=Qv,
+        eta=found.dynamics.eta,
+        lam=lam,
+        lam_samples=lam,
+        margin=STATED_MARGIN,
+        solver=found.solver,
+        graph=found.graph,
+        P=P,
+    )
     verdict = made.verify()
     if not verdict.passed:
         raise CertificateError(
@@ -333,7 +346,10 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
 def without_states(plant: Plant, family: Any, weights: Weights, rate: float, graph: GapGraph) -> FamilyCertificate:
     """The certificate where there is nothing to prove."""
     empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))
-    return FamilyCertificate(plant, family, empty, empty, *weights, rate, 1.0, 1.0, graph=graph, P=P)
+    Qw, R, Qv = weights
+    return FamilyCertificate(
+        plant, family, P1=empty, P2=empty, Qw=Qw, R=R, Qv=Qv, eta=rate, lam=1.0, lam_samples=1.0, graph=graph, P=P
+    )
 
 
 def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:

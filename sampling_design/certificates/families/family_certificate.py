@@ -10,25 +10,25 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import short
-from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import GapGraph, graph_from_dict
 from sampling_design.certificates.form.seal import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
+from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict, family_to_dict
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FamilyCertificate(Certificate):
+class FamilyCertificate(SampledCertificate):
     """Weights with which every schedule of a family makes a plant sample-based exponentially i-iIOSS.
 
     Attributes
     ----------
-    schedule : GapRange, SpacedWindows, LostSamples or Jitter
-        The family.
+    family : GapRange, SpacedWindows, LostSamples or Jitter
     graph : GapGraph
         Its schedules as paths of gap words, window starts at any real time included.
     P : (graph.count, n, n) array
@@ -41,27 +41,26 @@ class FamilyCertificate(Certificate):
 
     Notes
     -----
-    All other attributes, horizons and error bounds are those of `Certificate`; samples that an error bound counts
-    are as many as the least gap of the family allows.
+    All other attributes, horizons and error bounds are those of `SampledCertificate`; samples that an error bound
+    counts are as many as the least gap of the family allows.
     """
 
+    family: SamplingFamily
     graph: GapGraph = field(default_factory=lambda: GapGraph(((),), ()), kw_only=True)
     P: Array = field(default_factory=lambda: np.zeros((1, 0, 0)), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "family", in_plant_terms(self.plant, self.family))
         P = np.asarray(self.P, dtype=np.float64)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")
         object.__setattr__(self, "P", _checks.freeze(P))
 
-    def _met(self) -> Any:
-        return in_plant_terms(self.plant, self.schedule)
-
     @property
-    def family(self) -> Any:
+    def covers(self) -> SamplingFamily:
         """The family of schedules."""
-        return self.schedule
+        return self.family
 
     @property
     def claim(self) -> Claim:
@@ -80,7 +79,7 @@ class FamilyCertificate(Certificate):
 
     def _samples_until(self, end: float) -> Array:
         # the i-th last sample of any schedule lies at least i least gaps before `end`
-        return end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1)
+        return np.asarray(end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1))
 
     def _file_parts(self) -> dict[str, Any]:
         return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
@@ -102,4 +101,4 @@ class FamilyCertificate(Certificate):
 def parts_from_dict(data: dict[str, Any], P2: Array) -> dict[str, Any]:
     """Return the arguments of a FamilyCertificate that a file of claim "family" adds: family, graph and matrices."""
     graph, P = graph_from_dict(data["graph"], _checks.definite("P2", P2, len(P2)))
-    return {"schedule": family_from_dict(data["times"]), "graph": graph, "P": P}
+    return {"family": family_from_dict(data["times"]), "graph": graph, "P": P}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +12,38 @@ from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim
+from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 Theorem = Literal["sharp", "paper"]
 
 _CONTRACTION = 4.0
 """By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""
+
+
+class Weighted(Protocol):
+    """What a horizon needs of a certificate."""
+
+    @property
+    def plant(self) -> Plant: ...
+    @property
+    def P1(self) -> Array: ...
+    @property
+    def P2(self) -> Array: ...
+    @property
+    def Qw(self) -> Array: ...
+    @property
+    def R(self) -> Array: ...
+    @property
+    def Qv(self) -> Array: ...
+    @property
+    def eta(self) -> float: ...
+    @property
+    def lam_proven(self) -> float: ...
+    @property
+    def lam_samples_proven(self) -> float: ...
+    @property
+    def d_max(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,7 +115,7 @@ class Horizon(Record):
         )
 
 
-def horizon_of(certificate: Any, theorem: str = "sharp", length: float | None = None) -> Horizon:
+def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | None = None) -> Horizon:
     """Return the horizon of a certificate by the sharper theorem or by Thm 9 of the paper.
 
         sharp:  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
@@ -97,7 +123,7 @@ def horizon_of(certificate: Any, theorem: str = "sharp", length: float | None = 
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : SampledCertificate
     theorem : "sharp" or "paper"
     length : float, optional [time]
         Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the

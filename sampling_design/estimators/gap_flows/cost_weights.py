@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, first_difference
 
@@ -130,7 +131,7 @@ def noise_bound(name: str, value: Any, length: int) -> Array | None:
 
 def build_weights(
     plant: Plant,
-    certificate: Any = None,
+    certificate: SampledCertificate | None = None,
     *,
     P2: Any = None,
     Qw: Any = None,
@@ -150,7 +151,7 @@ def build_weights(
         If a weight is not positive definite, eta is negative, the cost is unknown, or the certificate is another
         plant's.
     """
-    _refuse_other_plant(plant, certificate)
+    _refuse_what_is_not_its_own(plant, certificate)
     if cost not in COSTS:
         raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
     given = {"P2": P2, "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
@@ -163,10 +164,12 @@ def build_weights(
     }
     matrices = {}
     for key, diagonal in inverse.items():
-        value = given[key] if given[key] is not None else getattr(certificate, key, None)
+        value = given[key]
+        if value is None and certificate is not None:
+            value = getattr(certificate, key)
         matrices[key] = _checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
-    rate = eta if eta is not None else getattr(certificate, "eta", 0.0)
-    rate = _checks.nonnegative("eta", rate)
+    theirs = 0.0 if certificate is None else certificate.eta
+    rate = _checks.nonnegative("eta", theirs if eta is None else eta)
     twice = 2.0 if cost == "paper" else 1.0
     kept = twice * matrices["Qv"]
     together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
@@ -174,7 +177,13 @@ def build_weights(
     return Weights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=cost), overridden
 
 
-def _refuse_other_plant(plant: Plant, certificate: Any) -> None:
-    theirs = getattr(certificate, "plant", None)
-    if theirs is not None and (other := first_difference(plant, theirs)):
+def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:
+    if certificate is None:
+        return
+    if not isinstance(certificate, SampledCertificate):
+        raise ArgumentError(
+            f"`certificate` must be a Certificate or FamilyCertificate, got {type(certificate).__name__}. "
+            "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
+        )
+    if other := first_difference(plant, certificate.plant):
         raise ArgumentError(f"`certificate` belongs to another plant: {other}.")

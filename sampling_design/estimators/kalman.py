@@ -85,8 +85,8 @@ class KalmanFilter(OpenLoopEstimator):
         (flow,) = self.table.get([sample.t - last.t])
         drift = self._drift.between(state, last.t, sample.t)
         x, Y, before = self._flown(last, flow, drift)
-        H = weights.y_root @ (self.plant.C * mask[:, None])
-        innovation = weights.y_root @ ((y - feedthrough) * mask - mask * (self.plant.C @ x))
+        root = weights.at(mask).y_root
+        H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
         S = H @ Y @ H.T + np.eye(mask.size)
         gain = np.linalg.solve(S, H @ Y).T
         rest = np.eye(x.size) - gain @ H

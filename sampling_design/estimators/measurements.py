@@ -129,7 +129,11 @@ def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str
     p, m = plant.n_outputs, plant.n_inputs
     known = "" if clock.zero is None else clock.zero.isoformat()
     return Measurements(
-        plant, np.array(table.times), np.reshape(table.y, (-1, p)), np.reshape(table.u, (-1, m)), origin=known
+        plant,
+        np.array(table.times),
+        np.reshape(table.y, (len(table.times), p)),
+        np.reshape(table.u, (len(table.times), m)),
+        origin=known,
     )
 
 

@@ -27,8 +27,8 @@ from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
-SAME_TIME = 1e-12
-"""A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""
+SAME_TIME = 4.0
+"""A window start within so many units in the last place of the times of a sample is that sample's time."""
 
 W_MODELS = ("outer", "constant")
 
@@ -81,6 +81,10 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     w_bound, v_bound, initial_error : float or array, optional
         Bounds on |w(t)|, |v| and |x - prior|: a number bounds the Euclidean norm, a vector each entry. All
         three are needed for a radius; the first two default to what w_set and v_set allow.
+    timing_tolerance : float
+        How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
+        what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
+        what `survival` says of such deviations.
     feedthrough : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
 
@@ -146,13 +150,15 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         w_bound: Any = None,
         v_bound: Any = None,
         initial_error: Any = None,
+        timing_tolerance: float = 0.0,
         feedthrough: str = "right",
     ):
         weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
         _one_of("w_model", w_model, W_MODELS)
         constant = w_model == "constant" and w_set is not None
-        self._set_up(plant, weights, None if certificate is None else certificate.covers, feedthrough, constant)
+        schedule = None if certificate is None else certificate.covers
+        self._set_up(plant, weights, schedule, feedthrough, constant, timing_tolerance)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
         self.engine = _engine(engine, self.constraints)
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
@@ -235,7 +241,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     def _start(self, state: State, t: float) -> Start:
         """Return where the window of a solve at t begins, with the online estimate there."""
         nodes, s = state.nodes, t - self.horizon
-        slack = SAME_TIME * max(abs(t), self.horizon)
+        slack = SAME_TIME * float(np.spacing(max(abs(t), self.horizon)))
         given = nodes[0].sample.y is None
         if given and s <= nodes[0].t + slack:
             return Start(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
@@ -302,7 +308,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         zero = np.zeros(self.plant.n_outputs)
         edges, data, path, drift = [times[0]], [rows[0]], [reference[0]], []
         for j, t in enumerate(times[1:]):
-            count = int(np.ceil((t - times[j]) / self.check_spacing - SAME_TIME))
+            count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
             for k in range(1, max(count, 1) + 1):
                 last = k >= count
                 when = t if last else times[j] + k * (t - times[j]) / count

@@ -13,6 +13,7 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._files import from_json, read_text, write_text
+from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.nonlinear import thyroid as model
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
@@ -126,7 +127,7 @@ def thyroid_experiment(
     days: float = 20.0,
     seed: int = 0,
     path: str | os.PathLike[str] | None = None,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> ThyroidReport:
     """Return the errors of the sample-based and the standard estimator over many noise realisations.
@@ -143,8 +144,9 @@ def thyroid_experiment(
         Realisation k has the generator of [seed, k].
     path : file, optional
         Result file (JSON lines), written whole after every run; runs that it holds already are not repeated.
-    workers : int, optional
-        Processes; default: one per core.
+    workers : Executor, Client, int or str, optional
+        Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
+        joblib backend. Default: one process per core.
     progress : callable, optional
         Called with a fraction in [0, 1] and a message after each run.
 
@@ -155,7 +157,8 @@ def thyroid_experiment(
     Raises
     ------
     ArgumentError
-        If a number is out of range, a case is unknown, or the file holds runs of another experiment.
+        If a number is out of range, a case is unknown, `workers` is nobody, or the file holds runs of another
+        experiment.
     FileFormatError
         If the file is no result file.
     MissingExtraError
@@ -178,6 +181,7 @@ def thyroid_experiment(
     (1, 0)
     """
     count = _checks.whole("runs", runs, 1)
+    check_workers(workers)
     for case in cases:
         _known_case(case)
     settings: dict[str, Any] = {"days": _grid_steps(days) * STEP, "seed": _checks.whole("seed", seed)}
@@ -196,19 +200,15 @@ def thyroid_experiment(
     return ThyroidReport(tuple(cases), count, settings["days"], settings["seed"], tuple(lines[key] for key in wanted))
 
 
-def _solved(missing: list[tuple[str, int]], settings: dict[str, Any], workers: int | None) -> Iterator[dict[str, Any]]:
+def _solved(missing: list[tuple[str, int]], settings: dict[str, Any], workers: Workers) -> Iterator[dict[str, Any]]:
     """Yield the line of each missing run as it comes."""
-    count = os.cpu_count() or 1 if workers is None else _checks.whole("workers", workers, 1)
-    if count == 1 or len(missing) < 2:
-        yield from (_line(case, run, settings) for case, run in missing)
-        return
-    from joblib import Parallel, delayed
-
-    tasks = (delayed(_line)(case, run, settings) for case, run in missing)
-    yield from Parallel(n_jobs=min(count, len(missing)), return_as="generator_unordered")(tasks)
+    jobs = [(case, run, settings) for case, run in missing]
+    chosen = min(os.cpu_count() or 1, len(jobs)) if workers is None else workers
+    return mapped(_line, jobs, None if chosen == 1 or len(jobs) < 2 else chosen, ordered=False)
 
 
-def _line(case: str, run: int, settings: dict[str, Any]) -> dict[str, Any]:
+def _line(job: tuple[str, int, dict[str, Any]]) -> dict[str, Any]:
+    case, run, settings = job
     return patient_run(case, run, days=settings["days"], seed=settings["seed"]).summary()
 
 

@@ -194,8 +194,8 @@ def build_error_map(timeline: Timeline, estimator: Any, bounds: Any) -> ErrorMap
     weights, line = estimator.weights, timeline
     gaps = np.diff(line.times[line.events])
     F, W = discounted_flow(line.plant.A, weights.noise, gaps, weights.eta)
-    root = weights.y_root
-    H = np.einsum("ab,jb,bc->jac", root, line.masks, line.plant.C)
+    roots = weights.of(line.masks).y_root
+    H = roots @ line.plant.C
     builder = _Builder(estimator, line, F, W, np.exp(weights.eta * gaps), H, bounds)
     windows, half, rows = builder.build()
     return ErrorMap(
@@ -206,7 +206,7 @@ def build_error_map(timeline: Timeline, estimator: Any, bounds: Any) -> ErrorMap
         rows=rows,
         half=half,
         H=H,
-        weigh=np.einsum("ab,jb->jab", root, line.masks),
+        weigh=roots,
         w_energy=weights.disturbance_energy(bounds.w),
         prior_energy=weights.prior_energy(bounds.e0),
         eta=weights.eta,

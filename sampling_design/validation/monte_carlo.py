@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError
+from sampling_design._workers import Workers, mapped
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import Bounds, draw_inputs
 
 Array = npt.NDArray[np.float64]
-Workers = Executor | int | str | None
 
 BLOCK = 64
 """Runs that are computed together. Fixed, since the rounding of a product may depend on how many share it."""
@@ -86,8 +84,8 @@ def monte_carlo(
         As in `Block`.
     seeds : sequence of SeedSequence
         A run depends on its own seed alone.
-    workers : Executor, int or str, optional
-        Any `concurrent.futures.Executor` (a Dask client's too), a number of processes, or the name of a joblib backend.
+    workers : Executor, Client, int or str, optional
+        See `Workers`.
     progress : callable, optional
 
     Returns
@@ -101,24 +99,8 @@ def monte_carlo(
     """
     blocks = [Block(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)]
     parts = []
-    for part in _mapped(blocks, workers):
+    for part in mapped(run_block, blocks, workers):
         parts.append(part)
         if progress is not None:
             progress(len(parts) / len(blocks), f"{min(len(parts) * BLOCK, len(seeds))} of {len(seeds)} runs")
     return Trials(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _mapped(blocks: list[Block], workers: Workers) -> Iterator[Trials]:
-    if workers is None:
-        return map(run_block, blocks)
-    if isinstance(workers, Executor):
-        return iter(workers.map(run_block, blocks))
-    if isinstance(workers, (int, str)) and not isinstance(workers, bool):
-        from joblib import Parallel, delayed
-
-        chosen = {"n_jobs": workers} if isinstance(workers, int) else {"n_jobs": -1, "backend": workers}
-        return iter(Parallel(**chosen)(delayed(run_block)(block) for block in blocks))
-    raise ArgumentError(
-        "`workers` must be a concurrent.futures.Executor, a number of processes or the name of a joblib backend, "
-        f"got {type(workers).__name__} for the trials."
-    )

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
 
@@ -58,10 +59,10 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
         best = max(best, (float(np.max(left / total)), c + 1))
         j = samples.get(c + 1)
         if j is not None:
-            v = pairs.v[:, j] * line.masks[j]
-            y = x @ line.plant.C.T * line.masks[j] + v
-            total = total + np.einsum("ri,ij,rj->r", y, certificate.R, y)
-            total = total + np.einsum("ri,ij,rj->r", v, certificate.Qv, v)
+            seen, v = line.masks[j] > 0, pairs.v[:, j]
+            y = x @ line.plant.C.T + v
+            total = total + np.einsum("ri,ij,rj->r", y, marginal(certificate.R, seen), y)
+            total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, seen), v)
             best = max(best, (float(np.max(left / total)), c + 1))
     return Look(best[0], float(line.times[start]), float(line.times[best[1]]))
 
@@ -142,7 +143,7 @@ def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: 
         if j is not None:
             seen = line.masks[j] > 0
             C = line.plant.C[seen]
-            noise = sum(np.linalg.inv(M[np.ix_(seen, seen)]) for M in (certificate.R, certificate.Qv))
+            noise = sum(np.linalg.inv(M)[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
             gain = np.linalg.solve(C @ Y @ C.T + noise, C @ Y).T
             rest = np.eye(Y.shape[0]) - gain @ C
             Y = symmetrise(rest @ Y @ rest.T + gain @ noise @ gain.T)
@@ -163,7 +164,7 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
         if c + 1 < stop and c + 1 in samples:
             j = samples[c + 1]
             seen = line.masks[j] > 0
-            R, Qv = (M[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
+            R, Qv = (marginal(M, seen)[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
             v[0, j, seen] = -np.linalg.solve(R + Qv, R @ plant.C[seen] @ x)
         gamma, unit = _cell_noise(line, certificate, c)
         dual = np.linalg.solve(run.before[c + 1 - start], x)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.validation.error_map import Inputs, Rows, discounted
 from sampling_design.validation.timeline import Timeline
 
@@ -34,7 +35,7 @@ class Promise:
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)
         push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted(self.rate, line.lengths)
-        noise = _square(inputs.v * line.masks, self.v)
+        noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.heard(line.masks), inputs.v)
         fade = np.exp(-self.rate * line.lengths)
         found = np.empty((rows.at.size, total.size))
         last = 0
@@ -46,6 +47,10 @@ class Promise:
                 total = total + noise[:, samples[int(b)]]
             found[row] = total
         return self.gain * found.T
+
+    def heard(self, masks: Array) -> Array:
+        """Return the weight of v at each of N samples, (N, p, p): what is not measured is free."""
+        return np.array([marginal(self.v, mask > 0) for mask in masks])
 
     def at_most(self, line: Timeline, rows: Rows, energies: tuple[float, float, Array]) -> Array:
         """Return the right side at every row for the largest |e0|^2, |w|^2 and (per sample) |v|^2 in these weights."""

@@ -38,6 +38,8 @@ class Finding(Record):
         "attained" where the observed value is the worst case itself, "sampled" where trials were drawn.
     note : str
         What else was seen.
+    checked : bool
+        False where the promise could not be judged; then it did not hold, and the note says why.
     """
 
     claim: str
@@ -48,6 +50,7 @@ class Finding(Record):
     source: str = ""
     strength: Strength = "sampled"
     note: str = ""
+    checked: bool = True
 
     @property
     def margin(self) -> float:
@@ -57,14 +60,21 @@ class Finding(Record):
 
     @property
     def passed(self) -> bool:
-        """Whether the promise held, up to rounding."""
-        return bool(self.margin >= -ROUNDING)
+        """Whether the promise was judged and held, up to rounding."""
+        return self.checked and bool(self.margin >= -ROUNDING)
+
+    @property
+    def verdict(self) -> str:
+        """One of "held", "BROKEN" and "NOT CHECKED"."""
+        return "NOT CHECKED" if not self.checked else "held" if self.passed else "BROKEN"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        keys = ("claim", "scenario", "predicted", "observed", "sense", "source", "strength", "note")
-        data = {key: getattr(self, key) for key in keys}
-        return {**data, "margin": self.margin, "passed": self.passed}
+        keys = ("claim", "scenario", "predicted", "observed", "sense", "source", "strength", "note", "checked")
+        data = {key: getattr(self, key) for key in keys} | {"margin": self.margin}
+        if not self.checked:
+            data |= {"observed": None, "margin": None}
+        return {**data, "passed": self.passed}
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -79,6 +89,8 @@ class Finding(Record):
 
     def explain(self) -> str:
         """Say whether the promise held."""
+        if not self.checked:
+            return f"The promise '{self.claim}' was not checked. {self.note}".rstrip()
         verdict = "held" if self.passed else "was broken"
         return (
             f"The promise '{self.claim}' {verdict} under {self.scenario}: "
@@ -154,7 +166,7 @@ class ValidationReport(Record):
                 f"{signs[f.sense]} {short(f.predicted, 5)}",
                 short(f.observed, 5),
                 short(f.margin, 3),
-                "held" if f.passed else "BROKEN",
+                f.verdict,
             ]
             for f in self.findings
         ]
@@ -191,7 +203,7 @@ class ValidationReport(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         held = sum(f.passed for f in self.findings)
-        bounded = [f for f in self.findings if f.sense == "at most"]
+        bounded = [f for f in self.findings if f.sense == "at most" and f.checked]
         worst = min(bounded, key=lambda f: f.margin, default=None)
         return [
             ("passed", "yes" if self.passed else "no"),
@@ -204,8 +216,11 @@ class ValidationReport(Record):
 
     def explain(self) -> str:
         """Say the verdict in words."""
-        broken = [f for f in self.findings if not f.passed]
-        if not broken:
+        missing = [f for f in self.findings if not f.checked]
+        broken = [f for f in self.findings if f.checked and not f.passed]
+        if not broken and not missing:
             return f"All {len(self.findings)} promises held."
+        if not broken:
+            return f"{len(self.findings) - len(missing)} of {len(self.findings)} promises held. {missing[0].explain()}"
         count = f"{len(broken)} of {len(self.findings)} promises {'was' if len(broken) == 1 else 'were'} broken"
         return f"{count}: {broken[0].explain()}"

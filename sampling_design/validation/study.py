@@ -10,13 +10,14 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import short
+from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
-from sampling_design.validation.monte_carlo import Trials, Workers, measured, monte_carlo, ratio
+from sampling_design.validation.monte_carlo import Trials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import random_pairs, worst_pair
 from sampling_design.validation.promise import Promise, promise_of
 from sampling_design.validation.report import ROUNDING, Course, Example, Finding, ValidationReport
@@ -114,7 +115,8 @@ class Study:
         for t, mask in zip(self.line.times[self.line.samples], self.line.masks, strict=True):
             estimate = estimator.update(t, np.where(mask > 0, 0.0, np.nan))
             if not estimate.on_schedule:
-                self.skipped.append(f"a-priori bounds and inequality (16): {estimate.note}")
+                note = f"At t = {short(t)}: {estimate.note}"
+                self._find("a-priori bounds and inequality (16)", "not checked", 1.0, np.nan, note=note, checked=False)
                 return None
         carried = bool(self.options.get("carried_weight", False))
         return promise_of(self.certificate, self.horizon, self.options.get("cost", "certificate"), carried)
@@ -150,7 +152,7 @@ class Study:
 
     def _largest(self, promise: Promise) -> Array:
         b = self.bounds
-        heard = [largest_square(m[:, None] * promise.v * m, b.v) for m in self.line.masks]
+        heard = [largest_square(weight, b.v) for weight in promise.heard(self.line.masks)]
         energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
         return promise.at_most(self.line, self.map.rows, energies)
 

@@ -22,8 +22,8 @@ CELLS_PER_GAP = 6
 """Cells of a mean gap: a disturbance may change its mind that often between two samples."""
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
-SAME_TIME = 1e-12
-"""A window start within this share of a sample's time (or of the horizon) is that sample's time."""
+SAME_TIME = 4.0
+"""A window start so many units in the last place from a sample's time (or of the horizon) is that sample's time."""
 LARGEST = 20_000
 """Cells of one timeline; a disturbance gets coarser cells rather than more of them."""
 
@@ -124,7 +124,7 @@ def _snapped(starts: Array, times: Array, horizon: float) -> Array:
     known = np.concatenate([[0.0], times])
     at = np.clip(np.searchsorted(known, clipped), 1, known.size - 1)
     near = np.where(clipped - known[at - 1] < known[at] - clipped, known[at - 1], known[at])
-    return np.where(np.abs(near - clipped) <= SAME_TIME * np.maximum(times, horizon), near, clipped)
+    return np.where(np.abs(near - clipped) <= SAME_TIME * np.spacing(np.maximum(times, horizon)), near, clipped)
 
 
 def _refined(plant: Plant, events: Array, gap: float) -> Array:

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
+from sampling_design._workers import Workers, check_workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.validation.monte_carlo import Workers
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.scenario import Bounds
 from sampling_design.validation.study import SCENARIOS, Study
@@ -57,9 +57,9 @@ def validate(
         Of "pairs", "random", "worst", "resonant", "initial", "estimator", "constraints" and "paper".
     rng : numpy.random.Generator, optional
         Default seed 0. Every run has a seed of its own, spawned from it.
-    workers : Executor, int or str, optional
-        Any `concurrent.futures.Executor` (a Dask client's too), a number of processes, or the name of a joblib
-        backend. The report is the same for all, to the last bit.
+    workers : Executor, Client, int or str, optional
+        Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
+        joblib backend. The report is the same for all, to the last bit.
     progress : callable, optional
         Called with (fraction, message).
     **estimator
@@ -68,12 +68,14 @@ def validate(
     Returns
     -------
     ValidationReport
+        What the certificate promises and could not be judged (as where the samples are off its schedule) is a finding
+        that did not hold.
 
     Raises
     ------
     ArgumentError
-        If a scenario is unknown, the schedule does not fit the plant or holds no sample, a bound is negative, or
-        there is neither certificate nor horizon.
+        If a scenario is unknown, the schedule does not fit the plant or holds no sample, a bound is negative,
+        `workers` is nobody, or there is neither certificate nor horizon.
 
     Notes
     -----
@@ -102,6 +104,9 @@ def validate(
     unknown = [name for name in chosen if name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {unknown[0]!r}.")
+    check_workers(workers)
+    if rng is not None and not isinstance(rng, np.random.Generator):
+        raise ArgumentError(f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}.")
     bounds = Bounds.of(plant, w_bound, v_bound, initial_error)
     source = np.random.default_rng(0) if rng is None else rng
     root: Any = source.bit_generator.seed_seq

@@ -105,7 +105,7 @@ def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> l
     cost = np.where(inside, np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted(rate, line.lengths), np.inf)
     fade = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
     unit = np.linalg.inv(promise.w)
-    seen = np.einsum("ja,ab,jb->jab", line.masks, promise.v, line.masks)
+    seen = promise.heard(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
         (parts.e0, np.linalg.inv(promise.prior) * np.exp(rate * t) / promise.gain),

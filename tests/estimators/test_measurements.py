@@ -129,3 +129,11 @@ def test_estimates_file(tmp_path):
         rows = list(csv.reader(stream))
     assert rows[1][2] == "0"
     assert rows[1][5] == rows[1][7] == ""
+
+
+def test_a_plant_without_inputs_is_measured_too(tmp_path):
+    found = read_measurements(written(tmp_path, "time,gauge\n0.5,1\n1.5,2\n"), BLIND)
+    assert found.y.tolist() == [[1.0], [2.0]]
+    assert found.u.shape == (2, 0)
+    assert [row[2] for row in found] == [None, None]
+    assert len(read_measurements(written(tmp_path, "time,gauge\n"), BLIND)) == 0

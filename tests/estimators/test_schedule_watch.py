@@ -1,12 +1,14 @@
-"""Samples are held against a schedule one at a time, its first sample at time 0 included."""
+"""Samples are held against a schedule one at a time: by differences of time, whatever the clock's zero is."""
 
 import numpy as np
 import pytest
 
-from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design import Jitter, LostSamples, MovingHorizonEstimator, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 TIMES = [0.0, 0.9, 2.0, 3.1]
+UNIX = 1.7e9
 
 
 @pytest.mark.parametrize(
@@ -18,3 +20,72 @@ def test_a_first_sample_at_zero_is_not_due_twice(schedule):
     assert [mhe.update(t, [0.0]).on_schedule for t in TIMES] == [True] * 4
     late = MovingHorizonEstimator(PLANT, certificate)
     assert [late.update(t, [0.0]).on_schedule for t in (0.0, 0.9, 2.01)] == [True, True, False]
+
+
+def followed(schedule, times, prior_time, unit="s", **options):
+    """Flags of an estimator that holds a certificate of `schedule` (made where numbers are of size one)."""
+    scale = float(np.min(getattr(schedule, "gaps", [1.0])))
+    plant = Plant([[0.0, 1 / scale], [-1 / scale, 0.0]], [[1.0, 0.0]], time_unit=unit)
+    certificate = certify(plant, schedule, eta=0.3 / scale, P2=np.eye(2))
+    mhe = MovingHorizonEstimator(plant, certificate, prior_time=prior_time, **options)
+    return [mhe.update(float(t), [0.0]).on_schedule for t in times]
+
+
+def test_every_second_sample_missing_is_seen_at_unix_time():
+    times = UNIX + 1.0 * np.arange(0, 52, 2)
+    assert followed(PeriodicSchedule([1.0]), times, UNIX) == [True] + [False] * 25
+
+
+def test_a_kilohertz_schedule_that_is_kept_is_seen_to_be_kept_at_unix_time():
+    times = [float(f"{UNIX + k / 1000:.6f}") for k in range(101)]
+    assert followed(PeriodicSchedule([1e-3]), times, UNIX) == [True] * 101
+    times[50] += 2e-5
+    assert followed(PeriodicSchedule([1e-3]), times, UNIX) == [True] * 50 + [False] * 51
+
+
+def test_a_window_at_unix_time_keeps_its_length():
+    mhe = MovingHorizonEstimator(Plant([[0.0]], [[1.0]]), horizon=5.07e-3, prior_time=UNIX)
+    for k in range(1, 30):
+        estimate = mhe.update(UNIX + k * 1e-3, [0.0])
+    assert estimate.t - estimate.window_start == pytest.approx(5.07e-3, abs=1e-6)
+
+
+def test_a_person_is_on_schedule_within_the_tolerance_that_was_given():
+    schedule, late = PeriodicSchedule([1.0]), np.array([0.0, 0.05, -0.08, 0.02])
+    times = 1.0 + np.arange(4) + late
+    assert followed(schedule, times, 0.0) == [True, False, False, False]
+    assert followed(schedule, times, 0.0, timing_tolerance=0.1) == [True] * 4
+    assert followed(schedule, times, 0.0, timing_tolerance=0.06) == [True, True, False, False]
+
+
+def test_the_jitter_that_a_certificate_allows_counts_for_ever():
+    rng, family = np.random.default_rng(0), Jitter(PeriodicSchedule.from_times([0.5, 1.2], 2.0), 0.05)
+    watch, times = ScheduleWatch(family, "s"), family.draw(rng, duration=300.0).times
+    one = np.ones(1)
+    assert watch.sample_fits(np.array([0.0, times[0]]), one, first=True)
+    assert all(watch.sample_fits(times[k - 4 : k + 1], one, first=False) for k in range(4, times.size))
+    assert not watch.sample_fits(np.array([*times[96:100], times[100] + 0.11]), one, first=False)
+    assert not watch.sample_fits(np.array([*times[96:99], times[100]]), one, first=False)
+
+
+def test_lost_samples_are_counted():
+    watch = ScheduleWatch(LostSamples(PeriodicSchedule([1.0]), most=1, of=3), "s")
+
+    def fits(*times):
+        return watch.sample_fits(np.array(times), np.ones(1), first=False)
+
+    assert fits(10.0, 11.0, 13.0)
+    assert fits(10.0, 12.0, 13.0, 15.0)
+    assert not fits(10.0, 12.0, 14.0)
+    assert not fits(10.0, 13.0)
+    assert not fits(10.0, 11.0, 12.5)
+    assert watch.nothing_missed(10.0, 12.0, first=False)
+    assert not watch.nothing_missed(10.0, 12.1, first=False)
+
+
+def test_past_the_end_of_a_finite_schedule_nothing_is_on_it():
+    watch, one = ScheduleWatch(Schedule([1.0, 2.0]), "s"), np.ones(1)
+    assert watch.sample_fits(np.array([1.0, 2.0]), one, first=False)
+    assert not watch.sample_fits(np.array([2.0, 3.0]), one, first=False)
+    assert not watch.nothing_missed(2.0, 2.5, first=False)
+    assert not ScheduleWatch(Schedule([]), "s").sample_fits(np.array([0.0, 1.0]), one, first=True)

@@ -27,6 +27,7 @@ GROUND = {
     "_record",
     "_files",
     "_units",
+    "_workers",
     "_modal",
     "_balls",
     "_ball_flow",

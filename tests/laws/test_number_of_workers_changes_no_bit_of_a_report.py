@@ -13,7 +13,7 @@ from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
 
 @contextmanager
-def dask_executor():
+def dask_client():
     """A local cluster with two workers, without dashboard and without time limits that a busy machine breaks."""
     import dask
     from distributed import Client, LocalCluster
@@ -21,7 +21,7 @@ def dask_executor():
     quiet = {"distributed.comm.timeouts.connect": "60s", "distributed.admin.system-monitor.gil.enabled": False}
     shape = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with dask.config.set(quiet), LocalCluster(**shape) as cluster, Client(cluster) as client:
-        yield client.get_executor()
+        yield client
 
 
 @contextmanager
@@ -67,5 +67,5 @@ def test_joblib_backends(alone):
 
 
 def test_a_dask_cluster(alone):
-    with dask_executor() as pool:
-        assert report(pool) == alone
+    with dask_client() as client:
+        assert report(client) == report(client.get_executor()) == alone

@@ -120,7 +120,7 @@ def test_a_foreign_file_is_refused_and_left_alone(tmp_path):
         ({"days": 0.01}, "`days` must be at least one step of 2 hours"),
         ({"days": -1.0}, "`days` must be positive"),
         ({"seed": -1}, "`seed` must be a whole number"),
-        ({"workers": 0}, "`workers` must be a whole number of at least 1"),
+        ({"workers": 0}, "`workers` must be a number of processes of at least 1"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, words):

@@ -86,8 +86,8 @@ def test_the_papers_own_cost_can_be_studied():
 def test_off_the_certificates_schedule_only_ellipsoids_are_judged():
     other = PeriodicSchedule([0.8, 1.35])
     report = validate(PLANTS["oscillator"], other, certificate("oscillator"), **SHORT)
-    assert report.passed, report.explain()
-    assert "off the certificate's schedule" in report.skipped[0]
+    assert {f.claim for f in report.findings if not f.passed} == {"a-priori bounds and inequality (16)"}
+    assert "off the certificate's schedule" in next(f.note for f in report.findings if not f.checked)
     assert not [f for f in report.findings if f.claim in ("a-priori bound", "inequality (16)")]
     assert report.bound is None
 
@@ -167,3 +167,46 @@ def test_bad_input_is_refused():
         validate(PLANTS["oscillator"], [1.0, 2.0], certificate("oscillator"), duration=3.0)
     assert isinstance(FINITE, Schedule)
     assert len(SCENARIOS) == 8
+
+
+def test_a_promise_that_could_not_be_checked_did_not_hold():
+    made = certificate("oscillator")
+    report = validate(made.plant, PeriodicSchedule([0.6, 1.7, 0.9]), made, scenarios=["random"], **SHORT)
+    assert not report.passed
+    (missing,) = [f for f in report.findings if not f.checked]
+    assert missing.to_dict() | {"note": ""} == {
+        "claim": "a-priori bounds and inequality (16)",
+        "scenario": "not checked",
+        "predicted": 1.0,
+        "observed": None,
+        "sense": "at most",
+        "source": "",
+        "strength": "sampled",
+        "note": "",
+        "checked": False,
+        "margin": None,
+        "passed": False,
+    }
+    assert "off the certificate's schedule" in missing.explain()
+    assert "NOT CHECKED" in report.to_markdown()
+    assert "1 of 2 promises held. The promise 'a-priori bounds" in report.explain()
+    assert "least margin" in str(report)
+
+
+@pytest.mark.parametrize(
+    ("workers", "words"),
+    [
+        (0, "`workers` must be a number of processes of at least 1"),
+        (-2, "`workers` must be a number of processes of at least 1"),
+        ("nosuch", "`workers` must name a joblib backend, one of .*, got 'nosuch'"),
+        (2.5, r"`workers` must be a concurrent\.futures\.Executor, a Dask client"),
+    ],
+)
+def test_workers_who_are_nobody_are_refused_before_any_work(workers, words):
+    with pytest.raises(ArgumentError, match=words):
+        judged("oscillator", workers=workers)
+
+
+def test_a_generator_is_a_generator():
+    with pytest.raises(ArgumentError, match=r"`rng` must be a numpy\.random\.Generator, got int"):
+        judged("oscillator", rng=-1)

@@ -14,6 +14,7 @@ from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
 from sampling_design.evidence import SolverRecord
@@ -90,8 +91,9 @@ def _improved(
     if constraints.x is not None:
         for at, step in zip(point.x, x, strict=True):
             program.keep_inside(constraints.x, at, step)
-    fit, own = np.linalg.cholesky(weights.R).T, np.linalg.cholesky(weights.v).T
     for j, step in v.items():
+        seen = window.masks[j] > 0
+        fit, own = marginal_root(weights.R, seen), marginal_root(weights.v, seen)
         mask, model, moved = window.masks[j], plant.C @ point.x[j] + window.feedthrough[j], plant.C @ x[j]
         residual = mask * (window.y[j] - model) - point.v[j]
         program.add_square(root[j] * (fit @ residual), root[j] * (fit @ (-cp.multiply(mask, moved) - step)))

@@ -30,9 +30,6 @@ class Constraints:
         self.w = convex_set("w_set", w, plant.n_disturbances)
         self.keeps_v = self.v is not None or self.y is not None
         self._omega_names = tuple(f"omega{i + 1}" for i in range(plant.n_states))
-        weights = self.weights
-        self._gain = np.linalg.solve(weights.R + weights.v, weights.R)
-        self._v_root = np.linalg.solve(np.linalg.cholesky(weights.R + weights.v), np.eye(plant.n_outputs)).T
         self.reach = None if self.w is None else DisturbanceReach(table, self.w)
 
     @property
@@ -47,7 +44,8 @@ class Constraints:
 
     def noise(self, window: Window, nodes: Array) -> Array:
         """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
-        return ((window.y - window.feedthrough - nodes @ self.plant.C.T) * window.masks) @ self._gain.T
+        residual = window.y - window.feedthrough - nodes @ self.plant.C.T
+        return np.asarray(np.matmul(self.weights.of(window.masks).gain, residual[:, :, None])[:, :, 0])
 
     def demands(self, window: Window, free: Solution) -> Demands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
@@ -71,8 +69,9 @@ class Constraints:
         plant, at, found = self.plant, window.samples, []
         times, names, seen = window.times[at], plant.outputs.names, window.masks[at] > 0
         v = self.noise(window, nodes)[at]
-        here = np.matmul(-self._gain, window.masks[at][:, :, None] * plant.C)
-        own = self._v_root / np.sqrt(window.discount[at])[:, None, None]
+        kinds = self.weights.of(window.masks[at])
+        here = -kinds.gain @ plant.C
+        own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]
         if self.v is not None:
             found.append(Signal("v_set", times, names, v, [self.v], at, here, own=own, seen=seen))
         if self.y is not None:

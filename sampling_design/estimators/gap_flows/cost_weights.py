@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,21 @@ from sampling_design.plants.plant import Plant, first_difference
 
 Array = npt.NDArray[np.float64]
 COSTS = ("certificate", "paper")
+
+
+class SampleWeights(NamedTuple):
+    """Weights of one sample, or of (N, ...) samples: those of its measured outputs, zero rows and columns elsewhere.
+
+    y : R and v together, with `y_root`' `y_root` = y; R, v : of the fit and of the noise; gain : the best v is gain
+    times the residual; v_root : v_root v_root' = (R + v)^-1, what the noise may do beside that.
+    """
+
+    y_root: Array
+    y: Array
+    R: Array
+    v: Array
+    gain: Array
+    v_root: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +84,37 @@ class Weights:
         return np.asarray(np.linalg.cholesky(self.y).T)
 
     @cached_property
-    def sizes(self) -> tuple[float, float]:
-        """Norms of the roots of `y` and of `prior`."""
-        return float(np.linalg.norm(self.y_root)), float(np.linalg.norm(self.prior_factor))
+    def _kinds(self) -> dict[bytes, tuple[SampleWeights, tuple[float, float]]]:
+        """What is known of each set of measured outputs."""
+        return {}
 
-    @cached_property
-    def peaks(self) -> tuple[float, float]:
-        """Largest eigenvalues of `v` and of `y`."""
+    def at(self, mask: Array) -> SampleWeights:
+        """Return the weights of a sample that measures the outputs where the (p,) `mask` is not 0.
+
+        What is not measured is free: the cost is least over it, so that covariances (not weights) lose its rows.
+        """
+        return self._kind(mask)[0]
+
+    def of(self, masks: Array) -> SampleWeights:
+        """Return the weights of N samples, stacked, for (N, p) `masks`."""
+        kinds = [self.at(mask) for mask in masks]
+        shape = (-1, self.y.shape[0], self.y.shape[0])
+        return SampleWeights(*(np.array(part).reshape(shape) for part in zip(*kinds, strict=True)))
+
+    def _kind(self, mask: Array) -> tuple[SampleWeights, tuple[float, float]]:
+        key = (mask > 0).tobytes()
+        found = self._kinds.get(key)
+        if found is None:
+            found = self._kinds[key] = self._made(mask > 0)
+        return found
+
+    def _made(self, seen: npt.NDArray[np.bool_]) -> tuple[SampleWeights, tuple[float, float]]:
+        root, R, v = marginal_root(self.y, seen), marginal(self.R, seen), marginal(self.v, seen)
+        both = np.linalg.cholesky(R + v + np.diag(np.where(seen, 0.0, 1.0)))
+        half = np.linalg.solve(both, np.diag(seen.astype(np.float64)))
+        found = SampleWeights(root, root.T @ root, R, v, half.T @ (half @ R), half.T)
         one = np.ones(())
-        return _energy(self.v, one), _energy(self.y, one)
+        return found, (_energy(v, one), _energy(found.y, one))
 
     def prior_energy(self, bound: Array | None) -> float:
         """Return the largest |e|^2_prior over the bound on e (infinity for None)."""
@@ -94,10 +131,29 @@ class Weights:
         """
         if bound is None:
             return np.where(masks.any(axis=1), np.inf, 0.0)
+        kinds = [self._kind(mask) for mask in masks]
         if bound.ndim == 0:
-            return np.where(masks.any(axis=1), self.peaks[0 if kept else 1] * float(bound) ** 2, 0.0)
-        weight, scaled = self.v if kept else self.y, masks * bound
-        return np.asarray(np.einsum("ki,ij,kj->k", scaled, np.abs(weight), scaled))
+            return np.array([peaks[0 if kept else 1] for _, peaks in kinds]) * float(bound) ** 2
+        return np.array([float(bound @ np.abs(found.v if kept else found.y) @ bound) for found, _ in kinds])
+
+
+def marginal_root(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
+    """Return U with |U r|^2 = min |z|^2_weight over all z that agree with r where `seen`; zero columns elsewhere.
+
+    The last block of the Cholesky factor of the weight with what is not seen put first.
+    """
+    hidden, shown = np.flatnonzero(~seen), np.flatnonzero(seen)
+    order = np.concatenate([hidden, shown])
+    factor = np.linalg.cholesky(weight[np.ix_(order, order)])
+    root = np.zeros_like(weight)
+    root[np.ix_(shown, shown)] = factor[hidden.size :, hidden.size :].T
+    return root
+
+
+def marginal(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
+    """Return the weight of the entries that are `seen`, the others being free: zero rows and columns for those."""
+    root = marginal_root(weight, seen)
+    return symmetrise(root.T @ root) if not seen.all() else weight
 
 
 def _energy(weight: Array, bound: Array | None) -> float:

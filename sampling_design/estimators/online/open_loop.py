@@ -40,7 +40,13 @@ class OpenLoopEstimator(OnlineEstimator):
     _watch: ScheduleWatch | None
 
     def _set_up(
-        self, plant: Plant, weights: Weights, schedule: Any, feedthrough: str, constant_w: bool = False
+        self,
+        plant: Plant,
+        weights: Weights,
+        schedule: Any,
+        feedthrough: str,
+        constant_w: bool = False,
+        timing_tolerance: float = 0.0,
     ) -> None:
         if plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
@@ -49,7 +55,10 @@ class OpenLoopEstimator(OnlineEstimator):
         self.plant, self.weights, self.feedthrough = plant, weights, feedthrough
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift(self.table)
-        self._watch = ScheduleWatch(schedule, plant.time_unit) if schedule is not None else None
+        self._watch = None
+        tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
+        if schedule is not None:
+            self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance)
 
     def _set_bounds(self, w_bound: Any, v_bound: Any, initial_error: Any, kept_v: bool) -> None:
         plant, weights = self.plant, self.weights
@@ -130,8 +139,9 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _rounded(self, y: Array, x: Array) -> float:
         """What the rounding of (N, p) measurements and of a state may cost."""
-        y_scale, x_scale = self.weights.sizes
-        return (EXACT_DATA * (y_scale * math.sqrt(np.vdot(y, y)) + x_scale * math.sqrt(np.vdot(x, x)))) ** 2
+        # entry by entry: a large value in one unit says nothing about the rounding of another
+        read, held = np.abs(self.weights.y_root) @ np.abs(y).T, np.abs(self.weights.prior_factor.T) @ np.abs(x).T
+        return (EXACT_DATA * (math.sqrt(np.vdot(read, read)) + math.sqrt(np.vdot(held, held)))) ** 2
 
     def _judged(self, terms: float, dual: float, sound: bool) -> tuple[float, Status, bool]:
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""

@@ -2,76 +2,130 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.schedules.jitter import Jitter
+from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
-TIME_TOLERANCE = 1e-9
-"""Times that differ by less than this share of the larger one (or of the period) are the same time stamp."""
+ROUNDINGS = 4.0
+"""Units in the last place of a time stamp within which it may have been rounded: stamp, period and their product."""
+
+SHARE_OF_GAP = 1e-6
+"""Share of the schedule's least gap that counts as no difference: sums of many gaps are rounded too."""
 
 
 class ScheduleWatch:
-    """Answers for a finite or periodic schedule, or a family of schedules, in the plant's time unit."""
+    """Answers for a finite or periodic schedule, or a family of schedules, in the plant's time unit.
 
-    def __init__(self, schedule: Any, time_unit: str):
+    A sample is on schedule within `tolerance` of its planned time (of a `Jitter`: beyond its radius), and within what
+    rounding can do to the times given: differences count, whatever the clock's zero is.
+    """
+
+    def __init__(self, schedule: Any, time_unit: str, tolerance: float = 0.0):
         unit = getattr(schedule, "time_unit", None)
         if unit not in (None, time_unit) and hasattr(schedule, "in_unit"):
             schedule = schedule.in_unit(time_unit)
-        self.schedule = schedule
+        self.family, self.tolerance, self.losses = schedule, tolerance, (0, 1)
+        self.nominal: Schedule | PeriodicSchedule | None = None
+        if isinstance(schedule, (Schedule, PeriodicSchedule)):
+            self.nominal = schedule
+        elif isinstance(schedule, Jitter):
+            self.nominal, self.tolerance = schedule.schedule, tolerance + schedule.radius
+        elif isinstance(schedule, LostSamples):
+            self.nominal, self.losses = schedule.schedule, (schedule.most, schedule.of)
+        gap = getattr(schedule, "min_gap", 0.0)
+        if self.nominal is not None:
+            gaps = self.nominal.gaps
+            gap = float(gaps.min()) if gaps.size else 0.0
+        self._grain = SHARE_OF_GAP * float(gap)
 
     def sample_fits(self, times: Array, mask: Array, first: bool) -> bool:
         """Whether the last of `times` (those kept so far) is as planned; `first` if only the prior lies before it.
 
         `mask` says which outputs it measured; more than planned is as good.
         """
-        before, t = float(times[-2]), float(times[-1])
-        if not isinstance(self.schedule, (Schedule, PeriodicSchedule)):
+        if self.nominal is None:
             return self._family_fits(times, first)
-        due = self._next(before, first)
-        if due is None or abs(due[0] - t) > self._slack(t):
+        before, t = float(times[-2]), float(times[-1])
+        k = self._nearest(t)
+        if k is None or abs(self._planned(k) - t) > self._room(t):
             return False
-        wanted = self.schedule.outputs
-        return wanted is None or bool(np.all(mask[wanted[due[1]]] > 0))
+        wanted = self.nominal.outputs
+        if wanted is not None and not bool(np.all(mask[wanted[k % len(self.nominal)]] > 0)):
+            return False
+        missed = k - self._due(before, first)
+        return missed == 0 or (0 < missed <= self.losses[0] and self._few_lost(times, k, first))
 
     def nothing_missed(self, before: float, t: float, first: bool) -> bool:
         """Whether no sample was due after the one at `before` and ahead of t."""
-        if not isinstance(self.schedule, (Schedule, PeriodicSchedule)):
-            return t - before <= float(getattr(self.schedule, "d_max", np.inf)) + self._slack(t)
-        due = self._next(before, first)
-        return due is not None and due[0] >= t - self._slack(t)
+        if self.nominal is None:
+            longest = float(getattr(self.family, "d_max", np.inf))
+            return t - before <= longest + self._room(t)
+        last = self._due(before, first) + self.losses[0]
+        if isinstance(self.nominal, Schedule) and last >= len(self.nominal):
+            return False
+        return self._planned(last) >= t - self._room(t)
 
-    def _slack(self, t: float) -> float:
-        period = self.schedule.period if isinstance(self.schedule, PeriodicSchedule) else 0.0
-        return TIME_TOLERANCE * max(abs(t), period)
+    def _room(self, t: float) -> float:
+        """How far from its planned time a sample at t may lie."""
+        return self.tolerance + self._grain + ROUNDINGS * float(np.spacing(abs(t)))
 
-    def _next(self, before: float, first: bool) -> tuple[float, int] | None:
-        """Time and row of the sample due after `before` (at or after it where `first`); None past the end."""
-        slack = self._slack(before)
-        limit = before - slack if first else before + slack
-        # at time 0 the slack is 0, and yet a sample at `before` must not be due again
-        side: Literal["left", "right"] = "left" if first else "right"
-        lap = self.schedule.times
-        if isinstance(self.schedule, Schedule):
-            k = int(np.searchsorted(lap, limit, side))
-            return (float(lap[k]), k) if k < lap.size else None
-        period = self.schedule.period
-        laps = max(0.0, np.floor((limit - lap[0]) / period))
-        k = int(np.searchsorted(lap + laps * period, limit, side))
-        return (float(lap[k] + laps * period), k) if k < lap.size else (float(lap[0] + (laps + 1) * period), 0)
+    def _planned(self, k: int) -> float:
+        """Planned time of sample k, counted from 0."""
+        assert self.nominal is not None
+        laps, place = divmod(k, len(self.nominal))
+        period = self.nominal.period if isinstance(self.nominal, PeriodicSchedule) else 0.0
+        return float(self.nominal.times[place]) + laps * period
+
+    def _first_from(self, t: float) -> int:
+        """Number of the first sample planned at t or later."""
+        assert self.nominal is not None
+        lap, laps = self.nominal.times, 0
+        if isinstance(self.nominal, PeriodicSchedule):
+            period = self.nominal.period
+            laps = max(0, int(np.floor((t - float(lap[0])) / period)))
+            t = t - laps * period
+        return laps * len(self.nominal) + int(np.searchsorted(lap, t))
+
+    def _nearest(self, t: float) -> int | None:
+        """Number of the sample planned nearest to t; None if there is none."""
+        assert self.nominal is not None
+        after = self._first_from(t)
+        if isinstance(self.nominal, Schedule) and after >= len(self.nominal):
+            return len(self.nominal) - 1 if len(self.nominal) else None
+        near = [k for k in (after - 1, after) if k >= 0]
+        return min(near, key=lambda k: abs(self._planned(k) - t))
+
+    def _due(self, before: float, first: bool) -> int:
+        """Number of the sample due after the one taken at `before` (at or after a prior there)."""
+        if first:
+            return self._first_from(before - self._room(before) + self.tolerance)
+        near = self._nearest(before)
+        return 0 if near is None else near + 1
+
+    def _few_lost(self, times: Array, k: int, first: bool) -> bool:
+        """Whether few enough of the samples planned up to number k were lost, among those still remembered."""
+        most, of = self.losses
+        taken = {self._nearest(float(t)) for t in times[1 if first else 0 :]}
+        start = self._due(float(times[0]), True)
+        lost = np.array([j not in taken for j in range(max(start, k - 2 * of), k + 1)], dtype=int)
+        total = np.concatenate([[0], np.cumsum(lost)])
+        return bool(np.all(total[of:] - total[:-of] <= most)) if lost.size >= of else bool(total[-1] <= most)
 
     def _family_fits(self, times: Array, first: bool) -> bool:
-        family = self.schedule
-        gap, slack = float(times[-1] - times[-2]), self._slack(float(times[-1]))
-        if gap > float(getattr(family, "d_max", np.inf)) + slack:
+        family = self.family
+        gap, room = float(times[-1] - times[-2]), self._room(float(times[-1]))
+        if gap > float(getattr(family, "d_max", np.inf)) + room:
             return False
         if first:
             return True
-        if gap < float(getattr(family, "min_gap", 0.0)) - slack:
+        if gap < float(getattr(family, "min_gap", 0.0)) - room:
             return False
         samples = times[1:] - times[0]
-        return samples.size < 2 or bool(family.contains(Schedule(samples)))
+        return self.tolerance > 0 or samples.size < 2 or bool(family.contains(Schedule(samples)))

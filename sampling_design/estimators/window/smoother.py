@@ -58,9 +58,8 @@ def information_band(window: Window) -> tuple[Array, Array] | None:
         np.multiply(CY @ C, discount[:, None, None], out=diagonal)
         rhs = weighted @ CY.T
     else:
-        seen = window.masks[:, :, None] * C
-        through = np.swapaxes(seen, 1, 2) @ weights.y
-        np.multiply(through @ seen, discount[:, None, None], out=diagonal)
+        through = C.T @ weights.of(window.masks).y
+        np.multiply(through @ C, discount[:, None, None], out=diagonal)
         rhs = np.matmul(through, weighted[:, :, None])[:, :, 0]
     if count > 1:
         diagonal[1:] += info[:, 0]
@@ -153,7 +152,7 @@ class _BandSpread:
 def _cost(window: Window, deviation: Array) -> float:
     """Cost at the reference plus `deviation`; only where every W is invertible."""
     square = window.prior_half @ deviation[0]
-    fit = (window.residual - (deviation @ window.weights.plant.C.T) * window.masks) @ window.weights.y_root.T
+    fit = window.weighted(window.residual - deviation @ window.weights.plant.C.T)
     total = float(square @ square) + float(np.einsum("k,ki,ki->", window.discount, fit, fit))
     info = window.information
     if info is not None and window.flows:

@@ -56,8 +56,8 @@ def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> t
     """Return root and mean after the sample at node j, and what the innovation costs."""
     weights = window.weights
     n, p = root.shape[0], window.masks.shape[1]
-    H = weights.y_root @ (weights.plant.C * window.masks[j][:, None]) * scale
-    innovation = weights.y_root @ (window.residual[j] - window.masks[j] * (weights.plant.C @ mean)) * scale
+    seen = weights.at(window.masks[j]).y_root * scale
+    H, innovation = seen @ weights.plant.C, seen @ (window.residual[j] - weights.plant.C @ mean)
     stacked = np.zeros((p + n, p + n))
     stacked[:p, :p] = np.eye(p)
     stacked[p:, :p], stacked[p:, p:] = (H @ root).T, root.T
@@ -68,7 +68,7 @@ def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> t
 
 def _cost_of_reference(window: Window) -> float:
     """What the outputs cost along the reference: the size of the numbers that the optimum is a difference of."""
-    fit = window.residual @ window.weights.y_root.T
+    fit = window.weighted(window.residual)
     return float(np.einsum("k,ki,ki->", window.discount, fit, fit))
 
 

@@ -86,6 +86,12 @@ class Window:
         """Whether every node measures every output."""
         return bool(self.masks.all())
 
+    def weighted(self, residual: Array) -> Array:
+        """Return the roots of the samples' weights times (N+1, p) residuals, what is not measured left out."""
+        if self.fully_measured:
+            return residual @ self.weights.y_root.T
+        return np.matmul(self.weights.of(self.masks).y_root, residual[:, :, None])[:, :, 0]
+
     @property
     def samples(self) -> npt.NDArray[np.intp]:
         """Indices of the nodes at which something is measured."""

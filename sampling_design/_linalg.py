@@ -169,3 +169,8 @@ def generalised_max(P: Array, Q: Array) -> float:
 def symmetrise(matrix: Array) -> Array:
     """Return (M + M')/2 for a stack of matrices."""
     return (matrix + np.swapaxes(matrix, -1, -2)) / 2
+
+
+def positive_or_one(values: Array) -> Array:
+    """Return the values, 1 in place of those that are not positive: what a row is divided by."""
+    return np.where(values > 0, values, 1.0)

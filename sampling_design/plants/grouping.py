@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import lapack, matrix_balance, rsf2csf, schur
+from scipy.linalg import lapack, rsf2csf, schur
+
+from sampling_design._balance import balance, balanced
+from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -18,10 +21,16 @@ LINK = 8.0  # two groups are joined within this many times the spread of the wid
 SPREAD = 4.0  # factor on the spread that a backward error can cause: constants of the perturbation bounds
 DOUBT = 100.0  # a grouping counts as sure if it stays the same with this many times the rounding
 
+SMALLEST_RATE, LARGEST_RATE = 1e-120, 1e120  # of a balanced A: squares and their sums stay numbers
+
 
 @dataclass(frozen=True, eq=False)
 class SchurForm:
-    """A = diag(d) Q T Q' diag(d)^-1 with d powers of two, T real quasi-triangular, and T's complex twin."""
+    """A = diag(d) Q T Q' diag(d)^-1 with d powers of two, T real quasi-triangular, and T's complex twin.
+
+    `norm` is the Frobenius norm of T, `speed` that without what couples sets of states that drive each other: such
+    couplings have no size of their own, since units of the states give them any.
+    """
 
     d: Array
     Q: Array
@@ -29,21 +38,36 @@ class SchurForm:
     complex_T: Complex
     complex_Q: Complex
     eigenvalues: Complex  # exact conjugate pairs, in the order of the diagonal of T
-    norm: float  # Frobenius norm of the balanced matrix
+    norm: float
+    speed: float
 
 
 def balanced_schur(A: Array) -> SchurForm:
-    """Return the real Schur form of the balanced A (scaling only, by powers of two, so without rounding)."""
-    balanced, (d, _) = matrix_balance(A, permute=False, separate=True)
-    T, Q = schur(balanced, output="real")
+    """Return the real Schur form of the balanced A (scaling only, by powers of two, so without rounding).
+
+    Raises
+    ------
+    ArgumentError
+        If rates of A are so large or small that their products are no numbers any more.
+    """
+    d, order, speed = balance(A)
+    moderate = balanced(A, d)[np.ix_(order, order)]
+    largest = float(np.max(np.abs(moderate), initial=0.0))
+    if largest and not SMALLEST_RATE < largest < LARGEST_RATE:
+        raise ArgumentError(
+            f"`A` must have rates between {SMALLEST_RATE:g} and {LARGEST_RATE:g} per unit of time, got {largest:.3g} "
+            "after balancing. Give the plant in another unit of time."
+        )
+    T, Q = schur(moderate, output="real")
     complex_T, complex_Q = rsf2csf(T, Q)
     values = np.array(np.diag(T), dtype=complex)
     for i in np.flatnonzero(np.diag(T, -1)):
         a, b, c, e = T[i, i], T[i, i + 1], T[i + 1, i], T[i + 1, i + 1]
         pair = np.sqrt(complex(((a - e) / 2) ** 2 + b * c))
         values[i], values[i + 1] = (a + e) / 2 + pair, (a + e) / 2 - pair
-    scale = np.asarray(d, dtype=np.float64)
-    return SchurForm(scale, Q, T, complex_T, complex_Q, values, float(np.linalg.norm(balanced)))
+    back = np.argsort(order)
+    norm = float(np.linalg.norm(moderate))
+    return SchurForm(d, Q[back], T, complex_T, complex_Q[back], values, norm, speed)
 
 
 def _projector_norm(form: SchurForm, group: Sequence[int]) -> tuple[float, Complex]:
@@ -53,6 +77,18 @@ def _projector_norm(form: SchurForm, group: Sequence[int]) -> tuple[float, Compl
     select[list(group)] = 1
     result = lapack.ztrsen(select, form.complex_T, form.complex_Q, job="E", wantq=0, lwork=max(1, n * n))
     return (1.0 / result[4] if result[4] > 0 else np.inf), result[0][:m, :m]
+
+
+def invariant_subspace(form: SchurForm, group: Sequence[int]) -> tuple[Complex, Complex]:
+    """Return X (n, m), orthonormal in balanced coordinates, and the triangular T (m, m) with B X = X T.
+
+    B is the balanced A, and the eigenvalues of T are those at the positions `group` of the diagonal.
+    """
+    n, m = form.eigenvalues.size, len(group)
+    select = np.zeros(n, dtype=np.int32)
+    select[list(group)] = 1
+    T, X = lapack.ztrsen(select, form.complex_T, form.complex_Q, job="N", wantq=1, lwork=max(1, n * n))[:2]
+    return X[:, :m], T[:m, :m]
 
 
 def group_eigenvalues(form: SchurForm, error: float, cap: float) -> list[list[int]]:

@@ -204,7 +204,7 @@ def split_modes(
     if n == 0:
         return _split(plant, _Verdict(decay_rate, 0.0, (), (), np.zeros(0, dtype=complex)), _undivided(0, True))
     form = balanced_schur(plant.A)
-    strip = OFFSET * form.norm if offset is None else _checks.nonnegative("offset", offset)
+    strip = OFFSET * form.speed if offset is None else _checks.nonnegative("offset", offset)
     clusters, positions = clusters_of(form, error, cluster_cap)
     line = 0.0 - decay_rate / 2
     select = np.zeros(n, dtype=np.int32)

@@ -22,6 +22,7 @@ GROUND = {
     "errors",
     "evidence",
     "_checks",
+    "_balance",
     "_linalg",
     "_conic",
     "_record",

@@ -9,18 +9,26 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._balance import balanced
+from sampling_design._linalg import positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.errors import NotObservableError
-from sampling_design.plants.clusters import EigenvalueCluster, balanced_schur, eigenvalue_clusters, format_eigenvalue
+from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, format_eigenvalue
+from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
+EPS = float(np.finfo(float).eps)
 RANK_TOLERANCE = 1e-10
-"""A singular value of the scaled pencil below this counts as zero: above the error of a computed eigenvalue
-(its condition number times eps, 1e-12 for a condition of 1e4), far below the coupling of any plant that its
-outputs see in practice."""
+"""A mode counts as unseen if entries of A and C that are wrong by this part of themselves could hide it: well above
+what rounding does to the entries of a plant in awkward coordinates, far below what is known of any plant."""
+ROUNDS = 4  # of rescaling by the direction found, until the scales are its own
+CUTS = (0.0, 1e-15, 1e-13, 1e-11)  # entries of a direction below these, in its own scales, may be rounding
+
+BARRED = 1e3  # weight of a direction that is already found: beyond all that the pencil weighs
+APART = 0.3  # sine of the angle from which a direction is another one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,8 +42,8 @@ class UnseenModes(Record):
     directions : (n, m) complex array
         Those eigenvectors in the plant's own coordinates, of norm 1: A d = lambda d, C d = 0.
     margin : float
-        Least singular value of the scaled pencil [(A - lambda I)/|A|; C/|C|] over the eigenvalues that were
-        judged *seen*; infinite if there is none. Near the tolerance the verdict is in doubt.
+        Least relative change of the entries of A and C, as found, that would hide a mode that was judged *seen*;
+        infinite if there is none. At most 1. Near the tolerance the verdict is in doubt.
     tolerance : float
         Below which it counts as zero.
     names : tuple of str
@@ -70,7 +78,10 @@ class UnseenModes(Record):
     def explain(self) -> str:
         """Say which modes are unseen."""
         if not len(self):
-            return f"Every mode is seen by some output (least scaled singular value {short(self.margin, 3)})."
+            least = short(self.margin, 3)
+            return (
+                f"Every mode is seen by some output (entries of A and C off by {least} of themselves could hide one)."
+            )
         return f"No output sees {self.describe()}."
 
 
@@ -100,10 +111,13 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
 
     Notes
     -----
-    *Method.* A is balanced by a diagonal similarity, the columns of C go with it, then A is divided by its
-    norm and each row of C by its own. A mode is unseen if [A - lambda I; C], lambda the mean of a group of
-    eigenvalues that rounding cannot tell apart, has a singular value below `rtol`. *Numerical aspects.*
-    The mean of a group is known far better than its members, which a defective eigenvalue scatters by eps^{1/m}.
+    *Method.* A mode (lambda, d) is unseen if |A d - lambda d| <= `rtol` (|A| + |lambda|) |d| and
+    |C d| <= `rtol` |C| |d|, entry by entry: then it is an exactly unseen mode of matrices whose entries differ by no
+    more than that part of themselves (Oettli and Prager). Units of states, outputs and time change neither side.
+    Candidates d are the least seen directions of the invariant subspace of each group of eigenvalues that rounding
+    cannot tell apart, lambda its mean, refined by singular vectors of the pencil [A - lambda I; C] in the scales of
+    d itself. *Numerical aspects.* The mean of a group is known far better than its members, which a defective
+    eigenvalue scatters by eps^{1/m}. `margin` is what this search finds, within a factor of ten.
 
     References
     ----------
@@ -117,24 +131,96 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
     """
     offset = None if rate is None else _checks.nonnegative("rate", rate) / 2
     tolerance = _checks.positive("rtol", rtol)
-    A, C, d = _scaled_pair(plant.A, plant.C)
-    n, norm = plant.n_states, float(np.linalg.norm(A))
+    n = plant.n_states
     values: list[complex] = []
     vectors: list[Complex] = []
     margin = np.inf
-    for cluster in eigenvalue_clusters(plant.A):
-        if offset is not None and cluster.value.real < -offset - 1e-8 * norm:
+    form, grouped = _grouped(plant.A)
+    pair = _Pair(plant, form)
+    known: dict[complex, tuple[list[Complex], float]] = {}
+    for cluster, group in grouped:
+        if offset is not None and cluster.value.real < -offset - 1e-8 * form.speed:
             continue
-        pencil = np.vstack([(A - cluster.value * np.eye(n)) / (norm or 1.0), C])
-        _, sizes, right = np.linalg.svd(pencil)
-        null = sizes < tolerance
-        if not null.any():
-            margin = min(margin, float(sizes[-1]))
-        found = right.conj().T[:, null] * d[:, None]
-        vectors.extend((v / np.linalg.norm(v)).astype(complex) for v in found.T)
-        values.extend([cluster.value] * int(null.sum()))
-    directions = np.column_stack(vectors) if vectors else np.zeros((n, 0), dtype=complex)
-    return UnseenModes(np.array(values, dtype=complex), directions, margin, tolerance, plant.states.names)
+        mirror = known.get(cluster.value.conjugate()) if cluster.value.imag < 0 else None
+        if mirror is None:
+            directions, seen = known[cluster.value] = pair.unseen(cluster, group, tolerance)
+        else:
+            directions, seen = [d.conj() for d in mirror[0]], mirror[1]
+        if not directions:
+            margin = min(margin, seen)
+        vectors.extend(directions)
+        values.extend([cluster.value] * len(directions))
+    found = np.column_stack(vectors) if vectors else np.zeros((n, 0), dtype=complex)
+    return UnseenModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
+
+
+def _grouped(A: Array) -> tuple[SchurForm, list[tuple[EigenvalueCluster, list[int]]]]:
+    """The Schur form, and its clusters of eigenvalues with their places on the diagonal."""
+    form = balanced_schur(A)
+    if not A.shape[0]:
+        return form, []
+    clusters, places = clusters_of(form, A.shape[0] * EPS, CLUSTER_CAP)
+    return form, list(zip(clusters, places, strict=True))
+
+
+class _Pair:
+    """A and C in balanced coordinates x = diag(d) z."""
+
+    def __init__(self, plant: Plant, form: SchurForm) -> None:
+        self.form, self.d = form, form.d
+        self.A, self.C = balanced(plant.A, form.d), plant.C * form.d
+        self.size = np.vstack([np.abs(self.A), np.abs(self.C)])
+
+    def unseen(self, cluster: EigenvalueCluster, group: list[int], tolerance: float) -> tuple[list[Complex], float]:
+        """Independent unseen directions of one group of eigenvalues, and the error of the first that is seen."""
+        X, T = invariant_subspace(self.form, group)
+        inner = T - cluster.value * np.eye(len(group))
+        noise = SPREAD * len(self.A) * EPS * self.form.norm * cluster.projector_norm
+        size = float(np.linalg.norm(inner))
+        reach = np.linalg.norm(X, axis=1)
+        shown = np.abs(self.C) @ reach
+        small = np.vstack([inner / size if size > noise else 0 * inner, self.C @ X / positive_or_one(shown)[:, None]])
+        found: list[Complex] = []
+        while len(found) < len(group):
+            taken = np.array([X.conj().T @ z for z in found]).reshape(-1, len(group))
+            right = np.linalg.svd(np.vstack([small, BARRED * taken.conj()]))[2]
+            z, error = self._refined(cluster.value, X @ right[-1].conj(), reach, found)
+            if error > tolerance:
+                break
+            found.append(z / np.linalg.norm(z))
+        physical = [self.d * z for z in found]
+        return [x / np.linalg.norm(x) for x in physical], error
+
+    def _refined(self, value: complex, z: Complex, reach: Array, found: list[Complex]) -> tuple[Complex, float]:
+        """The direction near z with the least error: singular vectors of the pencil in the scales of z, in rounds."""
+        pencil = np.vstack([self.A - value * np.eye(len(self.A)), self.C])
+        best, least = z, self.error(value, z) if _apart(z, found, reach) else np.inf
+        scale = reach
+        for _ in range(ROUNDS):
+            w = np.maximum(scale, EPS * np.max(scale))
+            rows = positive_or_one(self._entries(value, w))
+            scaled = pencil * w / rows[:, None]
+            kept = np.array([z.conj() / w for z in found]).reshape(-1, w.size)
+            kept /= positive_or_one(np.linalg.norm(kept, axis=1))[:, None]
+            u = np.linalg.svd(np.vstack([scaled, BARRED * kept]))[2][-1].conj()
+            for cut in CUTS:
+                candidate = w * np.where(np.abs(u) > cut * np.max(np.abs(u)), u, 0)
+                error = self.error(value, candidate)
+                if error < least and _apart(candidate, found, reach):
+                    best, least = candidate, error
+            scale = np.abs(w * u)
+        return best, least
+
+    def _entries(self, value: complex, size: Array) -> Array:
+        """(|A| + |value|) size and |C| size."""
+        total = self.size @ size
+        total[: size.size] += abs(value) * size
+        return np.asarray(total)
+
+    def error(self, value: complex, z: Complex) -> float:
+        """Least relative change of the entries of A and C that makes (value, z) an exactly unseen mode."""
+        left = np.abs(np.concatenate([self.A @ z - value * z, self.C @ z]))
+        return float(np.max(left / positive_or_one(self._entries(value, np.abs(z)))))
 
 
 def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
@@ -172,32 +258,36 @@ def observable_rank(plant: Plant, outputs: list[int], *, rtol: float = RANK_TOLE
 
     Notes
     -----
-    *Method.* An orthonormal basis of the row space grows by A' in balanced coordinates; powers of A are
-    never formed. *Numerical aspects.* Directions below `rtol` |A| are dropped.
+    *Method.* The sum over groups of eigenvalues of the rank of [C X; C X N; C X N^2; ...], X a basis of the group's
+    invariant subspace and N what A does there beside its mean. *Numerical aspects.* A row counts relative to what
+    |C||X| could show, so that neither fast modes nor units of the outputs decide; singular values below `rtol` are
+    zero.
     """
-    A, C, _ = _scaled_pair(plant.A, plant.C[outputs])
-    n = plant.n_states
-    norm = float(np.linalg.norm(A)) or 1.0
-    basis = np.zeros((n, 0))
-    fresh = C.T
-    while fresh.shape[1]:
-        for _ in range(2):  # the second pass removes what rounding left of the first
-            fresh = fresh - basis @ (basis.T @ fresh)
-        left, sizes, _ = np.linalg.svd(fresh, full_matrices=False)
-        left = left[:, sizes > rtol]
-        basis = np.hstack([basis, left])
-        fresh = A.T @ left / norm
-    return basis.shape[1]
+    form, grouped = _grouped(plant.A)
+    C = plant.C[outputs] * form.d
+    rank = 0
+    for cluster, group in grouped:
+        X, T = invariant_subspace(form, group)
+        inner = T - cluster.value * np.eye(len(group))
+        noise = SPREAD * len(plant.A) * EPS * form.norm * cluster.projector_norm
+        size = float(np.linalg.norm(inner))
+        N = inner / size if size > noise else 0 * inner
+        rows = C @ X / positive_or_one(np.abs(C) @ np.linalg.norm(X, axis=1))[:, None]
+        stack = [rows]
+        for _ in range(1, len(group)):
+            stack.append(stack[-1] @ N)
+        rank += int(np.sum(np.linalg.svd(np.vstack(stack), compute_uv=False) > rtol))
+    return rank
 
 
-def _scaled_pair(A: Array, C: Array) -> tuple[Array, Array, Array]:
-    """Balanced A, C with rows of norm 1 (zero rows stay), and d with x = diag(d) x_balanced."""
-    if not A.shape[0]:
-        return A, C, np.ones(0)
-    d = balanced_schur(A).d
-    scaled = C * d
-    size = np.linalg.norm(scaled, axis=1, keepdims=True)
-    return A * d / d[:, None], scaled / np.where(size > 0, size, 1.0), d
+def _apart(z: Complex, found: list[Complex], scale: Array) -> bool:
+    """Whether z is more than a combination of those found, in the given scales."""
+    if not found:
+        return True
+    w = np.maximum(scale, np.sqrt(EPS) * np.max(scale))
+    basis = np.linalg.qr(np.column_stack([f / w for f in found]))[0]
+    u = z / w
+    return bool(np.linalg.norm(u - basis @ (basis.conj().T @ u)) > APART * np.linalg.norm(u))
 
 
 def _direction(vector: Complex, names: tuple[str, ...]) -> str:

@@ -1,0 +1,95 @@
+"""Scales and an order of the states that suit a matrix whatever its units: what every decision is made in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Order = npt.NDArray[np.intp]
+
+ROUNDS = 40  # of reweighted least squares: enough for the median of what the couplings ask of the scales
+FARTHEST = 1000.0  # |log2| of a scale: beyond, numbers end
+
+
+class Balance(NamedTuple):
+    """Scales d, an order of the states, and the norm of diag(d)^-1 A diag(d) without what couples components."""
+
+    d: Array
+    order: Order
+    speed: float
+
+
+def balance(A: Array) -> Balance:
+    """Return scales d (powers of two) and an order of the states, with B = diag(d)^-1 A diag(d) of moderate entries.
+
+    In that order B is block upper triangular, one block for each set of states that drive each other.
+
+    Notes
+    -----
+    *Method.* States that drive each other (a strong component of the graph of A) are balanced by themselves: the
+    scales of least norm are unique there. Between components a coupling can be scaled to any size, and plain
+    balancing runs away with it; here the couplings are brought as near as they can be (their logarithms in the
+    median) to the largest norm of a component, to 1 where all of these vanish. So d follows a change of units, up to
+    the factor of two that powers of two leave.
+    """
+    from scipy.linalg import matrix_balance
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = A.shape[0]
+    d = np.ones(n)
+    if not A.any():
+        return Balance(d, np.arange(n), 0.0)
+    top = int(np.floor(np.log2(np.max(np.abs(A)))))
+    moderate = np.ldexp(A, -top)  # neither 1e200 nor 1e-200 squared is a number
+    count, part = connected_components(csr_array(A != 0), directed=True, connection="strong")
+    speed = np.zeros(count)
+    for k in range(count):
+        block = np.flatnonzero(part == k)
+        inner = moderate[np.ix_(block, block)]
+        if block.size > 1:
+            inner, (d[block], _) = matrix_balance(inner, permute=False, separate=True)
+        speed[k] = np.linalg.norm(inner)
+    fastest = float(np.ldexp(np.linalg.norm(speed), top)) if top < 1000 else np.inf
+    if count == 1:
+        return Balance(d, np.arange(n), fastest)
+    with np.errstate(divide="ignore"):
+        entries = np.log2(np.abs(A)) - np.log2(d)[:, None] + np.log2(d)
+        goal = np.log2(speed.max()) + top if speed.max() > 0 else 0.0
+    size = np.full((count, count), -np.inf)
+    np.maximum.at(size, (part[:, None], part), entries)
+    np.fill_diagonal(size, -np.inf)
+    d *= np.exp2(np.rint(_between(size - goal))[part])
+    return Balance(d, np.argsort(_depth(np.isfinite(size))[part] * count + part, kind="stable"), fastest)
+
+
+def balanced(A: Array, d: Array) -> Array:
+    """Return diag(d)^-1 A diag(d) for powers of two d: without rounding, and 0 stays 0 however far d reaches."""
+    power = np.log2(d).astype(int)
+    return np.ldexp(A, np.where(A != 0, power - power[:, None], 0))
+
+
+def _between(size: Array) -> Array:
+    """Logarithms of the scales of components: sum of |size[i, j] + s[j] - s[i]| about least over the couplings."""
+    to, by = np.nonzero(np.isfinite(size))
+    demand = size[to, by]
+    rows = np.zeros((to.size, len(size)))
+    rows[np.arange(to.size), to] += 1.0
+    rows[np.arange(to.size), by] -= 1.0
+    weight: Array = np.ones(to.size)
+    s: Array = np.zeros(len(size))
+    for _ in range(ROUNDS if to.size else 0):
+        s = np.asarray(np.linalg.lstsq(rows * weight[:, None], demand * weight, rcond=None)[0], dtype=np.float64)
+        weight = 1 / np.sqrt(np.maximum(np.abs(rows @ s - demand), 1e-3))
+    return np.clip(s, -FARTHEST, FARTHEST)
+
+
+def _depth(driven: npt.NDArray[np.bool_]) -> Order:
+    """How many couplings lead from a component to the last one that it drives: drivers come after the driven."""
+    depth = np.zeros(len(driven), dtype=np.intp)
+    for _ in range(len(driven)):
+        depth = np.max(np.where(driven, 1 + depth[:, None], depth[None, :]), axis=0, initial=0)
+    return depth

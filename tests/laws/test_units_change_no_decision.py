@@ -1,0 +1,50 @@
+"""Units of states, outputs, inputs, disturbances and time change no decision about modes, counts and schedules."""
+
+import numpy as np
+import pytest
+
+from sampling_design import split_modes, unseen_modes, zero_count_bound
+from sampling_design.errors import NotObservableError
+from tests.oracles.existence import drawn, unseen_count
+from tests.rescale import Units
+
+RATES = (0.0, 0.4, 3.0)
+
+
+def counted(plant, duration):
+    """The counts, or the unseen eigenvalues by which they are refused."""
+    try:
+        found = zero_count_bound(plant, duration)
+    except NotObservableError as refusal:
+        return len(refusal.eigenvalues), None
+    return (found.samples_needed, found.samples_least, found.samples, found.order), found
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_units_change_no_decision_about_modes_and_counts(seed):
+    rng = np.random.default_rng(seed)
+    known = drawn(rng)
+    plant, units = known.plant, Units.drawn(rng, known.plant)
+    other = units.plant(plant)
+    here, there = unseen_modes(plant), unseen_modes(other)
+    assert len(here) == len(there) == unseen_count(known)
+    np.testing.assert_allclose(
+        np.sort_complex(there.eigenvalues * units.time), np.sort_complex(here.eigenvalues), rtol=1e-6, atol=1e-6
+    )
+    for rate in RATES:
+        one, two = split_modes(plant, rate), split_modes(other, rate / units.time)
+        assert two.retained.n_states == one.retained.n_states
+        assert two.near_line.size == one.near_line.size
+        assert [(c.multiplicity, c.index, c.sure) for c in two.clusters] == [
+            (c.multiplicity, c.index, c.sure) for c in one.clusters
+        ]
+        assert len(unseen_modes(plant, rate)) == len(unseen_modes(other, rate / units.time))
+    if plant.n_states > 5:  # the critical length of a large plant takes seconds
+        return
+    (decided, one), (again, two) = counted(plant, 2.0), counted(other, 2.0 * units.time)
+    assert again == decided
+    if one is not None:
+        assert two.value == pytest.approx(one.value, rel=1e-6)
+        assert two.frequency_spread * units.time == pytest.approx(one.frequency_spread, rel=1e-6, abs=1e-9)
+        if one.critical_length is not None:
+            assert two.critical_length / units.time == pytest.approx(one.critical_length, rel=1e-6)

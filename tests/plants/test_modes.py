@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from sampling_design import ArgumentError, Plant, Signals, library, split_modes
+from sampling_design import ArgumentError, Plant, Signals, library, split_modes, unseen_modes
 from sampling_design.errors import MathematicsError
 from sampling_design.plants import modes
 
@@ -170,3 +170,21 @@ def test_a_failed_reordering_is_an_error_and_no_fallback(monkeypatch):
     monkeypatch.setattr(modes, "lapack", Refusing)
     with pytest.raises(MathematicsError, match="too close to be separated"):
         split_modes(hidden(np.diag([1.0, -1.0])))
+
+
+@pytest.mark.parametrize("size", [1e200, 1e308, 1e-200, 1e-310])
+def test_rates_beyond_all_measure_are_refused_in_one_sentence(size):
+    with pytest.raises(ArgumentError, match=r"must have rates between 1e-120 and 1e\+120 per unit of time, got"):
+        split_modes(Plant(size * np.array([[0.0, 1.0], [-1.0, 0.5]]), np.ones((1, 2))))
+
+
+def test_a_coupling_of_any_size_between_moderate_rates_is_no_obstacle():
+    plant = Plant([[-1.0, 1e200, 0.0], [0.0, 0.5, 1e-200], [0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    assert split_modes(plant).retained.n_states == 2
+    assert len(unseen_modes(plant)) == 0
+
+
+def test_a_stiff_mode_hides_no_slow_one():
+    assert len(unseen_modes(Plant(np.diag([0.1, 0.2, -1e9]), np.ones((1, 3))))) == 0
+    for coupling in (0.0, 1e-16, 1e-9):
+        assert len(unseen_modes(Plant([[0.1, 1.0], [0.0, coupling]], [[1.0, 1.0]]))) == 0

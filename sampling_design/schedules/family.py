@@ -1,21 +1,68 @@
-"""What a set of schedules can be asked; each family lives in a file of its own."""
+"""What a set of schedules can be asked; each family is a file of its own and says all of this itself."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._record import Record
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnySchedule = Schedule | PeriodicSchedule
+Array = npt.NDArray[np.float64]
+Word = tuple[float | int | str, ...]
+"""What is remembered of a schedule since a window's start."""
+START: Word = ("start",)
+"""Nothing yet: the window has just begun, at any real time."""
+
+OUTWARD = 8 * float(np.finfo(float).eps)
+"""Ends of a step that are sums of times are moved outward by this fraction, so that rounding loses no schedule."""
+GAP_MEMORY = ((0, 1), (1, 2), (1, 4), (2, 4), (3, 4))
+"""(gaps remembered, cells per gap) of each level of memory, for families that speak of gaps."""
+LONGEST_WORD = 4
+"""Gaps of a suspect; longer unobservable words exist only for plants with many aliasing modes."""
+RANDOM_WORDS = 6
+"""Suspects of each length and lap that are drawn at random, besides the one of equal gaps."""
+EQUAL_RTOL = 1e-9
+"""Sums of gaps this near, relatively, are equal."""
 
 
-@runtime_checkable
-class SamplingFamily(Protocol):
+@dataclass(frozen=True)
+class Step:
+    """What may come next: after a time within [low, high] a sample with these outputs (none of them: it is lost)."""
+
+    word: Word
+    low: float
+    high: float
+    outputs: tuple[bool, ...]
+
+
+Steps = Callable[[Word], list[Step]]
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Members near one: `build(x)` for x near `origin`, as far as `spread`."""
+
+    origin: Array
+    spread: float
+    build: Callable[[Array], PeriodicSchedule]
+
+
+class SamplingFamily(Record, ABC):
     """A set of schedules.
+
+    A subclass is a frozen dataclass that names its kind, `class MyFamily(SamplingFamily, kind="my-family")`; its fields
+    are what a file holds. It needs `min_gap`, `d_max`, `nominal`, `contains`, `draw`, `to_dict`, `explain` and
+    `steps`; whatever is about gaps alone has a default for the rest.
 
     Attributes
     ----------
@@ -23,40 +70,165 @@ class SamplingFamily(Protocol):
         Bounds on the gaps of every member (d_max also bounds the time of the first sample).
     nominal : Schedule or PeriodicSchedule
         The member that stands for all.
+    time_unit : str or None
     """
 
+    KINDS: ClassVar[dict[str, type[SamplingFamily]]] = {}
+    kind: ClassVar[str]
+
+    def __init_subclass__(cls, kind: str, **others: Any) -> None:
+        super().__init_subclass__(**others)
+        if kind in SamplingFamily.KINDS:
+            raise ArgumentError(f"`kind` {kind!r} is taken by {SamplingFamily.KINDS[kind].__name__}.")
+        cls.kind = kind
+        SamplingFamily.KINDS[kind] = cls
+
     @property
+    @abstractmethod
+    def time_unit(self) -> str | None:
+        """Unit of all times; None means that of whatever plant it meets."""
+
+    @property
+    @abstractmethod
     def min_gap(self) -> float:
         """Every gap between samples is at least this."""
-        ...
 
     @property
+    @abstractmethod
     def d_max(self) -> float:
         """Every gap, and the time of the first sample, is at most this."""
-        ...
 
     @property
+    @abstractmethod
     def nominal(self) -> AnySchedule:
         """The member that stands for all."""
-        ...
 
+    @abstractmethod
     def contains(self, schedule: AnySchedule) -> bool:
         """Say whether `schedule` belongs to the family."""
-        ...
 
+    @abstractmethod
     def draw(
         self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
     ) -> Schedule:
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
-        ...
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Plain data with a key "kind"."""
-        ...
+        """Plain data with a key "kind"; `family_from_dict` reads it back."""
 
-    def explain(self) -> str:
-        """Say what the family is, in one sentence."""
-        ...
+    # The graph whose paths are the members (certificates/families/).
+
+    @property
+    def levels_of_memory(self) -> int:
+        """How many graphs of growing memory there are."""
+        return len(GAP_MEMORY)
+
+    @abstractmethod
+    def steps(self, memory: int, outputs: int) -> Steps:
+        """Return what may come next after each word, with level `memory` of memory, for a plant with `outputs` outputs.
+
+        From `START` the time counts from the window's start, which may be any real time. Together the steps that leave
+        a word must allow whatever a member may do there; what a word remembers must be true of every member that
+        reaches it.
+        """
+
+    @property
+    def planned(self) -> AnySchedule | None:
+        """The schedule that the family is built around, None if it is built from numbers."""
+        return None
+
+    def replanned(self, schedule: PeriodicSchedule) -> Self:
+        """Return the same family around another `planned` schedule."""
+        return self
+
+    # The search for a member without a certificate (certificates/existence/).
+
+    def suspects(
+        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+    ) -> Iterator[PeriodicSchedule]:
+        """Yield periodic members worth a look; over `laps` two modes of the plant alias."""
+        low, high, unit = self.min_gap, self.d_max, self.nominal.time_unit
+        for gap in (low, high):
+            if self.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=unit)):
+                yield ends
+        for period in laps:
+            for count in range(1, LONGEST_WORD + 1):
+                if not count * low <= period * (1 + EQUAL_RTOL) or not period <= count * high * (1 + EQUAL_RTOL):
+                    continue
+                drawn = rng.dirichlet(np.ones(count), RANDOM_WORDS if count > 1 else 0)
+                for shares in [np.full(count, 1 / count), *drawn]:
+                    gaps = low + shares * max(period - count * low, 0.0)
+                    word = PeriodicSchedule(gaps if count > 1 else np.array([period]), time_unit=unit)
+                    if self.contains(word):
+                        yield word
+
+    def variation(self, start: PeriodicSchedule) -> Variation | None:
+        """Return the members near `start` among which a worse one may be sought: gaps of the same sum."""
+        spread = (self.d_max - self.min_gap) / 4
+        if len(start) < 2 or spread <= 0:
+            return None
+
+        def build(gaps: Array) -> PeriodicSchedule:
+            last = start.period - float(np.sum(gaps))
+            if last <= 0 or np.any(gaps <= 0):
+                return start
+            return PeriodicSchedule(np.append(gaps, last), time_unit=start.time_unit)
+
+        return Variation(np.array(start.gaps)[:-1], spread, build)
+
+    def narrowed(self, fraction: float) -> Self | None:
+        """Return the part of the family around its nominal schedule, None where that has no obvious meaning."""
+        return None
+
+
+def gap_steps(shortest: float, longest: float, room: Callable[[Word], float], memory: int, outputs: int) -> Steps:
+    """Steps of gaps in [shortest, min(longest, room(word))], words the lower ends of the last gaps, newest first.
+
+    The first gap, cut by the window's start, may be short.
+    """
+    kept, cells = GAP_MEMORY[memory]
+    borders = np.linspace(shortest, longest, cells + 1).tolist()
+    every = (True,) * outputs
+
+    def steps(word: Word) -> list[Step]:
+        old = () if word == START else word
+        found = []
+        for k, (low, high) in enumerate(pairwise(borders)):
+            low = 0.0 if word == START and k == 0 else low
+            high = min(high, room(old))
+            if low <= high:
+                found.append(Step((low, *old)[:kept], low, high, every))
+        return found
+
+    return steps
+
+
+def masks_of(schedule: PeriodicSchedule, outputs: int) -> list[tuple[bool, ...]]:
+    """Which outputs each sample of the period measures."""
+    if schedule.outputs is None:
+        return [(True,) * outputs] * len(schedule)
+    return [tuple(bool(on) for on in row) for row in schedule.outputs]
+
+
+def reach_of(schedule: PeriodicSchedule) -> list[float]:
+    """Longest time before each sample of the period at which a window may start with that sample next."""
+    reach = [float(gap) for gap in schedule.gaps]
+    reach[0] = max(reach[0], float(schedule.times[0]))
+    return reach
+
+
+def period_of(schedule: AnySchedule) -> PeriodicSchedule:
+    """Return the schedule if it is endless.
+
+    Raises
+    ------
+    ArgumentError
+        If it is finite.
+    """
+    if not isinstance(schedule, PeriodicSchedule):
+        raise ArgumentError("`schedule` of the family must be a PeriodicSchedule: a finite one has no long run.")
+    return schedule
 
 
 def in_family_unit(schedule: Any, time_unit: str | None) -> AnySchedule:

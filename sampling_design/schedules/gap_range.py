@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.family import AnySchedule, extent, generator, in_family_unit, pick
+from sampling_design.schedules.family import (
+    AnySchedule,
+    SamplingFamily,
+    Steps,
+    extent,
+    gap_steps,
+    generator,
+    in_family_unit,
+    pick,
+)
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GapRange(Record):
+class GapRange(SamplingFamily, kind="gap-range"):
     """All schedules with h_min <= tau_{i+1} - tau_i <= h_max and the first sample at h_max or before.
 
     Parameters
@@ -100,9 +109,18 @@ class GapRange(Record):
             time += gaps[-1]
         return Schedule.from_gaps(gaps, time_unit=self.time_unit)
 
+    def steps(self, memory: int, outputs: int) -> Steps:
+        """Every gap of the range may follow every other."""
+        return gap_steps(self.shortest, self.longest, lambda word: self.longest, memory, outputs)
+
+    def narrowed(self, fraction: float) -> Self:
+        """Return the range around the same middle, `fraction` times as wide."""
+        middle, half = (self.shortest + self.longest) / 2, fraction * (self.longest - self.shortest) / 2
+        return type(self)(middle - half, middle + half, time_unit=self.time_unit)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `family_from_dict` reads it back."""
-        data = {"kind": "gap-range", "shortest": self.shortest, "longest": self.longest}
+        data = {"kind": self.kind, "shortest": self.shortest, "longest": self.longest}
         return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:

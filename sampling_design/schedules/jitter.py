@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import gcd
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import short
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.family import AnySchedule, extent, generator, in_family_unit, pick
+from sampling_design.schedules.family import (
+    OUTWARD,
+    RANDOM_WORDS,
+    START,
+    AnySchedule,
+    Array,
+    SamplingFamily,
+    Step,
+    Steps,
+    Variation,
+    Word,
+    extent,
+    generator,
+    in_family_unit,
+    masks_of,
+    period_of,
+    pick,
+    reach_of,
+)
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
+DEVIATION_CELLS = (1, 2, 4, 8)
+"""Cells of a sample's deviation, per level of memory."""
 _LONGEST_LAP = 1_000_000  # samples after which the laps of two periodic schedules must have met
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Jitter(Record):
+class Jitter(SamplingFamily, kind="jitter"):
     """All schedules whose i-th sample lies within `radius` of the nominal i-th sample.
 
     Parameters
@@ -130,9 +152,70 @@ class Jitter(Record):
         shifts = np.array([pick(rng, -self.radius, self.radius) for _ in range(len(part))])
         return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())
 
+    @property
+    def levels_of_memory(self) -> int:
+        """How finely the last deviation may be remembered."""
+        return len(DEVIATION_CELLS)
+
+    def steps(self, memory: int, outputs: int) -> Steps:
+        """Words are the phase, and lower and upper end of the last deviation."""
+        schedule, radius = period_of(self.schedule), self.radius
+        masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), DEVIATION_CELLS[memory]
+        borders = np.linspace(-radius, radius, cells + 1).tolist() if radius else [0.0, 0.0]
+
+        def steps(word: Word) -> list[Step]:
+            start = word == START
+            phase, *last = (-1, 0.0, 0.0) if start else (int(word[0]), float(word[1]), float(word[2]))
+            found = []
+            for j in range(len(schedule)) if start else [(phase + 1) % len(schedule)]:
+                gap = float(schedule.gaps[j])
+                for a, b in pairwise(borders):
+                    low, high = (0.0, reach[j] + radius + b) if start else (gap + a - last[1], gap + b - last[0])
+                    wider = OUTWARD * (gap + radius)
+                    found.append(Step((j, a, b), max(low - wider, 0.0), high + wider, masks[j]))
+            return found
+
+        return steps
+
+    @property
+    def planned(self) -> AnySchedule:
+        """The nominal schedule."""
+        return self.schedule
+
+    def replanned(self, schedule: PeriodicSchedule) -> Self:
+        """Return the same deviations around another nominal schedule."""
+        return type(self)(schedule, self.radius)
+
+    def suspects(
+        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+    ) -> Iterator[PeriodicSchedule]:
+        """Yield two periods with every deviation none or the largest."""
+        lap = period_of(self.schedule)
+        for _ in range(4 * RANDOM_WORDS):
+            yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(lap)) * self.radius)
+
+    def variation(self, start: PeriodicSchedule) -> Variation | None:
+        """Return two periods with other deviations, near those of `start`."""
+        lap = period_of(self.schedule)
+        if len(start) == len(lap) or not self.radius:
+            return None
+        origin = np.array(start.times) - np.append(lap.times, lap.times + lap.period)
+        return Variation(origin, self.radius, self._shifted)
+
+    def _shifted(self, shifts: Array) -> PeriodicSchedule:
+        """Two periods with these deviations."""
+        lap = period_of(self.schedule)
+        times = np.maximum(np.append(lap.times, lap.times + lap.period) + shifts, 0.0)
+        mask = None if lap.outputs is None else np.tile(lap.outputs, (2, 1))
+        return PeriodicSchedule.from_times(times, 2 * lap.period, mask, time_unit=lap.time_unit)
+
+    def narrowed(self, fraction: float) -> Self:
+        """Return the family of `fraction` times the radius."""
+        return type(self)(self.schedule, fraction * self.radius)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `family_from_dict` reads it back."""
-        return {"kind": "jitter", "schedule": self.schedule.to_dict(), "radius": self.radius}
+        return {"kind": self.kind, "schedule": self.schedule.to_dict(), "radius": self.radius}
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("nominal", self.schedule.explain()), ("radius", short(self.radius))]

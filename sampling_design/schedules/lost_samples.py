@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from itertools import product
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import short
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.family import AnySchedule, generator, in_family_unit
+from sampling_design.schedules.family import (
+    START,
+    AnySchedule,
+    SamplingFamily,
+    Step,
+    Steps,
+    Word,
+    generator,
+    in_family_unit,
+    masks_of,
+    period_of,
+    reach_of,
+)
 from sampling_design.schedules.jitter import nominal_part, same_outputs
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
+LONGEST_PATTERN = 12
+QUICK_PATTERN = 6
+"""Nominal samples of a pattern of losses that is suspect, and in a quick look."""
 _MOST_LAPS = 10_000  # laps after which two periods must have met, else their ratio counts as irrational
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LostSamples(Record):
+class LostSamples(SamplingFamily, kind="lost-samples"):
     """All schedules that miss at most `most` of any `of` consecutive samples of a nominal schedule.
 
     Parameters
@@ -154,9 +171,64 @@ class LostSamples(Record):
         mask = None if part.outputs is None else part.outputs[~lost]
         return Schedule(part.times[~lost], mask, **part._details())
 
+    @property
+    def levels_of_memory(self) -> int:
+        """From `most` + 1 remembered samples to all of `of`."""
+        return self.of - self.most
+
+    def steps(self, memory: int, outputs: int) -> Steps:
+        """Words are the phase and the last losses, newest first: at most `most` of any remembered ones are lost."""
+        schedule, remembered = period_of(self.schedule), self.most + 1 + memory
+        masks, reach, lost = masks_of(schedule, outputs), reach_of(schedule), (False,) * outputs
+
+        def steps(word: Word) -> list[Step]:
+            start = word == START
+            phase, *bits = (-1,) if start else tuple(int(x) for x in word)
+            found = []
+            for j in range(len(schedule)) if start else [(phase + 1) % len(schedule)]:
+                low, high = (0.0, reach[j]) if start else (float(schedule.gaps[j]),) * 2
+                found.append(Step((j, *_recent((0, *bits), remembered)), low, high, masks[j]))
+                if sum(bits[: remembered - 1]) < self.most:
+                    found.append(Step((j, *_recent((1, *bits), remembered)), low, high, lost))
+            return found
+
+        return steps
+
+    @property
+    def planned(self) -> AnySchedule:
+        """The nominal schedule."""
+        return self.schedule
+
+    def replanned(self, schedule: PeriodicSchedule) -> Self:
+        """Return the same losses from another nominal schedule."""
+        return type(self)(schedule, self.most, self.of)
+
+    def suspects(
+        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+    ) -> Iterator[PeriodicSchedule]:
+        """Yield the members that repeat a pattern of losses."""
+        nominal, longest = period_of(self.schedule), QUICK_PATTERN if quick else LONGEST_PATTERN
+        for repeats in range(1, max(longest // len(nominal), 1) + 1):
+            count = repeats * len(nominal)
+            times = (nominal.times + nominal.period * np.arange(repeats)[:, None]).ravel()
+            mask = None if nominal.outputs is None else np.tile(nominal.outputs, (repeats, 1))
+            for kept in product((True, False), repeat=count):
+                on = np.array(kept)
+                if not on.any() or np.sum(~on) > self.most * -(-count // self.of) + self.most:
+                    continue
+                if any(sum(1 - kept[(i + j) % count] for j in range(self.of)) > self.most for i in range(count)):
+                    continue
+                yield PeriodicSchedule.from_times(
+                    times[on], repeats * nominal.period, None if mask is None else mask[on], time_unit=nominal.time_unit
+                )
+
+    def variation(self, start: PeriodicSchedule) -> None:
+        """Patterns of losses do not vary continuously."""
+        return
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `family_from_dict` reads it back."""
-        return {"kind": "lost-samples", "schedule": self.schedule.to_dict(), "most": self.most, "of": self.of}
+        return {"kind": self.kind, "schedule": self.schedule.to_dict(), "most": self.most, "of": self.of}
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -180,3 +252,11 @@ def _positions(nominal: npt.NDArray[np.float64], times: npt.NDArray[np.float64])
     place = np.where(nearer, before, after)
     exact = np.abs(nominal[place] - times) <= ROUNDING * np.maximum(times, nominal[place])
     return place if bool(np.all(exact)) and np.unique(place).size == place.size else None
+
+
+def _recent(bits: tuple[int, ...], remembered: int) -> tuple[int, ...]:
+    """The losses that count, without the zeros before the oldest one."""
+    recent = bits[: remembered - 1]
+    while recent and not recent[-1]:
+        recent = recent[:-1]
+    return recent

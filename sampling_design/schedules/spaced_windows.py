@@ -8,16 +8,28 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.schedules.family import AnySchedule, extent, generator, in_family_unit, pick
+from sampling_design.schedules.family import (
+    GAP_MEMORY,
+    OUTWARD,
+    AnySchedule,
+    SamplingFamily,
+    Steps,
+    Word,
+    extent,
+    gap_steps,
+    generator,
+    in_family_unit,
+    pick,
+)
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SpacedWindows(Record):
+class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     """All schedules with at least `count` samples in every closed window of length `window`, `spacing` apart.
 
         |K_1 with [s, s + T]| >= k for all real s >= 0,    tau_{i+1} - tau_i >= epsilon
@@ -193,9 +205,34 @@ class SpacedWindows(Record):
         # the k gaps that begin one later bind only where they leave out d_1 < spacing
         return min(room(start), room(min(start + 1, len(gaps))))
 
+    @property
+    def levels_of_memory(self) -> int:
+        """Gaps further back than count - 1 say nothing."""
+        return sum(1 for kept, _ in GAP_MEMORY if kept <= max(self.count - 1, 1))
+
+    def steps(self, memory: int, outputs: int) -> Steps:
+        """Any k consecutive gaps sum to at most T.
+
+        Raises
+        ------
+        InfeasibleRequirementError
+            If no endless schedule belongs to the family.
+        """
+        self._need_endless()
+        return gap_steps(self.spacing, self.d_max + OUTWARD * self.window, self._room, memory, outputs)
+
+    def _room(self, word: Word) -> float:
+        """Longest gap after gaps of at least these lengths (newest first).
+
+        Of the k gaps that hold the new one, i are old and k - 1 - i, each at least epsilon, are to come.
+        """
+        k, old = self.count, [float(gap) for gap in word]
+        least = min(self.window - sum(old[:i]) - (k - 1 - i) * self.spacing for i in range(min(len(old), k - 1) + 1))
+        return float(least + OUTWARD * self.window)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; `family_from_dict` reads it back."""
-        data = {"kind": "spaced-windows", "window": self.window, "count": self.count, "spacing": self.spacing}
+        data = {"kind": self.kind, "window": self.window, "count": self.count, "spacing": self.spacing}
         return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from sampling_design.certificates.families import certify_family as family
-from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms, levels_of_memory
+from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import graph_from_dict, unrolled
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 
@@ -186,7 +186,7 @@ def test_what_does_not_fit_is_refused_at_the_door():
         sd.certify(OSCILLATOR, SpacedWindows(2.0, 3, 0.9), eta=0.1)
     large = LostSamples(PeriodicSchedule(np.ones(60)), 2, 8)
     with pytest.raises(ArgumentError, match=f"the graph of this family has more than {MOST_NODES} nodes"):
-        graph_of(large, levels_of_memory(large) - 1, 1)
+        graph_of(large, large.levels_of_memory - 1, 1)
 
 
 def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):

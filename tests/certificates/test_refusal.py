@@ -6,7 +6,6 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates.existence.counterexample import narrowed
 from sampling_design.errors import CertificateError, UndecidedError
 from tests.oracles.families import largest_lambda
 
@@ -116,6 +115,6 @@ def test_without_a_counterexample_the_least_margin_is_told():
 
 
 def test_narrowed_families_lie_inside():
-    assert narrowed(GapRange(1.0, 3.0), 0.5).to_dict() == GapRange(1.5, 2.5).to_dict()
-    assert narrowed(Jitter(PeriodicSchedule([1.0]), 0.2), 0.5).radius == 0.1
-    assert narrowed(SpacedWindows(4.0, 2, 0.5), 0.5) is None
+    assert GapRange(1.0, 3.0).narrowed(0.5).to_dict() == GapRange(1.5, 2.5).to_dict()
+    assert Jitter(PeriodicSchedule([1.0]), 0.2).narrowed(0.5).radius == 0.1
+    assert SpacedWindows(4.0, 2, 0.5).narrowed(0.5) is None

@@ -15,7 +15,7 @@ from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.families.certify_family import Proposal, Search, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms, levels_of_memory
+from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
@@ -182,7 +182,7 @@ class _Breaker:
     def loss_level(self, family: LostSamples) -> int:
         """As much memory as the unknowns allow."""
         n, lap = self.plant.n_states, len(self.certificate.schedule)
-        for level in reversed(range(levels_of_memory(family))):
+        for level in reversed(range(family.levels_of_memory)):
             words = sum(_choose(family.most + level, k) for k in range(family.most + 1))
             if words * lap <= MOST_NODES and words * lap * n * (n + 1) // 2 <= MOST_UNKNOWNS:
                 return level

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,24 +16,15 @@ from sampling_design.errors import CertificateError
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
-from sampling_design.schedules.gap_range import GapRange
-from sampling_design.schedules.jitter import Jitter
-from sampling_design.schedules.lost_samples import LostSamples
+from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-LONGEST_WORD = 4
-"""Gaps of a word that is tried; longer unobservable words exist only for plants with many aliasing modes."""
-LONGEST_PATTERN = 12
-QUICK_PATTERN = 6
-"""Nominal samples of a pattern of losses that is tried, and in the quick look that comes first."""
-RANDOM_WORDS = 6
-"""Words of each length and lap that are drawn at random, besides the one of equal gaps."""
 DESCENTS = 4
 """Words from which the margin is minimised over the gaps."""
-EQUAL_RTOL = 1e-9
+TIED_RTOL = 1e-9
 """Real parts this near, relative to |A|, can alias."""
 RESIDUAL = 1e-6
 """A counterexample is accepted if M v = mu v and all samples of v vanish to this, relative to |M| and |C e^{At}|."""
@@ -142,7 +130,7 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
 
 def find_counterexample(
     plant: Plant,
-    family: Any,
+    family: SamplingFamily,
     eta: float,
     hints: Iterable[float | None] = (),
     rng: np.random.Generator | None = None,
@@ -174,9 +162,9 @@ def find_counterexample(
     gaps of that sum. For lost samples, every pattern of losses of up to twelve nominal samples.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    least: tuple[float, PeriodicSchedule] = (np.inf, family.nominal)
+    least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
-    for schedule in _words(plant, family, eta, hints, rng, quick):
+    for schedule in _suspects(plant, family, eta, hints, rng, quick):
         found = certificate_exists(plant, schedule, eta)
         if not found.exists:
             made = counterexample(plant, schedule, eta, found)
@@ -184,7 +172,7 @@ def find_counterexample(
                 return made, (found.margin, schedule)
         tried.append((found.margin, schedule))
         least = min(least, tried[-1], key=lambda pair: pair[0])
-    if quick or isinstance(family, LostSamples):
+    if quick:
         return None, least
     for margin, schedule in sorted(tried, key=lambda pair: pair[0])[:DESCENTS]:
         better = _descend(plant, family, eta, schedule)
@@ -199,7 +187,7 @@ def find_counterexample(
 
 
 def refute(
-    plant: Plant, family: Any, eta: float, hints: Sequence[float | None] = (), quick: bool = False
+    plant: Plant, family: SamplingFamily, eta: float, hints: Sequence[float | None] = (), quick: bool = False
 ) -> tuple[float, PeriodicSchedule]:
     """Return the least margin met and its schedule, if no schedule of the family is found that has no certificate.
 
@@ -222,36 +210,18 @@ def refute(
     )
 
 
-def _words(
-    plant: Plant, family: Any, eta: float, hints: Iterable[float | None], rng: np.random.Generator, quick: bool
+def _suspects(
+    plant: Plant,
+    family: SamplingFamily,
+    eta: float,
+    hints: Iterable[float | None],
+    rng: np.random.Generator,
+    quick: bool,
 ) -> Iterator[PeriodicSchedule]:
-    """Periodic members worth a look: the nominal one, aliasing ones, random ones."""
-    yield family.nominal
-    if isinstance(family, LostSamples):
-        yield from _patterns(family, QUICK_PATTERN if quick else LONGEST_PATTERN)
-        return
-    if isinstance(family, Jitter):
-        lap = _lap_of(family)
-        size = 2 * len(lap)
-        for _ in range(4 * RANDOM_WORDS):
-            yield _shifted(lap, rng.choice([-1.0, 0.0, 1.0], size) * family.radius)
-        return
-    low, high = family.min_gap, family.d_max
-    for gap in (low, high):
-        if family.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=family.nominal.time_unit)):
-            yield ends
-    laps = sorted({*_aliasing_laps(plant, eta, LONGEST_WORD * high), *(h for h in hints if h)})
-    for period in laps:
-        for count in range(1, LONGEST_WORD + 1):
-            if not count * low <= period * (1 + EQUAL_RTOL) or not period <= count * high * (1 + EQUAL_RTOL):
-                continue
-            for shares in [np.full(count, 1 / count), *rng.dirichlet(np.ones(count), RANDOM_WORDS if count > 1 else 0)]:
-                gaps = low + shares * max(period - count * low, 0.0)
-                schedule = PeriodicSchedule(
-                    gaps if count > 1 else np.array([period]), time_unit=family.nominal.time_unit
-                )
-                if family.contains(schedule):
-                    yield schedule
+    """Periodic members worth a look: the nominal one, and those that the family suspects."""
+    yield period_of(family.nominal)
+    laps = sorted({*_aliasing_laps(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
+    yield from family.suspects(laps, rng, quick)
 
 
 def _aliasing_laps(plant: Plant, eta: float, longest: float) -> list[float]:
@@ -262,84 +232,28 @@ def _aliasing_laps(plant: Plant, eta: float, longest: float) -> list[float]:
     values = np.linalg.eigvals(retained.A)
     first, second = np.triu_indices(values.size, 1)
     apart = values[first] - values[second]
-    tied = np.abs(apart.real) <= EQUAL_RTOL * max(float(np.linalg.norm(retained.A)), 1e-300)
+    tied = np.abs(apart.real) <= TIED_RTOL * max(float(np.linalg.norm(retained.A)), 1e-300)
     speeds = np.unique(np.round(np.abs(apart.imag[tied]), 12))
     return [2 * np.pi * k / w for w in speeds if w > 0 for k in range(1, int(longest * w / (2 * np.pi) + 1e-9) + 1)]
 
 
-def _patterns(family: LostSamples, longest: int) -> Iterator[PeriodicSchedule]:
-    """Members that repeat a pattern of losses."""
-    nominal = _lap_of(family)
-    for laps in range(1, max(longest // len(nominal), 1) + 1):
-        count = laps * len(nominal)
-        times = (nominal.times + nominal.period * np.arange(laps)[:, None]).ravel()
-        mask = None if nominal.outputs is None else np.tile(nominal.outputs, (laps, 1))
-        for kept in product((True, False), repeat=count):
-            on = np.array(kept)
-            if not on.any() or np.sum(~on) > family.most * -(-count // family.of) + family.most:
-                continue
-            if any(sum(1 - kept[(i + j) % count] for j in range(family.of)) > family.most for i in range(count)):
-                continue
-            schedule = PeriodicSchedule.from_times(
-                times[on], laps * nominal.period, None if mask is None else mask[on], time_unit=nominal.time_unit
-            )
-            yield schedule
-
-
-def _lap_of(family: Jitter | LostSamples) -> PeriodicSchedule:
-    assert isinstance(family.schedule, PeriodicSchedule)  # in_plant_terms has refused others
-    return family.schedule
-
-
-def _shifted(lap: PeriodicSchedule, shifts: Array) -> PeriodicSchedule:
-    """Two laps with these deviations."""
-    times = np.append(lap.times, lap.times + lap.period)
-    mask = None if lap.outputs is None else np.tile(lap.outputs, (2, 1))
-    return PeriodicSchedule.from_times(np.maximum(times + shifts, 0.0), 2 * lap.period, mask, time_unit=lap.time_unit)
-
-
-def _descend(plant: Plant, family: Any, eta: float, start: PeriodicSchedule) -> PeriodicSchedule:
-    """The word with the least margin near `start`: gaps of the same sum, or deviations, as the family allows."""
+def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSchedule) -> PeriodicSchedule:
+    """The member with the least margin near `start`, as the family varies it."""
     from scipy.optimize import minimize
 
-    build: Callable[[Array], PeriodicSchedule]
-    if isinstance(family, Jitter):
-        if len(start) == len(family.nominal):
-            return start
-        lap = _lap_of(family)
-        origin = np.array(start.times) - np.append(lap.times, lap.times + lap.period)
-        build, spread = partial(_shifted, lap), family.radius
-    else:
-        origin, spread = np.array(start.gaps)[:-1], (family.d_max - family.min_gap) / 4
-        build = partial(_word_of, start)
-    if not origin.size or spread <= 0:
+    near = family.variation(start)
+    if near is None:
         return start
+    origin, build = near.origin, near.build
 
     def margin(x: Array) -> float:
         schedule = build(x)
         return certificate_exists(plant, schedule, eta).margin if family.contains(schedule) else 1.0
 
-    simplex = np.vstack([origin, origin + spread * np.eye(origin.size) / 2])
+    simplex = np.vstack([origin, origin + near.spread * np.eye(origin.size) / 2])
     found = minimize(
         margin, origin, method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": 60 * origin.size, "xatol": 1e-12, "fatol": 1e-12},
     )  # fmt: skip
     best = build(found.x)
     return best if family.contains(best) else start
-
-
-def _word_of(start: PeriodicSchedule, gaps: Array) -> PeriodicSchedule:
-    """The word whose first gaps are these and whose sum is that of `start`; `start` where that is impossible."""
-    last = start.period - float(np.sum(gaps))
-    if last <= 0 or np.any(gaps <= 0):
-        return start
-    return PeriodicSchedule(np.append(gaps, last), time_unit=start.time_unit)
-
-
-def narrowed(family: Any, fraction: float) -> Any | None:
-    """Return the part of a family around its nominal schedule, or None where that has no obvious meaning."""
-    if isinstance(family, GapRange):
-        middle = (family.shortest + family.longest) / 2
-        half = fraction * (family.longest - family.shortest) / 2
-        return GapRange(middle - half, middle + half, time_unit=family.time_unit)
-    return Jitter(family.schedule, fraction * family.radius) if isinstance(family, Jitter) else None

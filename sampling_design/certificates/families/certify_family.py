@@ -16,9 +16,9 @@ from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import steady_lap
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.existence.counterexample import narrowed, refute
+from sampling_design.certificates.existence.counterexample import refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.graphs import graph_of, in_plant_terms, levels_of_memory
+from sampling_design.certificates.families.graphs import graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import GapGraph, unrolled
 from sampling_design.certificates.families.program import Program
 from sampling_design.certificates.families.step_proof import (
@@ -303,7 +303,7 @@ def certify_family(
     rate = None if eta is None else _checks.positive("eta", eta)
     if not _checks.number("budget", budget) > 1:
         raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
-    levels = range(levels_of_memory(family)) if memory is None else [_checks.whole("memory", memory)]
+    levels = range(family.levels_of_memory) if memory is None else [_checks.whole("memory", memory)]
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
@@ -358,7 +358,7 @@ def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple
     low, high = 0.0, 1.0
     for _ in range(NARROWINGS):
         fraction = (low + high) / 2
-        smaller = narrowed(search.family, fraction)
+        smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
         found = Search(search.plant, smaller, search.weights, search.P2, search.budget).propose(eta, 0)

@@ -6,6 +6,7 @@ The grammar: the argument as typed, what was expected, what came, and the likely
 from __future__ import annotations
 
 import difflib
+import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -33,16 +34,7 @@ def real_array(name: str, value: Any, ndim: int) -> Array:
     ArgumentError
         If it is not numeric, complex, of another dimension, or holds NaN or infinity.
     """
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise ArgumentError(f"`{name}` must be a rectangular array of numbers, got rows of unequal length.") from None
-    if array.dtype == object or array.dtype.kind not in "biufc":
-        raise ArgumentError(f"`{name}` must hold real numbers, got {_describe(value)}.")
-    if array.dtype.kind == "c":
-        raise ArgumentError(
-            f"`{name}` must be real, got complex entries. Use a real basis (a block [[a, b], [-b, a]] for a +- ib)."
-        )
+    array = _as_reals(name, value)
     if array.ndim != ndim:
         raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.")
     if not np.all(np.isfinite(array)):
@@ -51,8 +43,46 @@ def real_array(name: str, value: Any, ndim: int) -> Array:
     return freeze(array)
 
 
-def _describe(value: Any) -> str:
-    return "None" if value is None else f"{type(value).__name__} {value!r:.60}"
+def _as_reals(name: str, value: Any) -> npt.NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ArgumentError(f"`{name}` must be a rectangular array of numbers, got rows of unequal length.") from None
+    except Exception:  # whatever a foreign object does when it is asked for an array
+        raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.") from None
+    if array.dtype == object or array.dtype.kind not in "biufc":
+        raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.")
+    if array.dtype.kind == "c":
+        raise ArgumentError(
+            f"`{name}` must be real, got complex entries. Use a real basis (a block [[a, b], [-b, a]] for a +- ib)."
+        )
+    return array
+
+
+def floats(name: str, value: Any) -> Array:
+    """Return `value` as a new float64 array of any shape, NaN and infinity as they are.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not numeric, ragged or complex.
+    """
+    return np.array(_as_reals(name, value), dtype=np.float64)
+
+
+def described(value: Any) -> str:
+    """Return what came, on one line: a plain value or container with its type, anything else by its type alone."""
+    if value is None:
+        return "None"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    name = type(value).__name__
+    if not isinstance(value, (str, bytes, int, float, complex, list, tuple, dict, set, np.generic, np.ndarray)):
+        return name
+    try:
+        return f"{name} {' '.join(repr(value).split()):.60}"
+    except ValueError:  # an integer of thousands of digits has no text
+        return f"{name} of more than 4000 digits"
 
 
 def matrix(name: str, value: Any, rows: int | None = None, columns: int | None = None) -> Array:
@@ -93,9 +123,16 @@ def number(name: str, value: Any) -> float:
     ArgumentError
         If it is not a finite real number.
     """
-    if isinstance(value, (bool, str)) or np.ndim(value) != 0:
-        raise ArgumentError(f"`{name}` must be a number, got {_describe(value)}.")
-    return float(real_array(name, np.reshape(np.asarray(value), (1,)), 1)[0])
+    if isinstance(value, numbers.Rational) and not isinstance(value, (bool, int)):
+        value = float(value)
+    if isinstance(value, (np.number, np.ndarray)) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, (int, float, complex)):
+        raise ArgumentError(f"`{name}` must be a number, got {described(value)}.")
+    try:
+        return float(real_array(name, [value], 1)[0])
+    except OverflowError:
+        raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
 
 
 def positive(name: str, value: Any) -> float:
@@ -216,8 +253,8 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
     """
     if value is None:
         return tuple(f"{prefix}{i + 1}" for i in range(length))
-    if isinstance(value, str) or not all(isinstance(v, str) for v in value):
-        raise ArgumentError(f"`{name}` must be a list of strings, got {_describe(value)}.")
+    if not isinstance(value, Sequence) or isinstance(value, str) or not all(isinstance(v, str) for v in value):
+        raise ArgumentError(f"`{name}` must be a list of strings, got {described(value)}.")
     result = tuple(str(v) for v in value)
     if len(result) != length:
         raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")

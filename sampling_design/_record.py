@@ -10,9 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from sampling_design._door import doors
+
 
 class Record:
-    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks."""
+    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
+
+    Every public method of a record has a door before it (see `_door`).
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        doors(cls)
 
     def _rows(self) -> list[tuple[str, str]]:
         """Label and value of each line of the table, in order."""

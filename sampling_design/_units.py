@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sampling_design._checks import described
 from sampling_design.errors import ArgumentError
 
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
@@ -15,10 +16,11 @@ def check_time_unit(unit: object, name: str = "time_unit") -> str:
     ArgumentError
         If the unit is missing or unknown.
     """
-    if unit is None or unit == "":
+    if unit is None or (isinstance(unit, str) and not unit):
         raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
-    if unit not in SECONDS:
-        raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {unit!r}.")
+    if not isinstance(unit, str) or unit not in SECONDS:
+        came = repr(unit) if isinstance(unit, str) else described(unit)
+        raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.")
     return str(unit)
 
 

@@ -12,9 +12,25 @@ import numpy as np
 
 
 class SamplingDesignError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose: one line of text, and data that survive pickling."""
 
     exit_code = 2
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(" ".join(str(message).split()))
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[SamplingDesignError], args: tuple[Any, ...], data: dict[str, Any]) -> SamplingDesignError:
+    """Make an error as it was, whatever its class takes: a worker process hands it to the one that asked."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(data)
+    return error
 
 
 class ArgumentError(SamplingDesignError, ValueError):

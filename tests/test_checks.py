@@ -42,7 +42,7 @@ REFUSED = [
     (_checks.number, ("a", True), "`a` must be a number, got bool True"),
     (_checks.number, ("a", [1.0]), "`a` must be a number, got list"),
     (_checks.number, ("a", np.nan), "`a` must be finite"),
-    (_checks.number, ("a", None), "`a` must hold real numbers, got"),
+    (_checks.number, ("a", None), "`a` must be a number, got None"),
     (_checks.positive, ("a", 0.0), r"`a` must be positive, got 0\.0"),
     (_checks.nonnegative, ("a", -1e-300), r"`a` must not be negative, got -1e-300"),
     (_checks.whole, ("k", 1.5), r"`k` must be a whole number of at least 0, got 1\.5"),

@@ -1,5 +1,9 @@
 """Errors carry data, inherit the builtin they stand for, and know their exit code."""
 
+import copy
+import inspect
+import pickle
+
 import numpy as np
 import pytest
 
@@ -37,3 +41,40 @@ def test_they_carry_their_data():
     assert errors.SolverError("x", "MaxTime").status == "MaxTime"
     assert "pip install 'sampling-design[nonlinear]'" in str(errors.MissingExtraError("casadi", "nonlinear"))
     assert errors.MissingExtraError("casadi", "nonlinear").extra == "nonlinear"
+
+
+KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_every_error_survives_pickling_with_all_that_it_carries(kind):
+    """A worker process hands its error to the process that asked, as a pickle."""
+    names = {"message": "a\n  b", "package": "casadi", "extra": "nonlinear"}
+    required = [
+        p.name
+        for p in inspect.signature(kind).parameters.values()
+        if p.default is p.empty and p.kind is not p.VAR_KEYWORD
+    ]
+    made = kind(*(names[key] for key in required))
+    made.note = [1.5, "x"]
+    back = pickle.loads(pickle.dumps(made))
+    assert type(back) is kind
+    assert str(back) == str(made)
+    assert back.args == made.args
+    assert {k: repr(v) for k, v in vars(back).items()} == {k: repr(v) for k, v in vars(made).items()}
+    assert copy.deepcopy(made).note == made.note
+
+
+def test_errors_with_data_survive_pickling():
+    import sampling_design as sd
+
+    with pytest.raises(errors.CertificateError) as caught:
+        sd.certify(sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), sd.PeriodicSchedule([np.pi]), eta=0.1)
+    back = pickle.loads(pickle.dumps(caught.value))
+    assert str(back) == str(caught.value)
+    assert set(back.details) == set(caught.value.details) != set()
+
+
+def test_a_message_is_one_line():
+    assert str(errors.SamplingDesignError("two\n   lines")) == "two lines"
+    assert str(errors.SamplingDesignError()) == ""

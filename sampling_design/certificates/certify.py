@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
+from sampling_design._door import door
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
@@ -144,6 +145,7 @@ def certify(
     budget: float = ...,
     progress: Progress | None = ...,
 ) -> FamilyCertificate: ...
+@door
 def certify(
     plant: Plant,
     schedule: AnySchedule | SamplingFamily | None,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks, _files
+from sampling_design._door import door
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate, parts_from_dict
@@ -44,6 +45,7 @@ def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
     raise ArgumentError(f'`times` must be of kind "periodic" or "finite" here, got {kind!r}.')
 
 
+@door
 def load_certificate(
     path: str | os.PathLike[str], plant: Plant | None = None
 ) -> Certificate | FamilyCertificate | DetectabilityCertificate:

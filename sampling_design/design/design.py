@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._units import time_factor
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound
@@ -47,6 +48,7 @@ _LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent alread
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
 
+@door
 def design_schedule(
     plant: Plant,
     requirement: Requirement | None = None,

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.design.design import bounded
 from sampling_design.design.problem.posing import repeated
@@ -81,6 +82,7 @@ class SampleLosses(Record):
         )
 
 
+@door
 def sample_losses(
     design: ScheduleDesign, *, every_lap: bool = False, rtol: float = 0.001, progress: Progress | None = None
 ) -> SampleLosses:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._record import Record, short
 from sampling_design.design.design import design_schedule
@@ -78,6 +79,7 @@ class ParetoFront(Record):
         )
 
 
+@door
 def pareto(
     plant: Plant,
     requirement: Requirement,

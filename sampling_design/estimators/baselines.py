@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
+@door
 def standard_mhe(
     plant: Plant, period: float, *, horizon: float, **options: Any
 ) -> tuple[MovingHorizonEstimator, PeriodicSchedule]:
@@ -47,6 +49,7 @@ def standard_mhe(
     )
 
 
+@door
 def periodic_at_equal_cost(schedule: Schedule | PeriodicSchedule) -> PeriodicSchedule:
     """Return the regular schedule with as many samples per time as `schedule`, from the same first sample.
 

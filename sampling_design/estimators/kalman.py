@@ -15,6 +15,7 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Sample
 from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.window_problem import build_window
@@ -117,8 +118,8 @@ class KalmanFilter(OpenLoopEstimator):
         fresh = copy(self)
         fresh.memory = np.inf
         fresh.state = State(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
-        for item in record:
-            fresh.update(*item)
+        for item in listed(record):
+            fresh.update(*triple(item))
         nodes = fresh.state.nodes
         if len(nodes) == 1:
             return EstimateRecord.collect(self.plant, [])

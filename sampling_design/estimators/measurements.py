@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks, _files
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -57,12 +58,14 @@ class Measurements(Record):
     origin: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.plant, Plant):
+            raise ArgumentError(f"`plant` must be a Plant, got {_checks.described(self.plant)}.")
         times = _checks.vector("times", self.times)
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
         owned: dict[str, Any] = {"times": times}
         for key, (value, width) in shapes.items():
             blank = np.full((times.size, width), np.nan)
-            array = blank if value is None else np.array(value, dtype=np.float64)
+            array = blank if value is None else _checks.floats(key, value)
             if array.shape != blank.shape or np.isinf(array).any():
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False
@@ -89,6 +92,7 @@ class Measurements(Record):
         return f"{len(self)} rows of measurements of {self.plant.name or 'a plant'}; " + self._rows()[2][1] + "."
 
 
+@door
 def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str | None = None) -> Measurements:
     """Return the measurements in a CSV file.
 
@@ -235,6 +239,7 @@ def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, t
         raise FileFormatError(f"{where}: line {line} repeats the time of line {old[0]} with other values.", where)
 
 
+@door
 def write_measurements(measurements: Measurements, path: str | os.PathLike[str]) -> Path:
     """Write measurements as CSV; `read_measurements` returns them exactly.
 
@@ -257,6 +262,7 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     return _write_csv(path, header, body)
 
 
+@door
 def write_estimates(record: EstimateRecord, path: str | os.PathLike[str]) -> Path:
     """Write estimates as CSV: time, status, certified, cost, then per state its value and its radius.
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -16,6 +17,7 @@ from sampling_design.plants.plant import Plant, Signals
 Array = npt.NDArray[np.float64]
 
 
+@door
 def from_expressions(
     x: Any, f: Any, h: Any, *, u: Any = None, w: Any = None, v: Any = None, **details: Any
 ) -> NonlinearPlant:
@@ -50,6 +52,9 @@ def from_expressions(
     ca = casadi()
     none = ca.SX.sym("none", 0)
     u, w, v = (none if s is None else s for s in (u, w, v))
+    for key, value in {"x": x, "f": f, "h": h, "u": u, "w": w, "v": v}.items():
+        if not isinstance(value, (ca.SX, ca.MX)):
+            raise ArgumentError(f"`{key}` must be an expression of casadi, got {_checks.described(value)}.")
     try:
         dynamics = ca.Function("dynamics", [x, u, w], [f])
         measurement = ca.Function("measurement", [x, u, v], [h])
@@ -67,6 +72,7 @@ def from_expressions(
     return NonlinearPlant(lambda *a: dynamics(*a), lambda *a: measurement(*a), sizes, **details)
 
 
+@door
 def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     """Return a linear plant as a nonlinear one.
 

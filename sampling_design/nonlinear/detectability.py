@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.flows import discounted_length
@@ -109,6 +110,7 @@ class DetectabilityEvidence(Record):
         return "held" if self.holds else "failed"
 
 
+@door
 def check_detectability(
     plant: NonlinearPlant,
     schedule: Schedule | PeriodicSchedule,

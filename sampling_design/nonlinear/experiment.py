@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._files import from_json, read_text, write_text
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -120,6 +121,7 @@ def _estimates(scheme: NonlinearMovingHorizonEstimator, times: Any, y: Any, chos
     return np.array(estimates), tuple(scheme.solves)
 
 
+@door
 def thyroid_experiment(
     runs: int = 50,
     *,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -85,6 +85,11 @@ class NonlinearPlant(Record):
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
+        for key in ("sizes", "signals", "bounds"):
+            if not isinstance(getattr(self, key), Mapping):
+                raise ArgumentError(
+                    f"`{key}` must be a table of names and values, got {_checks.described(getattr(self, key))}."
+                )
         _checks.known_keys("`sizes`", self.sizes, _VECTORS)
         _checks.known_keys("`signals`", self.signals, _VECTORS)
         _checks.known_keys("`bounds`", self.bounds, _VECTORS)
@@ -113,8 +118,15 @@ class NonlinearPlant(Record):
             ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
             ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
         ):
-            value = function(*arguments)
-            column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+            if not callable(function):
+                raise ArgumentError(f"`{label}` must be a function, got {_checks.described(function)}.")
+            try:
+                value = function(*arguments)
+                column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+            except Exception as error:  # whatever the function of a user raises
+                raise ArgumentError(
+                    f"`{label}` fails for symbols: {type(error).__name__} ({' '.join(str(error).split()):.120})."
+                ) from error
             if column.shape != (size, 1):
                 raise ArgumentError(f"`{label}` must return {size} entries, got {column.shape[0] * column.shape[1]}.")
             built.append(ca.Function(label, list(arguments), [column]))
@@ -185,7 +197,7 @@ class NonlinearPlant(Record):
 
     def _evaluate(self, function: Any, last: str, x: Any, u: Any, z: Any) -> Array:
         x = _checks.vector("x", x, self.sizes["states"])
-        u = _checks.vector("u", np.zeros(self.sizes["inputs"]) if not np.size(u) else u, self.sizes["inputs"])
+        u = _checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
         z = _checks.vector(
             "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
         )
@@ -209,7 +221,7 @@ class NonlinearPlant(Record):
         ca = casadi()
         n, m = self.sizes["states"], self.sizes["inputs"]
         point = _checks.vector("x", x, n)
-        control = _checks.vector("u", np.zeros(m) if not np.size(u) else u, m)
+        control = _checks.vector("u", _given(u, m), m)
         xs, us, ws, vs = (
             ca.SX.sym(k, self.sizes[s])
             for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
@@ -274,6 +286,18 @@ _NEWTON_STEPS = 100
 _NEWTON_TOLERANCE = 1e-13
 
 
+def _given(u: Any, size: int) -> Any:
+    """The input as it was given; nothing at all stands for zero."""
+    return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
+
+
+def _side(key: str, value: Any, size: int) -> Array:
+    side = _checks.floats(f"bounds[{key!r}]", value)
+    if side.shape not in ((), (size,)):
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
+    return np.broadcast_to(side, (size,)).copy()
+
+
 def own_box(key: str, box: Any, size: int) -> Box:
     """Return (lower, upper) as frozen vectors; infinite where there is no bound.
 
@@ -284,17 +308,17 @@ def own_box(key: str, box: Any, size: int) -> Box:
     """
     if box is None:
         box = (np.full(size, -np.inf), np.full(size, np.inf))
-    lower, upper = (np.broadcast_to(np.asarray(side, dtype=float), (size,)).copy() for side in _pair(key, box, size))
+    lower, upper = (_side(key, side, size) for side in _pair(key, box))
     if np.any(np.isnan(lower)) or np.any(np.isnan(upper)) or np.any(lower > upper):
         raise ArgumentError(f"`bounds[{key!r}]` must be (lower, upper) with lower <= upper.")
     lower.flags.writeable = upper.flags.writeable = False
     return lower, upper
 
 
-def _pair(key: str, box: Any, size: int) -> Sequence[Any]:
-    if not isinstance(box, Sequence) or len(box) != 2 or any(np.ndim(b) > 0 and np.shape(b) != (size,) for b in box):
-        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
-    return box
+def _pair(key: str, box: Any) -> Sequence[Any]:
+    if not isinstance(box, (Sequence, np.ndarray)) or isinstance(box, str) or len(box) != 2:
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {_checks.described(box)}.")
+    return box  # type: ignore[return-value]
 
 
 def _own_signals(key: str, value: Any, size: int) -> Signals:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.patient_run import SCHEMES, SPANS
 
 PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}
@@ -60,6 +61,9 @@ class ThyroidReport(Record):
 
     def rmse(self, case: str, scheme: str, span: str = "all") -> np.ndarray:
         """Return the RMSE of every run of a case (NaN where a run is too short for the span)."""
+        for key, value, known in (("case", case, self.cases), ("scheme", scheme, SCHEMES), ("span", span, SPANS)):
+            if value not in known:
+                raise ArgumentError(f"`{key}` must be one of {', '.join(known)}, got {value!r}.")
         values = [line[scheme]["rmse"][span] for line in self.lines if line["case"] == case]
         return np.array(values, dtype=float)
 
@@ -70,6 +74,7 @@ class ThyroidReport(Record):
 
     def seconds(self, case: str, scheme: str) -> np.ndarray:
         """Return the seconds of every window problem of a case."""
+        self.rmse(case, scheme)  # refuses what is not known
         return np.array([s for line in self.lines if line["case"] == case for s in line[scheme]["seconds"]])
 
     @cached_property

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.plants.grouping import (
     CLUSTER_CAP,
@@ -84,6 +85,7 @@ def format_eigenvalue(value: complex, digits: int = 6, grain: float = 0.0) -> st
     return f"{real:.{digits}g}" if imaginary == 0 else f"{real:.{digits}g}{imaginary:+.{digits}g}i"
 
 
+@door
 def eigenvalue_clusters(
     A: npt.ArrayLike, *, rounding: float | None = None, cap: float = CLUSTER_CAP
 ) -> tuple[EigenvalueCluster, ...]:

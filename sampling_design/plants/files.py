@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from sampling_design import _checks, _files
+from sampling_design._door import door
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
@@ -22,6 +23,7 @@ _TREE = ("format", "name", "time_unit", "matrices", *GROUPS, "source")
 _FLAT = ("format", "name", "time_unit", *MATRICES, *(f"{g}_{k}" for g in GROUPS for k in _KEYS), "citation")
 
 
+@door
 def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Plant:
     """Read a plant from a .toml, .json, .mat or .npz file.
 
@@ -62,6 +64,7 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
     return plant_from_dict(read(where), where, time_unit)
 
 
+@door
 def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """Write a plant to a .toml, .json, .mat or .npz file, whole or not at all; return the path.
 

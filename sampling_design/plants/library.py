@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 
@@ -342,6 +343,7 @@ PLANTS: dict[str, Callable[[], Plant]] = {
 }
 
 
+@door
 def named_plant(name: str) -> Plant:
     """Return a plant of the library by its name.
 

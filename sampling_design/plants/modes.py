@@ -11,6 +11,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import MathematicsError
 from sampling_design.plants.clusters import (
@@ -136,6 +137,7 @@ def _listed(clusters: object) -> str:
     return ", ".join(words) or "none"
 
 
+@door
 def split_modes(
     plant: Plant,
     decay_rate: float = 0.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ FORMAT = "sampling-design/plant/1"
 
 MATRICES = ("A", "B", "C", "D", "G")
 GROUPS = ("states", "outputs", "inputs", "disturbances")
+_LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
 _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
@@ -54,13 +55,13 @@ class Signals(Record):
 
     def __post_init__(self) -> None:
         if isinstance(self.names, str) or not isinstance(self.names, Sequence):
-            raise ArgumentError(f"`names` must be a list of strings, got {self.names!r:.60}.")
+            raise ArgumentError(f"`names` must be a list of strings, got {_checks.described(self.names)}.")
         count = len(self.names)
         names = _checks.names("names", self.names, count, "")
         listed = isinstance(self.units, Sequence) and not isinstance(self.units, str)
         units = (tuple(self.units) or ("",) * count) if listed else ()
         if len(units) != count or not all(isinstance(u, str) for u in units):
-            raise ArgumentError(f"`units` must be {count} strings, one per name, got {self.units!r:.60}.")
+            raise ArgumentError(f"`units` must be {count} strings, one per name, got {_checks.described(self.units)}.")
         scales = _checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
@@ -188,7 +189,7 @@ class Plant(Record):
         owned["time_unit"] = check_time_unit(self.time_unit)
         for key in ("name", "source"):
             if not isinstance(getattr(self, key), str):
-                raise ArgumentError(f"`{key}` must be a string, got {getattr(self, key)!r:.60}.")
+                raise ArgumentError(f"`{key}` must be a string, got {_checks.described(getattr(self, key))}.")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = _signals(key, getattr(self, key), size)
@@ -217,8 +218,11 @@ class Plant(Record):
 
     def transition(self, t: npt.ArrayLike) -> Array:
         """Return e^{A t}: (n, n) for a number t, (N, n, n) for an array of N times."""
-        result = exponential(self.A)(t)
-        return result[0] if np.ndim(t) == 0 else result
+        times = _checks.floats("t", t)
+        if times.ndim > 1:
+            raise ArgumentError(f"`t` must be a number or a vector of times, got shape {times.shape}.")
+        result = exponential(self.A)(times)
+        return result[0] if times.ndim == 0 else result
 
     def same_dynamics(self, other: Plant) -> bool:
         """Whether A, C, G agree to the last bit and the time unit is the same.
@@ -275,6 +279,14 @@ class Plant(Record):
                 details.setdefault(mine, list(labels))
         details.setdefault("name", str(getattr(system, "name", "") or ""))
         return cls(system.A, system.C, system.B, system.D, **details)
+
+    @classmethod
+    def _foreign(cls, system: Any) -> Callable[[Any, str], Plant] | None:
+        """How the door makes a plant of a state-space system of `control` or `scipy.signal`; None: it is neither."""
+        made = _LIBRARIES.get(type(system).__module__.partition(".")[0])
+        if made is None or not hasattr(system, "dt"):
+            return None
+        return lambda value, unit: getattr(cls, made)(value, time_unit=unit)
 
     @classmethod
     def from_scipy(cls, system: Any, **details: Any) -> Plant:
@@ -360,7 +372,10 @@ def _signals(key: str, value: Any, size: int) -> Signals:
 
 def _refuse_discrete(system: Any) -> None:
     if not all(hasattr(system, m) for m in "ABCD"):
-        raise ArgumentError(f"`system` must be a state-space system with A, B, C, D, got {type(system).__name__}.")
+        raise ArgumentError(
+            f"`system` must be a state-space system with A, B, C, D, got {type(system).__name__}: choose its states "
+            "first (control.ss, or its own to_ss)."
+        )
     if getattr(system, "dt", None) not in (None, 0, 0.0):
         raise ArgumentError(
             f"`system` must be continuous-time, got a discrete one with dt = {system.dt}. "

@@ -7,7 +7,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sampling_design import _files
+from sampling_design._checks import described
 from sampling_design.errors import ArgumentError
 
 # record -> (file of this room, function); a record without a picture of its own is not listed
@@ -40,13 +43,21 @@ def draw(record: Any, ax: Any = None, **beside: Any) -> Any:
     Raises
     ------
     ArgumentError
-        If there is no picture for this kind of record.
+        If there is no picture for this kind of record, or `ax` is no axes.
     """
     kind = type(record).__name__
     if kind not in _PICTURES:
         raise ArgumentError(f"`record` has no picture: got {kind}, expected one of {', '.join(sorted(_PICTURES))}.")
+    _check_axes(ax)
     room, function = _PICTURES[kind]
     return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)
+
+
+def _check_axes(ax: Any) -> None:
+    """Refuse what is no axes; several of them come as a list or an array."""
+    each = list(np.ravel(np.asarray(ax, dtype=object))) if isinstance(ax, (list, tuple, np.ndarray)) else [ax]
+    if ax is not None and not (each and all(hasattr(a, "plot") and hasattr(a, "transAxes") for a in each)):
+        raise ArgumentError(f"`ax` must be axes of matplotlib, or None for a new figure, got {described(ax)}.")
 
 
 def save(record: Any, path: str | os.PathLike[str], dpi: int = 130, **beside: Any) -> Path:

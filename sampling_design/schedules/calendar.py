@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._files import write_text
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
@@ -31,6 +32,7 @@ class CalendarEntry:
     outputs: tuple[str, ...]
 
 
+@door
 def calendar(
     schedule: AnySchedule, start: str | datetime | None = None, span: float | None = None
 ) -> tuple[CalendarEntry, ...]:
@@ -80,6 +82,7 @@ def calendar(
     return tuple(entries)
 
 
+@door
 def write_calendar_csv(
     schedule: AnySchedule,
     path: str | os.PathLike[str],
@@ -115,6 +118,7 @@ def write_calendar_csv(
     return write_text(path, "\n".join(lines) + "\n")
 
 
+@door
 def write_ics(
     schedule: AnySchedule,
     path: str | os.PathLike[str],

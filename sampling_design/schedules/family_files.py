@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.files import schedule_from_dict
@@ -16,6 +17,7 @@ from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401
 from sampling_design.schedules.spaced_windows import SpacedWindows  # noqa: F401
 
 
+@door
 def family_to_dict(family: SamplingFamily) -> dict[str, Any]:
     """Return a family as plain data; `kind` names it.
 
@@ -31,6 +33,7 @@ def family_to_dict(family: SamplingFamily) -> dict[str, Any]:
     return family.to_dict()
 
 
+@door
 def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     """Return the family in plain data.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -23,6 +24,7 @@ _DETAILS = ("time_unit", "origin", "output_names")
 _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of the period, no more
 
 
+@door
 def schedule_to_dict(schedule: AnySchedule) -> dict[str, Any]:
     """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period).
 
@@ -43,6 +45,7 @@ def schedule_to_dict(schedule: AnySchedule) -> dict[str, Any]:
     return _check_schedule(schedule).to_dict()
 
 
+@door
 def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     """Return the schedule in plain data, every float to the last bit.
 
@@ -98,6 +101,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     return by_times
 
 
+@door
 def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     """Write a schedule as `.csv` or `.json`, whole or not at all, and return the path.
 
@@ -133,6 +137,7 @@ def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     return write_text(path, _to_csv(schedule))
 
 
+@door
 def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
     """Return the schedule in a `.csv` or `.json` file.
 

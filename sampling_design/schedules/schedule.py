@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,8 @@ from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+MOST_TIMES = 20_000_000
+"""Samples of an endless schedule that are listed at once, 160 MB of times."""
 _GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."
 
 
@@ -31,6 +33,9 @@ class _Sampled(Record):
             check_time_unit(self.time_unit)
         mask = values.get("outputs")
         if self.output_names is not None:
+            if not isinstance(self.output_names, (tuple, list)):
+                came = _checks.described(self.output_names)
+                raise ArgumentError(f"`output_names` must be a list of strings, got {came}.")
             length = len(self.output_names) if mask is None else mask.shape[1]
             values["output_names"] = _checks.names("output_names", self.output_names, length, "y")
         for key, value in values.items():
@@ -73,6 +78,7 @@ class Schedule(_Sampled):
     array([1. , 1.5])
     """
 
+    _slip: ClassVar[str] = "Did you pass times? Use Schedule(times)."
     times: Array
     outputs: Mask | None = None
 
@@ -239,6 +245,12 @@ class PeriodicSchedule(_Sampled):
             raise ArgumentError(f"`stop` must be finite, got {stop!r}: a periodic schedule has no end.")
         low = max(0, int(np.floor((max(start, 0.0) - lap[-1]) / period)) - 1)
         high = max(low, int(np.ceil((stop - lap[0]) / period)) + 1)
+        if (high - low + 1) * len(self) > MOST_TIMES:
+            size = (high - low + 1.0) * len(self)
+            raise ArgumentError(
+                f"`stop` asks for {size:.3g} samples, which take {8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are "
+                "listed at once."
+            )
         times = (lap + period * np.arange(low, high + 1)[:, None]).ravel()
         keep = _inside(times, start, stop, closed)
         mask = None if self.outputs is None else np.tile(self.outputs, (high - low + 1, 1))[keep]
@@ -281,8 +293,6 @@ class PeriodicSchedule(_Sampled):
 
 
 def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
-    if np.isnan(start) or np.isnan(stop):
-        raise ArgumentError(f"`start` and `stop` must be numbers, got {start!r} and {stop!r}.")
     if closed not in ("both", "left", "right", "neither"):
         raise ArgumentError(f'`closed` must be "both", "left", "right" or "neither", got {closed!r}.')
     low = times >= start if closed in ("both", "left") else times > start

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sampling_design._door import door
 from sampling_design._files import read_text
 from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -20,6 +21,7 @@ from sampling_design.schedules.schedule import Schedule
 MICROSECONDS = 1_000_000
 
 
+@door
 def import_time_stamps(
     path: str | os.PathLike[str],
     time_unit: str,

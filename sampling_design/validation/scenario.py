@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.measurements import Measurements
@@ -203,6 +204,7 @@ class SimulatedRecord(Record):
         return f"{len(self.at)} samples of a simulated truth over {span}, exact up to rounding."
 
 
+@door
 def simulate_record(
     plant: Plant,
     schedule: Any,

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
@@ -122,6 +123,7 @@ class ScheduleLog(Record):
         return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}."
 
 
+@door
 def compare_schedule(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,

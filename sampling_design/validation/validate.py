@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
+from sampling_design._door import door
 from sampling_design._workers import Workers, check_workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -22,6 +23,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 
+@door
 def validate(
     plant: Plant,
     schedule: Any,

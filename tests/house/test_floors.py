@@ -20,6 +20,7 @@ FLOORS = {
 }
 GROUND = {
     "errors",
+    "_door",
     "evidence",
     "_checks",
     "_balance",

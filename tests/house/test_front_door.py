@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import sampling_design
+from sampling_design._door import hints_of
 from tests.house.front_door import STUB, stub
 
 ROOT = Path(__file__).parents[2]
@@ -161,3 +162,20 @@ def test_import_loads_nothing():
 @pytest.mark.parametrize("room", [r for r in sampling_design._ROOMS if r not in ("errors", "evidence")])
 def test_every_room_imports_and_says_what_it_is(room):
     assert importlib.import_module(f"sampling_design.{room}").__doc__
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_public_function_has_a_door(name):
+    assert "door" in vars(getattr(sampling_design, name)), f"{name} has no @door"
+
+
+def test_the_annotations_behind_every_door_can_be_read():
+    """A name that only type checkers import would leave an argument without its check."""
+    for name in sampling_design.__all__:
+        thing = getattr(sampling_design, name)
+        members = [thing] if inspect.isfunction(thing) else list(vars(thing).values()) if inspect.isclass(thing) else []
+        for member in members:
+            inner = getattr(member, "__func__", member)
+            if inspect.isfunction(inner) and "door" in vars(inner):
+                unread = set(inspect.get_annotations(inner)) - {"return", *hints_of(inner.__wrapped__)}
+                assert not unread, f"{name}: {inner.__name__} cannot read {unread}"

@@ -53,7 +53,7 @@ def test_integers_become_floats():
         ({"G": [[1.0]]}, r"`G` must have shape \(2, 1\), got \(1, 1\)"),
         ({"time_unit": "y"}, "`time_unit` must be one of ms, s, min, h, d, wk, got 'y'"),
         ({"time_unit": ""}, "`time_unit` is missing"),
-        ({"name": 3}, "`name` must be a string, got 3"),
+        ({"name": 3}, "`name` must be a string, got int 3"),
         ({"states": ["a"]}, "`states` must have 2 entries, got 1"),
         ({"states": Signals(["a"])}, "`states` must have 2 entries, got 1"),
         ({"states": ["a", "a"]}, "`states` must be distinct, got 'a' twice"),
@@ -71,7 +71,7 @@ def test_transpose_is_suspected_where_it_fits():
 
 
 def test_signals_refuse():
-    with pytest.raises(ArgumentError, match="`names` must be a list of strings, got 'ab'"):
+    with pytest.raises(ArgumentError, match="`names` must be a list of strings, got str 'ab'"):
         Signals("ab")
     with pytest.raises(ArgumentError, match="`units` must be 2 strings, one per name"):
         Signals(["a", "b"], ["m"])

@@ -154,6 +154,6 @@ def test_bad_input(tmp_path):
         calendar(DAY, span=1e9)
     with pytest.raises(ArgumentError, match=r"lies beyond the year 9999. Is the time unit right\?"):
         calendar(Schedule([1e9], time_unit="wk"), "2026-01-05")
-    with pytest.raises(ArgumentError, match="must be a Schedule or PeriodicSchedule, got list"):
+    with pytest.raises(ArgumentError, match="must be a Schedule or a PeriodicSchedule, got list"):
         write_ics([1.0], tmp_path / "a.ics", "2026-01-05")
     assert not list(tmp_path.iterdir())

@@ -159,7 +159,7 @@ def test_what_cannot_be_written_leaves_the_old_file(tmp_path):
         write_schedule(Schedule([1.0], time_unit="h"), tmp_path / "a.txt")
     with pytest.raises(ArgumentError, match=r"`path` must end in .csv or .json"):
         read_schedule(tmp_path / "a.txt")
-    with pytest.raises(ArgumentError, match="must be a Schedule or PeriodicSchedule, got list"):
+    with pytest.raises(ArgumentError, match="must be a Schedule or a PeriodicSchedule, got list"):
         write_schedule([1.0], path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._door import door
 from sampling_design._linalg import expm_batch
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.riccati import update
@@ -52,6 +53,7 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     return _along(problem, start, start + length, seen)
 
 
+@door
 def spectral_radius(certificate: Certificate, length: float, cost: str = "certificate") -> float:
     """Return the spectral radius of the error over one window of `length`, the worst start in a lap.
 
@@ -93,6 +95,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
     return worst
 
 
+@door
 def least_contracting(certificate: Certificate, cost: str = "certificate") -> float:
     """Return the least window, in steps from sample to sample of a lap, from which on the true error map contracts.
 

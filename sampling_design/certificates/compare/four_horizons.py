@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
@@ -97,11 +97,12 @@ def _cells(row: HorizonRow) -> list[str]:
     return [least, *(["-"] * 3 if gains is None else [short(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
 
 
+@door
 def four_horizons(
     plant: Plant,
     schedule: AnySchedule,
     certificate: Certificate | None = None,
-    proof_constants: Any = None,
+    proof_constants: ProofConstants | None = None,
 ) -> FourHorizons:
     """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and sharp, true contraction.
 

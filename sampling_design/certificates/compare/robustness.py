@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
@@ -22,7 +23,7 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.sampling_set import SamplingSet
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Progress = Callable[[float, str], None]
 
@@ -195,6 +196,7 @@ def _choose(n: int, k: int) -> int:
     return comb(n, k)
 
 
+@door
 def survival(
     plant: Plant,
     certificate: Any,
@@ -248,6 +250,8 @@ def survival(
     (True, True)
     """
     report = progress or (lambda fraction, message: None)
+    if not isinstance(getattr(certificate, "schedule", None), (Schedule, PeriodicSchedule)):
+        raise ArgumentError(f"`certificate` must be one about samples, got {_checks.described(certificate)}.")
     planned = certificate if isinstance(certificate, Certificate) else certify(plant, certificate.schedule)
     schedule = planned.schedule
     if not isinstance(schedule, PeriodicSchedule):

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
@@ -59,6 +60,7 @@ class TradeoffCurve(Record):
         )
 
 
+@door
 def tradeoff_curve(
     plant: Plant,
     schedule: AnySchedule,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_are, solve_continuous_lyapunov
 
 from sampling_design import _checks, _conic
+from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
@@ -39,6 +40,7 @@ _NO_SOLUTION = (
 )
 
 
+@door
 def certify_detectability(
     plant: Plant,
     rate: float | None = None,
@@ -265,6 +267,7 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)
 
 
+@door
 def detectability_from_proof(
     plant: Plant, gain: npt.ArrayLike | None = None, Q: npt.ArrayLike | None = None
 ) -> DetectabilityCertificate:

@@ -8,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
 
+@door
 def weights_from_bounds(plant: Plant, eta: float, w_bound: Any, v_bound: Any, initial_error: Any) -> dict[str, Array]:
     """Return the weights with which prior, disturbance and each sample's noise cost at most one.
 

@@ -235,7 +235,7 @@ class SampledCertificate(Record, ABC):
             In the Euclidean norm of the state.
         """
         found = self.horizon(theorem, length)
-        times = np.asarray(t, dtype=np.float64)
+        times = _checks.floats("t", t)
         start = float(np.sum(np.square(_checks.real_array("e0", e0, np.ndim(e0)))))
         w2, v2 = _checks.nonnegative("w_bound", w_bound) ** 2, _checks.nonnegative("v_bound", v_bound) ** 2
         rate = found.eta_tilde

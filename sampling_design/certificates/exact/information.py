@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import Record, short
 from sampling_design.certificates.exact.certificate import Certificate
@@ -57,6 +58,7 @@ class InformationCurve(Record):
         )
 
 
+@door
 def information_curve(
     certificate: Certificate, start: float | None = None, samples: int | None = None, points: int = 24
 ) -> InformationCurve:

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
+from sampling_design._checks import positive, vector
+from sampling_design._door import door
 from sampling_design._linalg import expm_batch
 from sampling_design._record import Record, short
 from sampling_design.certificates.existence.periodic import Existence, certificate_exists
@@ -128,6 +130,7 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
     return Counterexample(plant, schedule, eta, main, found.partners, mu, direction, residual, found.reason)
 
 
+@door
 def find_counterexample(
     plant: Plant,
     family: SamplingFamily,
@@ -161,10 +164,12 @@ def find_counterexample(
     lap that words of up to four gaps can have, the word of equal gaps, some random ones, and the least margin over
     gaps of that sum. For lost samples, every pattern of losses of up to twelve nominal samples.
     """
+    eta = positive("eta", eta)
+    laps = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
     rng = np.random.default_rng(0) if rng is None else rng
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
-    for schedule in _suspects(plant, family, eta, hints, rng, quick):
+    for schedule in _suspects(plant, family, eta, laps, rng, quick):
         found = certificate_exists(plant, schedule, eta)
         if not found.exists:
             made = counterexample(plant, schedule, eta, found)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
+from sampling_design._door import door
 from sampling_design._linalg import expm_batch, smallest_singular
 from sampling_design._record import Record, short
 from sampling_design.errors import CertificateError
@@ -71,6 +72,7 @@ class Existence(Record):
         return f"{'A' if self.exists else 'No'} certificate exists: {self.reason}."
 
 
+@door
 def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
@@ -147,6 +149,7 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
     )
 
 
+@door
 def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dict[str, Any] | None:
     """Return the smallest change of one gap after which the lap sees every mode with margin, or None.
 

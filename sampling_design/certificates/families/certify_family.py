@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
 from sampling_design.certificates.exact.given_weights import weights_of
@@ -231,6 +232,7 @@ def _horizon_of(found: Proposal) -> float:
     return float(np.log(max(found.lam, 1.0)) / found.dynamics.eta)
 
 
+@door
 def certify_family(
     plant: Plant,
     family: Any,

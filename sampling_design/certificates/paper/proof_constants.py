@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
@@ -139,6 +140,7 @@ class ProofConstants(Record):
         )
 
 
+@door
 def constants_from_proof(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -226,6 +228,7 @@ def constants_from_proof(
 _CHAINS = {"paper": paper_chain, "tightened": tightened_chain}
 
 
+@door
 def certify_from_proof(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,

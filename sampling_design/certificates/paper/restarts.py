@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.windows.sampled import observability_matrix
@@ -15,6 +16,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 Array = npt.NDArray[np.float64]
 
 
+@door
 def restart_times(schedule: Schedule | PeriodicSchedule, t: float, t_star: float) -> Array:
     """Return k_1 = t* < k_2 < ... < t, the partition of [t*, t] in the repaired proof of Theorem 5.
 
@@ -73,6 +75,7 @@ def restart_times(schedule: Schedule | PeriodicSchedule, t: float, t_star: float
     return np.array([*points, t])
 
 
+@door
 def output_predictor(plant: Plant, schedule: Schedule | PeriodicSchedule, t: float, window: float) -> Array:
     """Return Lemma 12's H: the output at the window's end from the samples inside, without disturbance.
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._door import doors
 from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.relaxation import Relaxation
@@ -77,6 +78,7 @@ class BoundPart:
         return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
+@doors
 @dataclass(frozen=True, eq=False)
 class UpperBound:
     """The sigma that no admissible schedule over all real times can beat, with the multipliers that prove it.

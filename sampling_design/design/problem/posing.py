@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._units import time_factor
 from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
@@ -22,6 +23,7 @@ Array = npt.NDArray[np.floating[Any]]
 MOST_DEFAULT_SAMPLES = 24
 
 
+@door
 def default_window(split: ModalSplit) -> float | None:
     """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
 

@@ -131,7 +131,7 @@ class Requirement(Record):
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         if not isinstance(self.scaled, (bool, np.bool_)):
-            raise ArgumentError(f"`scaled` must be true or false, got {self.scaled!r}.")
+            raise ArgumentError(f"`scaled` must be true or false, got {self.scaled!r:.60}.")
         for key, value in own.items():
             object.__setattr__(self, key, value)
         if self.period is not None:

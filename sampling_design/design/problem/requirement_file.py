@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design.design.problem.requirement import FORMAT, Requirement
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -15,6 +16,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 _KEYS = tuple(Requirement.__dataclass_fields__)
 
 
+@door
 def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     """Read a requirement from a `.toml` or `.json` file.
 
@@ -44,6 +46,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     return requirement_from_dict(data, where)
 
 
+@door
 def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> Requirement:
     """Return the requirement in a tree of plain data; the inverse of `Requirement.to_dict`.
 
@@ -80,6 +83,7 @@ def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> R
         raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 
 
+@door
 def write_requirement(requirement: Requirement, path: str | os.PathLike[str]) -> Path:
     """Write a requirement as `.toml` or `.json`, whole or not at all.
 

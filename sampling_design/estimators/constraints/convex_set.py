@@ -74,6 +74,8 @@ class ConvexSet(Record):
             )
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, value)
+        if not isinstance(self.balls, tuple) or not all(isinstance(ball, Ball) for ball in self.balls):
+            raise ArgumentError(f"`balls` must be a tuple of balls, got {_checks.described(self.balls)}.")
         if rows.shape[0] + len(self.balls) > 0:
             self._refuse_empty()
 
@@ -167,7 +169,12 @@ class ConvexSet(Record):
 
     def excess(self, values: npt.ArrayLike) -> float:
         """Return by how much the worst of (N, k) `values` leaves the set (0 or negative: none does)."""
-        z = np.asarray(values, dtype=np.float64).reshape(-1, self.dimension)
+        z = _checks.floats("values", values)
+        if not self.dimension or z.shape[-1:] != (self.dimension,):
+            if z.size and self.dimension:
+                raise ArgumentError(f"`values` must have {self.dimension} columns, got shape {z.shape}.")
+            return -np.inf
+        z = z.reshape(-1, self.dimension)
         if z.shape[0] == 0:
             return -np.inf
         worst = max(float(np.max(self.lower - z, initial=-np.inf)), float(np.max(z - self.upper, initial=-np.inf)))
@@ -244,7 +251,7 @@ def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
     if not isinstance(value, ConvexSet):
         if not isinstance(value, (tuple, list)) or len(value) != 2:
             raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
-        sides = (np.asarray(side, dtype=np.float64) for side in value)
+        sides = (_checks.floats(name, side) for side in value)
         lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
         value = ConvexSet.box(lower, upper)
     if value.dimension != dimension:
@@ -253,9 +260,9 @@ def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
 
 
 def _bounds(name: str, value: Any) -> Array:
-    array = np.array(value, dtype=np.float64)
+    array = _checks.floats(name, value)
     if array.ndim != 1 or np.isnan(array).any():
-        raise ArgumentError(f"`{name}` must be a vector without NaN, got {value!r:.60}.")
+        raise ArgumentError(f"`{name}` must be a vector without NaN, got {_checks.described(value)}.")
     array.flags.writeable = False
     return array
 

@@ -10,8 +10,10 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -110,7 +112,9 @@ class Estimate(Record):
 
     def ratio(self, truth: npt.ArrayLike) -> float:
         """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds."""
-        half = np.linalg.solve(np.linalg.cholesky(self.covariance), np.asarray(truth, dtype=np.float64) - self.x)
+        half = np.linalg.solve(
+            np.linalg.cholesky(self.covariance), _checks.vector("truth", truth, self.x.size) - self.x
+        )
         square = float(half @ half)
         return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
 
@@ -179,9 +183,13 @@ class EstimateRecord(Record):
     notes: tuple[str, ...] = field(default=())
 
     @classmethod
-    def collect(cls, plant: Plant, estimates: Iterable[Estimate]) -> EstimateRecord:
-        """Return the record of some estimates of one plant."""
+    def collect(cls, plant: Any, estimates: Iterable[Estimate]) -> EstimateRecord:
+        """Return the record of some estimates of one plant, linear or not."""
+        if not isinstance(getattr(plant, "n_states", None), int):
+            raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {_checks.described(plant)}.")
         found: Sequence[Estimate] = list(estimates)
+        if not all(isinstance(e, Estimate) for e in found):
+            raise ArgumentError(f"`estimates` must be a list of estimates, got {_checks.described(found)}.")
         n = plant.n_states
         return cls(
             plant=plant,

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import doors
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
@@ -22,6 +23,7 @@ from sampling_design.plants.plant import Plant
 Array = npt.NDArray[np.float64]
 
 
+@doors
 class OnlineEstimator(ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
 
@@ -32,6 +34,10 @@ class OnlineEstimator(ABC):
     lateness: float
     feedthrough: str
     state: State
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        doors(cls)
 
     @abstractmethod
     def _advance(self, state: State, sample: Sample) -> Node:
@@ -62,7 +68,7 @@ class OnlineEstimator(ABC):
         *Method.* A late sample is inserted and everything after it is replayed from the snapshot before it, so
         that the result is that of the samples in order; estimates that were handed out stay what they were.
         """
-        checked = self._check(Sample(*sample), state)
+        checked = self._check(triple(sample), state)
         if checked.u is not None:
             state = _with_input(state, checked)
         if checked.t > state.last.t:
@@ -108,7 +114,7 @@ class OnlineEstimator(ABC):
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
             return Sample(t, y, None)
-        u = np.atleast_1d(np.array(sample.u, dtype=np.float64))
+        u = np.atleast_1d(_checks.floats("u", sample.u))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
         return Sample(t, y, _checks.vector("u", u, self.plant.n_inputs))
@@ -154,7 +160,7 @@ class OnlineEstimator(ABC):
     def stream(self, samples: Iterable[Any]) -> Iterator[Estimate]:
         """Yield the estimate after each (t, y, u); nothing but the last two windows is kept."""
         for item in samples:
-            yield self.update(*item)
+            yield self.update(*triple(item))
 
     def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:
         """Take in a whole record of samples and return all estimates.
@@ -169,7 +175,7 @@ class OnlineEstimator(ABC):
         -------
         EstimateRecord
         """
-        samples = list(record)
+        samples = listed(record)
         every = max(1, len(samples) // 100)
         found = []
         for k, estimate in enumerate(self.stream(samples)):
@@ -177,6 +183,32 @@ class OnlineEstimator(ABC):
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
         return EstimateRecord.collect(self.plant, found)
+
+
+def listed(record: Any) -> list[Any]:
+    """The samples of a record, whatever it is made of.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot be gone through.
+    """
+    if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):
+        return list(record)
+    raise ArgumentError(f"`record` must be Measurements or a list of (t, y, u), got {_checks.described(record)}.")
+
+
+def triple(item: Any) -> Sample:
+    """One sample of a record.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no (t, y), (t, y, u).
+    """
+    if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
+        raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {_checks.described(item)}.")
+    return Sample(*item)
 
 
 def _is_time(value: Any) -> bool:

@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from sampling_design._checks import described
+from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import require_observable, spectrum
 from sampling_design.plants.clusters import eigenvalue_clusters
@@ -26,6 +28,7 @@ STEPS_PER_RADIAN = 12  # samples of a minor per radian of its fastest oscillatio
 TOUCH = 1e-9  # a least |minor| below this fraction of the compound's column counts as a zero that touches
 
 
+@door
 def critical_length(plant: Plant | npt.ArrayLike) -> float:
     """Return h such that any n distinct times in a closed window shorter than h determine the state.
 
@@ -107,9 +110,19 @@ def search(values: Complex) -> float | None:
     return stop / rho
 
 
+def _complex_vector(value: npt.ArrayLike) -> Complex:
+    try:
+        found = np.atleast_1d(np.asarray(value))
+    except Exception:
+        found = np.array(None)
+    if found.ndim != 1 or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
+        raise ArgumentError(f"`plant` must be a Plant or a list of eigenvalues, got {described(value)}.")
+    return found.astype(complex)
+
+
 def _eigenvalues(plant: Plant | npt.ArrayLike) -> Complex:
     if not isinstance(plant, Plant):
-        values = np.atleast_1d(np.asarray(plant, dtype=complex))
+        values = _complex_vector(plant)
         size = float(np.max(np.abs(values), initial=0.0))
         mirror = np.sort_complex(np.round(values.conj() / (size or 1.0), 9))
         if not np.array_equal(np.sort_complex(np.round(values / (size or 1.0), 9)), mirror):

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._balance import balanced
+from sampling_design._door import door
 from sampling_design._linalg import positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.errors import NotObservableError
@@ -85,6 +86,7 @@ class UnseenModes(Record):
         return f"No output sees {self.describe()}."
 
 
+@door
 def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_TOLERANCE) -> UnseenModes:
     """Return the eigenvalues and directions of a plant that no output sees.
 
@@ -223,6 +225,7 @@ class _Pair:
         return float(np.max(left / positive_or_one(self._entries(value, np.abs(z)))))
 
 
+@door
 def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
     """Raise if some mode is seen by no output.
 

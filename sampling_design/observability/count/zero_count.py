@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
@@ -111,6 +112,7 @@ class ZeroCountBound(Record):
         )
 
 
+@door
 def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._linalg import smallest_singular
 from sampling_design._modal import exponential
 from sampling_design.errors import ArgumentError
@@ -17,6 +18,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
+@door
 def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> Array:
     """Return the sample-based observability matrix O_s.
 
@@ -69,6 +71,7 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
     return rows.reshape(tau.size * plant.n_outputs, plant.n_states) if mask is None else rows[mask]
 
 
+@door
 def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> float:
     """Return sigma_n(O_s), the n-th singular value of the sample-based observability matrix.
 
@@ -110,6 +113,7 @@ def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayL
     return float(smallest_singular(observability_matrix(plant, times, outputs)))
 
 
+@door
 def observability_gramian(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> Array:
     """Return the sampled observability Gramian.
 

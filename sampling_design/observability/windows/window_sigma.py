@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
@@ -202,6 +203,7 @@ class WindowSigma(Record):
         return f"{proven}; {short(self.upper)} is attained, and {reason}."
 
 
+@door
 def window_sigma(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,

@@ -1,0 +1,282 @@
+"""The door: what every public function and method asks of its arguments before it begins, read off its annotations.
+
+An argument of another kind than the annotation says ends in one sentence (the grammar of `_checks`), not in whatever it
+breaks inside. Arrays pass: their owners check shape and content. A number that leaves double precision or memory in the
+middle of a verb ends in one sentence too.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import functools
+import inspect
+import math
+import numbers
+import os
+import threading
+import types
+import typing
+from collections.abc import Callable
+from typing import Any, Literal, ParamSpec, TypeVar, Union
+
+import numpy as np
+
+from sampling_design._checks import described
+from sampling_design.errors import ArgumentError, SolverError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+Check = Callable[[Any], Any]
+
+_NO = object()
+_UNITS = ("time_unit", "plant")
+_inside = threading.local()
+
+
+class _Unchecked(Exception):
+    """An annotation that says nothing a door could check."""
+
+
+def door(function: Callable[P, T]) -> Callable[P, T]:
+    """Return `function` behind a door: arguments are checked against its annotations before it begins.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another kind than its annotation says.
+    SolverError
+        If a number leaves the range of double precision, or an array does not fit into memory, inside.
+    """
+    checks: dict[str, Check] = {}
+    order: list[str] = []
+
+    def prepare() -> None:
+        if not order:
+            hints = hints_of(function)
+            for parameter in inspect.signature(function).parameters.values():
+                if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                    order.append(parameter.name)
+                if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+                    check = _check(parameter, hints.get(parameter.name, Any))
+                    if check is not None:
+                        checks[parameter.name] = check
+
+    def enter(arguments: tuple[Any, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+        prepare()
+        given = [*arguments]
+        for i, name in enumerate(order[: len(given)]):
+            if name in checks:
+                given[i] = checks[name](given[i])
+        named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
+        if any(isinstance(value, _Foreign) for value in (*given, *named.values())):
+            unit = _unit_of((*given, *named.values()))
+            given = [value.taken(unit) if isinstance(value, _Foreign) else value for value in given]
+            named = {k: value.taken(unit) if isinstance(value, _Foreign) else value for k, value in named.items()}
+        return given, named
+
+    inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
+
+    def entered(*arguments: Any, **options: Any) -> Any:
+        given, named = enter(arguments, options)
+        if getattr(inside, "door", False):
+            return function(*given, **named)
+        inside.door = True
+        try:
+            return function(*given, **named)
+        except failures as error:
+            raise worded(function.__name__, error) from error
+        finally:
+            inside.door = False
+
+    # with the globals of its module, so that doctest still finds the function where it is defined
+    code, closure = entered.__code__, entered.__closure__
+    own = types.FunctionType(code, function.__globals__, function.__name__, None, closure)
+    functools.update_wrapper(own, function)
+    vars(own)["door"] = True
+    return typing.cast(Callable[P, T], own)
+
+
+def hints_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """The annotations of the parameters, those apart that name what only a type checker imports."""
+    found, known = {}, getattr(function, "__globals__", {})
+    for name, hint in inspect.get_annotations(function).items():
+        try:
+            found[name] = eval(hint, known) if isinstance(hint, str) else hint
+        except NameError:
+            continue
+    return found
+
+
+def doors(cls: type[T]) -> type[T]:
+    """Put a door before `__init__` and every public method that a class defines itself and that takes arguments."""
+    for name, member in list(vars(cls).items()):
+        kind = type(member) if isinstance(member, (classmethod, staticmethod)) else None
+        inner = member.__func__ if kind else member
+        private = name.startswith("_") and name != "__init__"
+        if private or not inspect.isfunction(inner) or "door" in vars(inner):
+            continue
+        if len(inspect.signature(inner).parameters) > (kind is not staticmethod):
+            setattr(cls, name, kind(door(inner)) if kind else door(inner))
+    return cls
+
+
+class _Foreign:
+    """A system of another library on its way to being what the annotation says, once the unit of time is known."""
+
+    def __init__(self, take: Callable[[Any, str], Any], value: Any) -> None:
+        self.take, self.value = take, value
+
+    def taken(self, unit: str) -> Any:
+        return self.take(self.value, unit)
+
+
+def _unit_of(values: tuple[Any, ...]) -> str:
+    """The unit of time that the other arguments state, else seconds."""
+    for value in values:
+        for holder in (value, getattr(value, "plant", None)):
+            unit = None if isinstance(holder, _Foreign) else getattr(holder, "time_unit", None)
+            if isinstance(unit, str):
+                return unit
+    return "s"
+
+
+def _worded(name: str, error: BaseException) -> SolverError:
+    if isinstance(error, MemoryError):
+        return SolverError(f"`{name}` needs more memory than there is ({_line(error) or 'none left'}).", "memory")
+    return SolverError(
+        f"`{name}` leaves what double precision can hold ({_line(error)}): are the sizes and units as meant?",
+        "overflow",
+    )
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
+    """What turns an argument into one of the annotated kind, or raises; None if anything may pass."""
+    try:
+        kinds = _kinds(hint)
+    except _Unchecked:
+        return None
+    name, default = parameter.name, parameter.default
+    words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
+    slip = next((" " + _slip(kind) for kind in _classes(hint) if _slip(kind)), "")
+
+    def check(value: Any) -> Any:
+        if value is default:
+            return value
+        for _, take in kinds:
+            found = take(name, value)
+            if found is not _NO:
+                return found
+        likely = slip if isinstance(value, (list, tuple, np.ndarray, int)) else ""
+        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
+
+    return check
+
+
+def _slip(kind: Any) -> str:
+    """The likely slip where something that is no `kind` came for one."""
+    if kind is np.random.Generator:
+        return "Did you pass a seed? Use numpy.random.default_rng(seed)."
+    return str(getattr(kind, "_slip", ""))
+
+
+def _classes(hint: Any) -> tuple[Any, ...]:
+    return typing.get_args(hint) or (hint,)
+
+
+def _kinds(hint: Any) -> list[tuple[str, Callable[[str, Any], Any]]]:
+    """The words and the test of every alternative of an annotation."""
+    origin = typing.get_origin(hint)
+    if origin in (Union, types.UnionType):
+        return [kind for member in typing.get_args(hint) for kind in _kinds(member)]
+    if origin is Literal:
+        allowed = typing.get_args(hint)
+        return [(f"one of {', '.join(map(repr, allowed))}", lambda _, v: v if _among(v, allowed) else _NO)]
+    if hint is None or hint is type(None):
+        return [("None", lambda _, v: None if v is None else _NO)]
+    plain = {float: ("a number", _number), int: ("a whole number", _whole), bool: ("True or False", _truth)}
+    if hint in plain:
+        return [plain[hint]]
+    kind = origin or hint
+    if kind is collections.abc.Callable:
+        return [("a function", lambda _, v: v if callable(v) else _NO)]
+    if kind is os.PathLike:
+        return [("a path", lambda _, v: v if _path(v) else _NO)]
+    if kind in _HELD:
+        return [(_HELD[kind], lambda _, v: _held(v, kind))]
+    if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
+        raise _Unchecked  # an array, or what becomes one
+    if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
+        raise _Unchecked
+    return [_instance(kind)]
+
+
+_HELD: dict[Any, str] = {
+    collections.abc.Sequence: "a list",
+    collections.abc.Iterable: "a list",
+    collections.abc.Mapping: "a table of names and values",
+    list: "a list",
+    tuple: "a tuple",
+    dict: "a table of names and values",
+}
+
+
+def _held(value: Any, kind: Any) -> Any:
+    if isinstance(value, (str, bytes)):
+        return _NO
+    if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
+        return value.tolist()
+    if kind in (list, tuple):
+        return value if isinstance(value, (list, tuple)) else _NO
+    if kind is collections.abc.Iterable and isinstance(value, np.ndarray) and not value.ndim:
+        return _NO
+    return value if isinstance(value, kind) else _NO
+
+
+def _instance(kind: type) -> tuple[str, Callable[[str, Any], Any]]:
+    label = "a text" if kind is str else f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+    foreign = getattr(kind, "_foreign", None)
+
+    def take(_: str, value: Any) -> Any:
+        if isinstance(value, kind):
+            return value
+        maker = None if foreign is None else foreign(value)
+        return _NO if maker is None else _Foreign(maker, value)
+
+    return label, take
+
+
+def _among(value: Any, allowed: tuple[Any, ...]) -> bool:
+    return isinstance(value, (str, int)) and value in allowed
+
+
+def _path(value: Any) -> bool:
+    return isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
+
+
+def _truth(_: str, value: Any) -> Any:
+    return bool(value) if isinstance(value, (bool, np.bool_)) else _NO
+
+
+def _number(name: str, value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
+        return _NO
+    try:
+        result = float(value)
+    except OverflowError:
+        raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
+    if math.isnan(result):
+        raise ArgumentError(f"`{name}` must be finite, got nan.")
+    return value if isinstance(value, (int, float)) else result
+
+
+def _whole(name: str, value: Any) -> Any:
+    number = _number(name, value)
+    if number is _NO or math.isinf(number) or number != int(number):
+        return _NO
+    return int(number)

@@ -3,7 +3,7 @@
 `made/items.md`: the table item -> theory -> function -> test, from `paper_items.toml`.
 `made/api/ROOM.md`: a room's README, every name of the front door that lives there, and the records that they return.
 `made/command-line.md`: every command with its flags. `made/reports.md`, `made/notebooks/`: what is there to include.
-`made/floors.svg`: who imports whom.
+`made/floors.svg`: which room imports which. `made/rooms.svg`: the same inside the large rooms.
 """
 
 import ast
@@ -56,6 +56,7 @@ def write_all(docs: Path) -> None:
     write(made / "command-line.md", command_page())
     write(made / "reports.md", reports_page(sorted({p.stem for p in docs.glob("*.md")} - WRITTEN)))
     write(made / "floors.svg", floors_picture(package))
+    write(made / "rooms.svg", rooms_picture(package))
     copy_notebooks(docs.parent / "examples" / "notebooks", made / "notebooks")
 
 
@@ -314,5 +315,96 @@ def floors_picture(package: Path) -> str:
     inside = "\n".join([tip, *lines, *boxes])
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {ground + 34}" {style}>\n'
+        f'<rect width="100%" height="100%" fill="white"/>\n{inside}\n</svg>\n'
+    )
+
+
+def arrows_inside(package: Path, room: str) -> dict[str, set[str]]:
+    """Return what each room inside a room, and each file that stands in it directly, imports of the others."""
+    folder = package / room
+    inside = {p.name for p in folder.iterdir() if (p / "__init__.py").is_file()}
+    below: dict[str, set[str]] = {name: set() for name in sorted(inside)}
+    for path in sorted(folder.rglob("*.py")):
+        parts = path.relative_to(folder).parts
+        here = parts[0] if len(parts) > 1 else path.stem
+        if here == "__init__":
+            continue
+        below.setdefault(here, set())
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"sampling_design.{room}."):
+                other = node.module.split(".")[2]
+                if other != here:
+                    below[here].add(other)
+    return below
+
+
+def levels(below: dict[str, set[str]]) -> dict[str, int]:
+    """Return the floor of each: one above the highest that it imports."""
+    found: dict[str, int] = {}
+    while len(found) < len(below):
+        ready = [n for n, others in below.items() if n not in found and others & set(below) <= set(found)]
+        assert ready, f"a circle among {sorted(set(below) - set(found))}"
+        for name in ready:
+            found[name] = 1 + max((found[other] for other in below[name] & set(below)), default=-1)
+    return found
+
+
+def direct(below: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Return the arrows that no longer way implies."""
+
+    def reached(name: str) -> set[str]:
+        others = below.get(name, set())
+        return others.union(*(reached(other) for other in others))
+
+    return {n: {o for o in others if not any(o in reached(x) for x in others - {o})} for n, others in below.items()}
+
+
+def rooms_picture(package: Path) -> str:
+    """Return an SVG: inside each large room, its rooms and files on their floors, and who imports whom."""
+    large = [r for floor in FLOORS for r in floor if any((package / r).glob("*/__init__.py"))]
+    width, box, step = 430, (122, 30), 62
+    drawn, panels = [], []
+    for k, room in enumerate(large):
+        below = arrows_inside(package, room)
+        floor = levels(below)
+        top = max(floor.values())
+        row = k // 2
+        left, base = 20 + (k % 2) * (width + 20), 60 + sum(panels[:row])
+        places = {}
+        for level in range(top + 1):
+            names = sorted(n for n in below if floor[n] == level)
+            for i, name in enumerate(names):
+                x = left + width / 2 + (i - (len(names) - 1) / 2) * min(138, (width - 10) / len(names))
+                places[name] = (x, base + (top - level) * step + 24)
+        if k % 2:
+            panels[row] = max(panels[row], (top + 1) * step + 56)
+        else:
+            panels.append((top + 1) * step + 56)
+        drawn.append(f'<text x="{left + 8}" y="{base - 18}" font-weight="600">{room}</text>')
+        for here, others in sorted(direct(below).items()):
+            for other in sorted(others & set(places)):
+                (x, y), (u, v) = places[here], places[other]
+                drawn.append(
+                    f'<path d="M {x:.0f} {y + box[1] / 2:.0f} L {u:.0f} {v - box[1] / 2 - 3:.0f}" fill="none" '
+                    'stroke="#1f5fa8" stroke-opacity="0.4" marker-end="url(#tip)">'
+                    f"<title>{here} imports {other}</title></path>"
+                )
+        for name, (x, y) in places.items():
+            wide = min(box[0], (width - 10) / sum(f == floor[name] for f in floor.values()) - 6)
+            file = not (package / room / name).is_dir()
+            fill, shown = ("#ffffff", f"{name}.py") if file else ("#eef4fb", name)
+            drawn.append(
+                f'<rect x="{x - wide / 2:.0f}" y="{y - box[1] / 2:.0f}" width="{wide:.0f}" height="{box[1]}" rx="6" '
+                f'fill="{fill}" stroke="#1f5fa8"/><text x="{x:.0f}" y="{y + 4:.0f}" text-anchor="middle" '
+                f'font-size="12">{shown}</text>'
+            )
+    tip = (
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" orient="auto" '
+        'markerUnits="userSpaceOnUse"><path d="M 0 0 L 8 4 L 0 8 z" fill="#1f5fa8" fill-opacity="0.6"/></marker></defs>'
+    )
+    inside = "\n".join([tip, *drawn])
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * width + 60} {sum(panels) + 40}" '
+        f'font-family="Helvetica, Arial, sans-serif" font-size="15">\n'
         f'<rect width="100%" height="100%" fill="white"/>\n{inside}\n</svg>\n'
     )

@@ -77,3 +77,13 @@ def test_every_page_is_in_a_table_of_contents():
     spec.loader.exec_module(module)
     by_people = {p for p in written if "/" in p or p in module.WRITTEN}
     assert sorted(by_people - set(listed) - {"index"}) == []
+
+
+def test_the_rooms_inside_are_drawn_without_a_circle(pages):
+    package = ROOT / "sampling_design"
+    below = pages.arrows_inside(package, "certificates")
+    floor = pages.levels(below)
+    assert floor["form"] < floor["exact"] < floor["families"] < floor["compare"]
+    assert all(floor[other] < floor[here] for here, others in below.items() for other in others & set(below))
+    drawn = pages.rooms_picture(package)
+    assert all(f">{name}<" in drawn for name in ("gap_flows", "bounds", "worst_case", "certify.py"))

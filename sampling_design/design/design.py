@@ -16,14 +16,16 @@ from sampling_design._units import time_factor
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
+from sampling_design.design.problem.counts import rival_counts
+from sampling_design.design.problem.folding import folded, unfolded
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search.costs import affordable, relax_costly
-from sampling_design.design.search.fedorov_exchange import even
+from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import Found, search
-from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.windows.window_sigma import WindowSigma
@@ -123,8 +125,7 @@ def design_schedule(
     """
     _check_arguments(plant, requirement)
     wanted = Requirement() if requirement is None else requirement
-    _checks.whole("starts", starts, 1)
-    _checks.whole("branches", branches)
+    starts, branches = _checks.whole("starts", starts, 1), _checks.whole("branches", branches)
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     split = split_modes(plant, _rate(wanted, plant))
     if split.retained.n_states == 0:
@@ -145,7 +146,7 @@ def design_schedule(
         progress,
         time.perf_counter(),
     )
-    return _aimed(run) if resolved.target_sigma is not None else run.one(run.count())
+    return _aimed(run) if resolved.target_sigma is not None else run.best()
 
 
 def _aimed(run: _Run) -> ScheduleDesign:
@@ -243,21 +244,38 @@ class _Run:
         if self.progress:
             self.progress(fraction, message)
 
-    def count(self) -> int:
-        """How many samples the requirement asks for; with "at_most" as many as there is room for."""
-        wanted = self.requirement.samples
-        if "exactly" in wanted:
-            return wanted["exactly"]
-        if "at_most" in wanted:
-            room = pose(self.designed, self.requirement, wanted["at_most"], check=False).capacity()
-            return max(min(wanted["at_most"], room), wanted.get("at_least", 1))
-        return wanted["at_least"]
-
-    def one(self, samples: int, low: float = 0.0, high: float = 1.0) -> ScheduleDesign:
-        """Bound, search and prove one count of samples."""
-        self.say(low, f"bounding {samples} samples per period")
-        sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
-        return self.searched(sized, low + 0.15 * (high - low), high)
+    def best(self) -> ScheduleDesign:
+        """The best of all counts that are asked for and that count; every other one is bounded, or sees no more."""
+        counts = rival_counts(self.designed, self.requirement)
+        best: ScheduleDesign | None = None
+        refused: InfeasibleRequirementError | SolverError | None = None
+        bounds: dict[int, UpperBound] = {}
+        for done, samples in enumerate(counts):
+            low, high = done / len(counts), (done + 1) / len(counts)
+            self.say(low, f"bounding {samples} samples per period")
+            sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
+            bounds[samples] = sized.bound
+            beaten = best is not None and sized.bound.value <= best.sigma
+            if beaten or (best is not None and time.perf_counter() > self.began + self.seconds):
+                continue
+            try:
+                found = self.searched(sized, low + 0.15 * (high - low), high)
+            except (InfeasibleRequirementError, SolverError) as error:  # room and money for this count was not found
+                refused = refused or error
+                continue
+            bounds[samples] = found.bound or sized.bound
+            if best is None or found.sigma > best.sigma:
+                best = found
+        if best is None:
+            assert refused is not None
+            raise refused
+        if len(bounds) == 1:
+            return best
+        own = len(best.schedule or ())
+        others = {samples: bound for samples, bound in bounds.items() if samples != own}
+        top = max(bound.value for bound in bounds.values())
+        late = time.perf_counter() > self.began + self.seconds
+        return replace(best, upper_bound=top, other_counts=others, status="budget" if late else best.status)
 
     def searched(self, sized: Sized, low: float, high: float) -> ScheduleDesign:
         """Search and prove where the bound is known already."""
@@ -275,10 +293,13 @@ class _Run:
         chosen = sized.problem.mask(found.times)
         if sized.problem.is_costly:
             found, chosen = affordable(sized.problem, found, sized.relaxation, deadline)
-        bound = narrowed(sized.problem, sized.bound, found.sigma, self.branches, deadline, cutting)
+        tied = self.tied(sized, rng, found.sigma, deadline)
+        reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
+        bound = narrowed(sized.problem, sized.bound, reached, self.branches, deadline, cutting)
         time_left = time.perf_counter() <= deadline
         self.say(near, "proving sigma over all window positions")
-        proven = [self.proven(sized.problem, times, mask) for times, mask in _candidates(sized.problem, found, chosen)]
+        candidates = [*_candidates(sized.problem, found, chosen), *((times, mask) for times, mask, _ in tied)]
+        proven = [self.proven(sized.problem, times, mask) for times, mask in candidates]
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         sigma = stated(proof, self.requirement)
         return ScheduleDesign(
@@ -295,9 +316,29 @@ class _Run:
             bound=bound,
             history=tuple(asdict(trial) for trial in found.trials),
             solver=sized.solver,
-            status="complete" if found.complete and time_left else "budget",
+            status=_status(sigma.lower, bound.value, found.complete and time_left),
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
+
+    def tied(
+        self, sized: Sized, rng: np.random.Generator, reached: float, deadline: float
+    ) -> list[tuple[Array, Mask, float]]:
+        """Times that repeat within the period, what they measure and their sigma, where that could be better."""
+        part = folded(sized.problem)
+        if part is None or time.perf_counter() > deadline or reached >= sized.bound.value * (1 - _ENOUGH):
+            return []
+        left = deadline - time.perf_counter()
+        seconds = max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None
+        placed = (relax_costly if part.is_costly else relax_placed)(part, seconds=seconds)
+        try:
+            found = search(part, placed, rng, self.starts, deadline, enough=sized.bound.value * (1 - _ENOUGH))
+            chosen = part.mask(found.times)
+            if part.is_costly:
+                found, chosen = affordable(part, found, placed, deadline)
+        except (InfeasibleRequirementError, SolverError):  # none of these repeats, or none was found
+            return []
+        times, chosen = unfolded(sized.problem, part, found.times, chosen)
+        return [(times, chosen, found.sigma)] if is_admissible(sized.problem, times) else []
 
     def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:
         """The times as a schedule, outputs listed only where a sample leaves some out, and what it proves."""
@@ -354,6 +395,13 @@ class _Run:
         needed = int(np.ceil(0.98 * float(self.requirement.target_sigma or 0) ** 2 / mean))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
+
+
+def _status(sigma: float, bound: float, finished: bool) -> str:
+    """How a search for one count ended."""
+    if not finished:
+        return "budget"
+    return "complete" if sigma > 0 or bound == 0 else "blind"
 
 
 def _candidates(problem: DesignProblem, found: Found, chosen: Mask) -> list[tuple[Array, Mask]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sampling_design._record import Record, short
 from sampling_design.design.bounds.evidence import UpperBound
+from sampling_design.design.problem.counts import rival_counts
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
@@ -56,7 +57,11 @@ class ScheduleDesign(Record):
     history : tuple of dict
         Every start of the search and where it led.
     status : str
-        "complete", "budget", or "no samples needed".
+        "complete"; "budget", cut short; "blind": the search ended, no schedule was found that sees every state, and
+        the bound does not show that there is none; or "no samples needed".
+    other_counts : dict of int to UpperBound
+        With "at_most": the bounds of the other counts of samples, as far as these need one of their own; every
+        schedule of any count left out can take one sample more, and sees no less then.
     """
 
     schedule: PeriodicSchedule | None
@@ -74,6 +79,7 @@ class ScheduleDesign(Record):
     solver: tuple[SolverRecord, ...] = ()
     status: str = "complete"
     notes: tuple[str, ...] = field(default=())
+    other_counts: dict[int, UpperBound] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:
@@ -116,7 +122,7 @@ class ScheduleDesign(Record):
             return Claim("no samples needed: nothing is retained", theorem="Theorem 16", strength="proven")
         return Claim(
             f"sigma >= {short(self.sigma)} over every window of length {short(self.requirement.window)}, and no "
-            f"admissible schedule with {len(self.schedule)} samples per period exceeds {short(self.upper_bound)}",
+            f"admissible schedule with {self._counts} samples per period exceeds {short(self.upper_bound)}",
             theorem="Theorems 14 and 16; weak duality",
             assumptions=("the plant's matrices are exact", f"sigma in {self.coordinates} coordinates"),
         )
@@ -140,10 +146,30 @@ class ScheduleDesign(Record):
             return False
         proof = prove(self.split, self.schedule, self.requirement, rtol)
         sigma = stated(proof, self.requirement)
-        bound = self.bound.value_for(self.problem)
-        return bool(sigma.upper >= self.sigma * (1 - 1e-6) and sigma.lower >= self.sigma * (1 - 1e-6)) and bool(
-            bound <= self.upper_bound * (1 + 1e-6)
-        )
+        return sigma.lower >= self.sigma * (1 - 1e-6) and self._bounds_hold()
+
+    @property
+    def _counts(self) -> str:
+        """For which counts of samples the bound holds, in words."""
+        wanted = self.requirement.samples
+        if self.requirement.target_sigma is None and "at_most" in wanted:
+            low, high = wanted.get("at_least"), wanted["at_most"]
+            return f"at most {high}" if low is None else f"{low} to {high}"
+        return str(len(self.schedule or ()))
+
+    def _bounds_hold(self) -> bool:
+        """Whether the bounds of all counts that were asked for, worked out anew, carry the stated one."""
+        assert self.schedule is not None
+        assert self.bound is not None
+        if self.requirement.target_sigma is None and "at_most" in self.requirement.samples:
+            plant = designed_plant(self.split, self.requirement)
+            counts = rival_counts(plant, self.requirement)
+            if {len(self.schedule), *self.other_counts} < set(counts):
+                return False
+            rest = [b.value_for(pose(plant, self.requirement, k, check=False)) for k, b in self.other_counts.items()]
+        else:
+            rest = []
+        return max([self.bound.value_for(self.problem), *rest]) <= self.upper_bound * (1 + 1e-6)
 
     def _is_affordable(self) -> bool:
         """Whether the schedule measures only what is available, within the cost limit."""
@@ -173,6 +199,7 @@ class ScheduleDesign(Record):
             "cost": self.cost,
             "zero_count": None if self.zero_count is None else self.zero_count.to_dict(),
             "bound": None if self.bound is None else self.bound.to_dict(),
+            "other_counts": {str(count): bound.to_dict() for count, bound in self.other_counts.items()},
             "history": list(self.history),
             "solver": [record.to_dict() for record in self.solver],
             "notes": list(self.notes),

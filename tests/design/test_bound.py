@@ -194,7 +194,9 @@ def test_a_bound_survives_its_own_dictionary():
     assert again.value == 2.0
     assert again.method == "averaged"
     assert again.value_for(problem()) == whole.value_for(problem())
-    with pytest.raises(ArgumentError, match="a bound's `method` must be placed, averaged or zones, got 'guess'"):
+    with pytest.raises(
+        ArgumentError, match="a bound's `method` must be one of placed, alone, averaged, zones, got 'guess'"
+    ):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
     with pytest.raises(ArgumentError, match="a bound's `side` must be late or early, got 'left'"):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "side": "left"}]})

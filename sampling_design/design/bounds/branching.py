@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, zone_part
-from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters
+from sampling_design.design.bounds.zone_bound import NARROW, ZoneRelaxation, matters
 from sampling_design.design.bounds.zones import SIDES, Side, halves, lateness, origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 
@@ -26,7 +26,6 @@ Progress = Callable[[float, str], None]
 
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried
-_NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 
 
@@ -99,7 +98,7 @@ class _Tree:
         mean = self.problem.period / self.problem.samples
         for index in range(1, len(rest)):
             cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
-            if rest[index, 0] < cut < rest[index, 1]:
+            if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:
                 below, above = halves(rest, index, cut)
                 self.add(above if late else below, self.root)
                 rest = below if late else above
@@ -111,7 +110,7 @@ class _Tree:
             return False
         box = self.open[0]
         zones, index = box.part.zones, box.relaxed.index
-        if zones[index, 1] - zones[index, 0] < _NARROW * self.problem.period / self.problem.samples:
+        if box.relaxed.width <= NARROW * self.problem.period / self.problem.samples:
             return False
         heapq.heappop(self.open)
         for half in halves(zones, index, box.relaxed.cut):

@@ -12,17 +12,20 @@ import numpy.typing as npt
 from sampling_design._door import doors
 from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
-from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.bounds.weak_duality import placed_bound
+from sampling_design.design.bounds.relaxation import Relaxation, grams_at
+from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.floating[Any]]
-Method = Literal["placed", "averaged", "zones"]
+Method = Literal["placed", "alone", "averaged", "zones"]
+METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones")
 
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
+_JUST_BESIDE = 1e-9  # of the period: a window that starts this much later no longer holds the sample
+_LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
 
 
@@ -38,7 +41,8 @@ class BoundPart:
     windows that start at `starts`. The zones count from the sample after which all others come "late", or
     "early" (`side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
     their samples lie, and is the only method that knows fixed times; `price` is its multiplier of the cost
-    limit.
+    limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
+    the sample.
     """
 
     method: Method
@@ -61,6 +65,8 @@ class BoundPart:
         Z = R @ (self.weights / total) @ R.T
         if self.method == "placed":
             return placed_bound(problem, self.starts, Z, self.price)
+        if self.method == "alone":
+            return alone_bound(problem, self.starts, Z)
         if not zoned(problem) or self.zones.shape != (problem.samples, 2):
             return np.inf
         zones = tightened(problem, self.zones, self.side)
@@ -107,7 +113,7 @@ class UpperBound:
 
     def _covers(self, problem: DesignProblem) -> bool:
         """Whether the parts leave no schedule out."""
-        if any(part.method == "placed" for part in self.parts):
+        if any(part.method in ("placed", "alone") for part in self.parts):
             return len(self.parts) == 1
         fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
         sides = {part.side for part in self.parts}
@@ -133,8 +139,8 @@ class UpperBound:
         for entry in data["parts"]:
             if entry["side"] not in SIDES:
                 raise ArgumentError(f"a bound's `side` must be late or early, got {entry['side']!r}.")
-            if entry["method"] not in ("placed", "averaged", "zones"):
-                raise ArgumentError(f"a bound's `method` must be placed, averaged or zones, got {entry['method']!r}.")
+            if entry["method"] not in METHODS:
+                raise ArgumentError(f"a bound's `method` must be one of {', '.join(METHODS)}, got {entry['method']!r}.")
             arrays = {key: np.array(entry[key], dtype=float) for key in ("starts", "weights", "tilt")}
             zones = np.array(entry["zones"], dtype=float).reshape(-1, 2)
             parts.append(BoundPart(**{**entry, **arrays, "zones": zones}))
@@ -220,9 +226,32 @@ def zone_part(
     return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
 
 
+def alone_part(problem: DesignProblem) -> BoundPart:
+    """Bound of one sample a period: the window, counted from the sample, that sees some state least."""
+    P, anchor = problem.period, np.zeros(1)
+    every = np.ones((1, problem.plant.n_outputs), dtype=bool)
+    beside = np.array([-_JUST_BESIDE, 0.0, _JUST_BESIDE]) * P
+    even = np.arange(_LOOKED_AT) * (P / _LOOKED_AT)
+    starts = np.unique(np.mod(np.concatenate([beside, beside - problem.window, even]), P))
+
+    def sigma2(at: Array) -> tuple[Array, Array]:
+        return problem.rows.least(grams_at(problem, anchor, at, every).sum(axis=1))
+
+    width = P / _LOOKED_AT
+    for _ in range(_CLOSER):  # the least of a smooth curve between two jumps: ever finer around the best so far
+        best = starts[int(np.argmin(sigma2(starts)[0]))]
+        starts = np.append(np.mod(best + np.linspace(-width, width, 2 * _SPREAD + 1), P), best)
+        width /= _SPREAD
+    values, z = sigma2(starts)
+    least = int(np.argmin(values))
+    return _part(problem, "alone", starts[[least]], np.outer(z[least], z[least])[None])
+
+
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
     """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
     parts = [placed_part(problem, placed)]
+    if problem.samples == 1:
+        parts.append(alone_part(problem))
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
         roots = [zone_part(problem, origin_zones(problem, side), side) for side in SIDES]
         parts += [root[0] for root in roots if root is not None]

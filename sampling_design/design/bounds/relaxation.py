@@ -19,6 +19,8 @@ Array = npt.NDArray[np.floating[Any]]
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
 
+_TELLING = 48  # windows at most that are posed beside the regular ones
+_JUST_BEFORE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 
 
@@ -90,10 +92,20 @@ def relaxation_grid(
         free &= distance >= problem.spacing * (1 - 1e-9)
     times, mask = times[free], mask[free]
     count = _start_count(problem)
-    starts = np.arange(count) * (P / count)
+    starts = np.unique(np.concatenate([np.arange(count) * (P / count), _telling_starts(problem)]))
     ahead = np.mod(times[None, :] - times[:, None] + tiny, P)
     linear = ((ahead < problem.spacing).astype(float), np.full(times.size, max(1.0, step / problem.spacing)))
     return times, mask, starts, linear
+
+
+def _telling_starts(problem: DesignProblem) -> Array:
+    """Windows that see least whatever is chosen: after a fixed sample or a last allowed time, or before a first one."""
+    P, before = problem.period, _JUST_BEFORE * problem.period
+    closed = problem.intervals if not problem.is_shift_invariant else np.zeros((0, 2))
+    late = np.concatenate([problem.fixed, closed[:, 1]])
+    early = np.concatenate([problem.fixed, closed[:, 0]]) - problem.window - before
+    found = np.unique(np.mod(np.concatenate([late, early]), P))
+    return found[:: int(np.ceil(found.size / _TELLING))] if found.size else found
 
 
 def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:

@@ -243,7 +243,7 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
     prices = problem.costs * price if price > 0 and problem.costs is not None else None
     spent = 0.0 if prices is None else price * problem.cost_limit
     arcs = _arcs(problem)
-    grid = np.concatenate([a.edges for a in arcs])
+    grid = np.concatenate([np.zeros(0), *(a.edges for a in arcs)])
     edges = piece_edges(problem.period, np.concatenate([jump_times(problem, starts), grid, problem.breakpoints]))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
     values = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask, prices), -np.inf)
@@ -260,6 +260,11 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
         if arc.stop > arc.start:
             best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
     return rooted(spent + float(fixed.sum() + best[spare]))
+
+
+def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
+    """Bound sigma of every schedule of one sample a period, whatever it measures; windows count from the sample."""
+    return rooted(float(value_at(problem, starts, Z, np.zeros(1)).sum())) if problem.samples == 1 else np.inf
 
 
 def _arcs(problem: DesignProblem) -> list[Cells]:
@@ -291,4 +296,4 @@ def _joined(one: Array, other: Array) -> Array:
 
 def rooted(total: float) -> float:
     """sigma from a bound on sigma^2, with the allowance for rounding."""
-    return float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))
+    return np.inf if np.isnan(total) else float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))

@@ -38,17 +38,19 @@ _JUST_BESIDE = 1e-9  # of the period: a window that starts this much earlier sti
 _FIRST, _ADDED = 10, 3  # windows of the first round where no hints are given, and of each further round
 _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wider box mostly matters again
 _SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 
 @dataclass(frozen=True, eq=False)
 class ZoneRelaxation:
-    """Weights on points of the zones, and which sample's zone gains most from a cut, and where."""
+    """Weights on points of the zones, which sample's zone gains most from a cut, where, and how wide it is."""
 
     found: Relaxation
     index: int
     cut: float
+    width: float
 
 
 def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelaxation:
@@ -138,8 +140,8 @@ def matters(problem: DesignProblem, found: Relaxation) -> Array:
     return found.starts[shares > _MATTERS]
 
 
-def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float]:
-    """The sample whose early and late shares differ most for the windows that matter, and its mean time.
+def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float, float]:
+    """The sample whose early and late shares differ most for the windows that matter, its mean time, its zone's width.
 
     The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
     in one half of them and late in the other, their Gram matrices would differ by D, and the mean of both
@@ -150,11 +152,12 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tu
     starts, Z = found.starts[held], found.Z[held]
     grams = grams_at(problem, found.times, starts, problem.mask(found.times))
     W = np.einsum("mjab,j->mab", grams, found.weights)
-    W = W + _REGULAR * np.trace(W, axis1=1, axis2=2)[:, None, None] * np.eye(W.shape[-1])
+    size = float(np.trace(W, axis1=1, axis2=2).max(initial=0.0))  # a window may see nothing at all
+    W = W + _REGULAR * max(size, np.finfo(float).tiny / _REGULAR) * np.eye(W.shape[-1])
     total = np.append(0.0, np.cumsum(found.weights))
     total *= k / max(float(total[-1]), 1e-300)
-    gains, cuts = np.zeros(k), zones.mean(axis=1)
-    for i in range(k):
+    gains, cuts, width = np.zeros(k), zones.mean(axis=1), zones[:, 1] - zones[:, 0]
+    for i in np.flatnonzero(width > NARROW * problem.period / k):
         share = np.maximum(np.minimum(total[1:], i + 1) - np.maximum(total[:-1], i), 0.0)
         if share.sum() <= 0:
             continue
@@ -164,10 +167,9 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tu
         D = np.einsum("mjab,j->mab", grams, parts[0] - parts[1])
         weight = (share * late).sum() * (share * ~late).sum()
         gains[i] = weight * float(np.einsum("mab,mbc,mca->", Z, D, np.linalg.solve(W, D)))
-    width = zones[:, 1] - zones[:, 0]
     index = int(np.argmax(gains)) if gains.max() > 0 else int(np.argmax(width))
     edge = _MARGIN * width[index]
-    return index, float(np.clip(cuts[index], zones[index, 0] + edge, zones[index, 1] - edge))
+    return index, float(np.clip(cuts[index], zones[index, 0] + edge, zones[index, 1] - edge)), float(width[index])
 
 
 def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) -> float:

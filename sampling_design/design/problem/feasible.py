@@ -117,13 +117,22 @@ def _room(problem: DesignProblem) -> Obstacle | None:
     return Obstacle("forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ())))
 
 
+def fewest_samples(problem: DesignProblem) -> int:
+    """Fewest samples per period with which every window holds as many measurements as there are states."""
+    return int(np.ceil(_least(problem) * problem.period / problem.window - SLACK))
+
+
+def _least(problem: DesignProblem) -> int:
+    """Samples that a window needs at least."""
+    return int(np.ceil(problem.plant.n_states / problem.plant.n_outputs))
+
+
 def _too_few(problem: DesignProblem) -> Obstacle | None:
-    k, period = problem.samples, problem.period
+    k, period, least = problem.samples, problem.period, _least(problem)
     per_window = int(np.floor(k * problem.window / period + SLACK))
-    least = int(np.ceil(problem.plant.n_states / problem.plant.n_outputs))
     if per_window >= least:
         return None
-    needed = int(np.ceil(least * period / problem.window - SLACK))
+    needed = fewest_samples(problem)
     words = (
         f"`samples` {k} per period {period:g} leave some window {problem.window:g} with {per_window} samples, and "
         f"{problem.plant.n_states} states with {problem.plant.n_outputs} outputs need at least {least}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ Array = npt.NDArray[np.floating[Any]]
 Mask = npt.NDArray[np.bool_]
 
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
+_COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
 SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
 
 
@@ -45,6 +47,16 @@ class DesignProblem:
         """Whether a schedule may be moved in time without breaking anything."""
         bare = not self.forbidden.size and not self.fixed.size and self.chosen is None
         return bare and all(a is None for a in self.available)
+
+    @property
+    def open_time(self) -> float:
+        """Share of the period, as a time, in which some output may be measured."""
+        return float(np.diff(self.intervals, axis=1).sum())
+
+    @property
+    def always_has_room(self) -> bool:
+        """Whether every schedule with a sample fewer leaves room, and money, for one more; it then sees no less."""
+        return not self.is_costly and self.open_time > 2 * self.spacing * (self.samples - 1) * (1 + SLACK)
 
     @property
     def is_costly(self) -> bool:
@@ -84,7 +96,12 @@ class DesignProblem:
 
     def capacity(self, spacing: float | None = None) -> int:
         """Most samples per period that fixed and allowed times leave room for."""
-        return int(self.packing(spacing).size)
+        gap = self.spacing if spacing is None else spacing
+        if self.fixed.size:
+            return int(self.fixed.size + sum(self._count(a + gap, b - gap, gap) for a, b in self._between_fixed))
+        if self._is_whole:
+            return self._around(gap)
+        return max((self._count(a, a + self.period - gap, gap) for a, _ in self.intervals), default=0)
 
     def packing(self, spacing: float | None = None) -> Array:
         """Times of a schedule with as many samples as there is room for.
@@ -94,33 +111,53 @@ class DesignProblem:
         """
         gap = self.spacing if spacing is None else spacing
         if self.fixed.size:
-            ends = np.append(self.fixed[1:], self.fixed[0] + self.period)
-            inner = [self._greedy(a + gap, b - gap, gap) for a, b in zip(self.fixed, ends, strict=True)]
+            inner = [self._greedy(a + gap, b - gap, gap) for a, b in self._between_fixed]
             return np.sort(np.mod(np.concatenate([self.fixed, *inner]), self.period))
-        if len(self.intervals) == 1 and np.ptp(self.intervals[0]) == self.period:
-            most = int(np.floor(self.period / gap * (1 + _EXACT)))
+        if self._is_whole:
+            most = self._around(gap)
             return np.arange(most) * (self.period / max(most, 1))
         packings = [self._greedy(a, a + self.period - gap, gap) for a, _ in self.intervals]
         return np.sort(np.mod(max(packings, key=len, default=[]), self.period))
+
+    @property
+    def _is_whole(self) -> bool:
+        """Whether samples may lie anywhere."""
+        return len(self.intervals) == 1 and bool(np.ptp(self.intervals[0]) == self.period)
+
+    @property
+    def _between_fixed(self) -> list[tuple[float, float]]:
+        """Each fixed time and the next."""
+        ends = np.append(self.fixed[1:], self.fixed[0] + self.period)
+        return [(float(a), float(b)) for a, b in zip(self.fixed, ends, strict=True)]
+
+    def _around(self, gap: float) -> int:
+        """Samples `gap` apart that the whole period has room for; as many as can be counted where that is more."""
+        return int(min(np.floor(self.period / gap * (1 + _EXACT)), _COUNTED))
 
     @property
     def gap(self) -> float:
         """The spacing that the search keeps: a little wider than asked, where there is room for that."""
         return float(max(min(self.spacing * (1 + SLACK), self.period / self.samples), self.spacing))
 
-    def _greedy(self, start: float, stop: float, gap: float) -> list[float]:
-        """Earliest admissible times in [start, stop], at least `gap` apart."""
+    def _stretches(self, start: float, stop: float, gap: float) -> Iterator[tuple[float, int]]:
+        """Earliest admissible times in [start, stop], at least `gap` apart: first time and number, per interval."""
         tiny = SLACK * self.period
-        laps = range(int(np.floor(start / self.period)), int(np.floor(stop / self.period)) + 1)
-        spans = [(a + lap * self.period, b + lap * self.period) for lap in laps for a, b in self.intervals]
-        placed: list[float] = []
         t = start
-        for a, b in spans:
-            t = max(t, a)
-            while t < b - tiny and t <= stop + tiny:
-                placed.append(t)
-                t += gap
-        return placed
+        for lap in range(int(np.floor(start / self.period)), int(np.floor(stop / self.period)) + 1):
+            for a, b in self.intervals + lap * self.period:
+                t = max(t, float(a))
+                if t >= b - tiny or t > stop + tiny:
+                    continue
+                last = min(float(b) - tiny, float(np.nextafter(stop + tiny, np.inf)))
+                count = int(min(np.ceil((last - t) / gap), _COUNTED))
+                yield t, max(count, 1)
+                t += max(count, 1) * gap
+
+    def _greedy(self, start: float, stop: float, gap: float) -> list[float]:
+        return [t + i * gap for t, count in self._stretches(start, stop, gap) for i in range(count)]
+
+    def _count(self, start: float, stop: float, gap: float) -> int:
+        return min(sum(count for _, count in self._stretches(start, stop, gap)), _COUNTED)
 
 
 def _within(t: Array, spans: Array) -> Mask:

@@ -42,6 +42,8 @@ _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 _FIRST_STEPS = 12  # of that first refinement
 
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
+_RESTARTS = 20  # batches of further random schedules where all others are blind
+_SEEING = 3  # of a batch, the best ones that are refined
 _EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in proportion to its samples
 
 
@@ -104,6 +106,8 @@ def search(
         t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
         if value > run.value:
             run.refine("exchange", t, value)
+    if run.value <= 0 and not run.is_over:
+        _restart(run, rng)
     _kick(run, rng, KICKS * starts)
     complete = run.is_best or time.perf_counter() <= deadline
     return Found(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
@@ -162,6 +166,23 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
         times, value = refined(problem, times, before, steps=_FIRST_STEPS, deadline=run.deadline)
         if value > _HOPELESS * run.value and run.refine("kick", times, value, before):
             idle = 0
+
+
+def _restart(run: _Refinement, rng: np.random.Generator) -> None:
+    """Where every start is blind and stays so: many more random schedules, until some see every state."""
+    problem = run.problem
+    size = problem.samples - problem.fixed.size
+    for _ in range(_RESTARTS):
+        if run.is_over or size == 0:
+            return
+        drawn = [spread(problem, rng.uniform(size=size)) for _ in range(DRAWS)]
+        pool = np.array([t for t in drawn if t is not None and is_admissible(problem, t)]).reshape(-1, problem.samples)
+        values = worst_sigma2(problem, pool)
+        for i in np.argsort(-values, kind="stable")[:_SEEING]:
+            if values[i] > 0:
+                run.refine("restart", pool[i], float(values[i]))
+        if run.value > 0:
+            return
 
 
 def _places(problem: DesignProblem) -> int:

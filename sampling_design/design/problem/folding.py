@@ -1,0 +1,88 @@
+"""Schedules that repeat within the period: where a sample leaves a window, another enters at the same instant.
+
+Where window/period = a/b in lowest terms and no window can spare a sample, every sample has another one window
+later, so that the whole schedule repeats after period/b. No search that moves samples one by one finds such ties;
+the problem folded to period/b, of which the window is a whole multiple, has none to find.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.problem.feasible import obstacle
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.floating[Any]]
+Mask = npt.NDArray[np.bool_]
+
+_SAME_RATIO = 1e-11  # relative: window/period counts as rational where it is one to rounding
+
+
+def parts(problem: DesignProblem) -> int:
+    """How many times a schedule repeats in the period if a sample leaves whenever another enters; 1 if it need not."""
+    ratio = problem.window / problem.period
+    near = Fraction(ratio).limit_denominator(problem.samples)
+    return near.denominator if abs(float(near) - ratio) <= _SAME_RATIO * ratio else 1
+
+
+def folded(problem: DesignProblem) -> DesignProblem | None:
+    """The problem of one of the equal parts; None where there is one part only, or no schedule repeats like that."""
+    count = parts(problem)
+    if count < 2 or problem.samples % count or problem.chosen is not None:
+        return None
+    period = problem.period / count
+    fixed = np.sort(np.mod(problem.fixed, period))
+    apart = np.append(np.diff(fixed) > _SAME_RATIO * problem.period, True)[: fixed.size]
+    part = DesignProblem(
+        problem.plant,
+        problem.window,
+        period,
+        problem.spacing,
+        problem.samples // count,
+        _folded(problem.forbidden, period, count),
+        fixed[apart],
+        tuple(None if a is None else _common(a, problem.period, count) for a in problem.available),
+        problem.costs,
+        problem.cost_limit / count,
+    )
+    part.__dict__["rows"] = problem.rows
+    return part if obstacle(part) is None else None
+
+
+def unfolded(problem: DesignProblem, part: DesignProblem, times: Array, chosen: Mask) -> tuple[Array, Mask]:
+    """The times of one part and what they measure, repeated over the whole period, fixed times to the last bit."""
+    count = round(problem.period / part.period)
+    whole = (times + problem.period * (np.arange(count) / count)[:, None]).ravel()
+    for t in problem.fixed:
+        whole[np.argmin(np.abs(whole - t))] = t
+    order = np.argsort(whole)
+    return whole[order], np.tile(chosen, (count, 1))[order]
+
+
+def _folded(spans: Array, period: float, count: int) -> Array:
+    """Every interval in every part, as disjoint sorted intervals of [0, period)."""
+    pieces = [(a - lap * period, b - lap * period) for a, b in spans for lap in range(count + 1)]
+    inside = sorted((max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period)
+    joined: list[list[float]] = []
+    for a, b in inside:
+        if joined and a <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], b)
+        else:
+            joined.append([a, b])
+    return np.array(joined).reshape(-1, 2)
+
+
+def _common(spans: Array, period: float, count: int) -> Array:
+    """What intervals have in common in every part."""
+    part = period / count
+    return _rest(_folded(_rest(spans, period), part, count), part)
+
+
+def _rest(spans: Array, period: float) -> Array:
+    """What disjoint sorted intervals leave of the period."""
+    ends = np.concatenate([[0.0], np.minimum(spans, period).ravel(), [period]]).reshape(-1, 2)
+    return ends[ends[:, 1] > ends[:, 0]]

@@ -16,9 +16,9 @@ from sampling_design._units import time_factor
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
+from sampling_design.design.counts import rival_counts
+from sampling_design.design.folding import folded, unfolded
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.numbers.counts import rival_counts
-from sampling_design.design.problem.numbers.folding import folded, unfolded
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated

@@ -11,8 +11,8 @@ import numpy as np
 
 from sampling_design._record import Record, short
 from sampling_design.design.bounds.evidence import UpperBound
+from sampling_design.design.counts import rival_counts
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.numbers.counts import rival_counts
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible

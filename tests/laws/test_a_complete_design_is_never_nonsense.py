@@ -45,7 +45,8 @@ def check(problem, seed=0, draws=12):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_requirements(seed):
-    check(random_problem(np.random.default_rng(seed)), seed)
+    design = check(random_problem(np.random.default_rng(seed)), seed)
+    assert design is None or 0 <= design.gap <= 1
 
 
 OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])

@@ -135,7 +135,7 @@ def _values(data: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-READERS: dict[str, Callable[[dict[str, Any], Plant], Any]] = {
+READERS: dict[str, Callable[[dict[str, Any], Plant], Certificate | FamilyCertificate | DetectabilityCertificate]] = {
     CLAIM: _sampled,
     FAMILY_CLAIM: _of_family,
     DETECTABILITY_CLAIM: _detectable,

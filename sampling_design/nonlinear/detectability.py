@@ -289,6 +289,11 @@ def _grid(duration: float, step: float, samples: Array) -> Array:
     return grid if grid[0] == 0.0 else np.insert(grid, 0, 0.0)
 
 
+def _square(a: Array, W: Array) -> Array:
+    """Row by row, the quadratic form of W."""
+    return np.asarray(np.einsum("ki,ij,kj->k", a, W, a))
+
+
 def ratios(
     grid: Array, x: Array, w: Array, v: Array, y: Array, sampled: Any, P1: Array, weights: NonlinearWeights
 ) -> Array:
@@ -296,16 +301,16 @@ def ratios(
 
     At a sample the smaller of the values before and after it counts; infinite where the states agree.
     """
-    eta, square = weights.eta, lambda a, W: np.einsum("ki,ij,kj->k", a, W, a)
+    eta = weights.eta
     right = np.empty(grid.size)
     gaps = np.diff(grid)
-    gain = square(w[:-1], weights.Qw) * discounted_length(eta, gaps)
-    jump = np.where(sampled, square(y, weights.R) + square(v, weights.Qv), 0.0)
+    gain = _square(w[:-1], weights.Qw) * discounted_length(eta, gaps)
+    jump = np.where(sampled, _square(y, weights.R) + _square(v, weights.Qv), 0.0)
     total = float(x[0] @ weights.P2 @ x[0])
     for j in range(grid.size):
         if j:
             total = total * np.exp(-eta * gaps[j - 1]) + gain[j - 1]
         right[j] = total  # before the sample at this time, if there is one
         total += jump[j]
-    left = square(x, P1)
-    return np.divide(right, left, out=np.full(grid.size, np.inf), where=left > 0)
+    left = _square(x, P1)
+    return np.asarray(np.divide(right, left, out=np.full(grid.size, np.inf), where=left > 0))

@@ -170,22 +170,26 @@ class NonlinearPlant(Record):
     @property
     def states(self) -> Signals:
         """Names, units and scales of the states."""
-        return self.signals["states"]
+        found: Signals = self.signals["states"]
+        return found
 
     @property
     def outputs(self) -> Signals:
         """Names, units and scales of the outputs."""
-        return self.signals["outputs"]
+        found: Signals = self.signals["outputs"]
+        return found
 
     @property
     def inputs(self) -> Signals:
         """Names, units and scales of the inputs."""
-        return self.signals["inputs"]
+        found: Signals = self.signals["inputs"]
+        return found
 
     @property
     def disturbances(self) -> Signals:
         """Names, units and scales of the disturbances."""
-        return self.signals["disturbances"]
+        found: Signals = self.signals["disturbances"]
+        return found
 
     def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None) -> Array:
         """Return x' = f(x, u, w), shape (n,); w defaults to zero."""
@@ -257,7 +261,7 @@ class NonlinearPlant(Record):
             step = np.linalg.solve(self.linearise(z * scale, u).A * scale / scale[:, None], residual)
             z = z - step
             if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * max(1.0, float(np.max(np.abs(z)))):
-                return z * scale
+                return np.asarray(z * scale)
         raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
 
     def with_bounds(self, **boxes: Any) -> NonlinearPlant:

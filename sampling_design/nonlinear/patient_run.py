@@ -52,7 +52,7 @@ class PatientRun(Record):
 
     def errors(self, scheme: str) -> Array:
         """Return the scaled error z - zhat of a scheme, (N, 6)."""
-        return (self.truth - getattr(self, scheme)) * SCALING
+        return np.asarray((self.truth - getattr(self, scheme)) * SCALING)
 
     def rmse(self, scheme: str, span: str = "all") -> float:
         """Return the RMSE of a scheme over one of `SPANS` (NaN if the run ends before)."""

@@ -114,7 +114,7 @@ class Integrator:
                 f"the integration fails between t = {start:.6g} and {stop:.6g} {self.plant.time_unit} "
                 f"({_reason(error)}).", status="integration failed",
             ) from None  # fmt: skip
-        return found * self.scale
+        return np.asarray(found * self.scale)
 
 
 def _reason(error: RuntimeError) -> str:

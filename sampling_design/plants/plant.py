@@ -199,22 +199,22 @@ class Plant(Record):
     @property
     def n_states(self) -> int:
         """Dimension n of x."""
-        return self.A.shape[0]
+        return len(self.A)
 
     @property
     def n_outputs(self) -> int:
         """Dimension p of y."""
-        return self.C.shape[0]
+        return len(self.C)
 
     @property
     def n_inputs(self) -> int:
         """Dimension m of u."""
-        return self.B.shape[1]
+        return len(self.B.T)
 
     @property
     def n_disturbances(self) -> int:
         """Dimension q of w."""
-        return self.G.shape[1]
+        return len(self.G.T)
 
     def transition(self, t: npt.ArrayLike) -> Array:
         """Return e^{A t}: (n, n) for a number t, (N, n, n) for an array of N times."""

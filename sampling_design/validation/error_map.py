@@ -133,7 +133,7 @@ class ErrorMap:
         return Errors(found.transpose(1, 0, 2), radii.T)
 
     def _flown(self, radius: Array, h: float) -> Array:
-        return radius * np.exp(-self.eta * h) + self.w_energy * discounted(self.eta, h)
+        return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted(self.eta, h))
 
     def _solve(
         self, window: Window, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]

@@ -87,7 +87,7 @@ def within(bound: Array, raw: Array) -> Array:
         return bound * np.clip(raw / 0.6745, -1.0, 1.0)
     size = np.linalg.norm(raw, axis=-1, keepdims=True)
     typical = np.sqrt(max(raw.shape[-1] - 2 / 3, 0.4549))  # median of the norm, near enough
-    return bound * raw / np.maximum(size, typical)
+    return np.asarray(bound * raw / np.maximum(size, typical))
 
 
 def largest_square(weight: Array, bound: Array) -> float:

@@ -60,7 +60,7 @@ class Timeline:
     @property
     def cells(self) -> int:
         """T."""
-        return self.F.shape[0]
+        return len(self.F)
 
     @property
     def lengths(self) -> Array:

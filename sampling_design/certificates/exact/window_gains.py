@@ -68,7 +68,7 @@ class WindowSet:
     def average(self) -> Array:
         """Y averaged over the long-run lap; of a finite schedule, over its windows from P2 = I."""
         if self.steady is not None:
-            return self.steady.mean(axis=0)
+            return np.asarray(self.steady.mean(axis=0))
         Y, _, valid = self._paths(np.eye(self.problem.size))
         return np.asarray(Y[valid].mean(axis=0))
 

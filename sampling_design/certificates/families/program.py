@@ -18,6 +18,7 @@ from sampling_design import _conic
 from sampling_design._linalg import psd_root
 from sampling_design.certificates.families.path_complete import GapGraph
 from sampling_design.certificates.families.step_proof import Dynamics
+from sampling_design.evidence import SolverRecord
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -80,7 +81,7 @@ class Program:
         assert column is not None
         return slice(column.start * self.pairs, column.stop * self.pairs)
 
-    def floor(self) -> tuple[float, Array | None, _conic.SolverRecord]:
+    def floor(self) -> tuple[float, Array | None, SolverRecord]:
         """Return the largest p such that Pi >= p unit is certified from P2 = infinity on the grid, the P_v (P[0] nan).
 
         p <= 0 or None: not even this exists.
@@ -99,7 +100,7 @@ class Program:
         finally:
             self.P2 = given
 
-    def feasible(self, lam: float, floor: float) -> tuple[float, Array | None, _conic.SolverRecord]:
+    def feasible(self, lam: float, floor: float) -> tuple[float, Array | None, SolverRecord]:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -118,7 +119,7 @@ class Program:
             return 0.0, None, found.record
         return float(found.x[-1]), self._matrices(found.x), found.record
 
-    def best_ratio(self) -> tuple[float, Array | None, _conic.SolverRecord]:
+    def best_ratio(self) -> tuple[float, Array | None, SolverRecord]:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -236,4 +237,4 @@ def _grid(dynamics: Dynamics, low: float, high: float) -> list[float]:
         return [low]
     speed = float(np.abs(np.linalg.eigvals(dynamics.A)).max(initial=0.0)) + dynamics.eta / 2
     count = int(np.clip(np.ceil(POINTS_PER_RADIAN * speed * (high - low)) + 1, LEAST_POINTS, MOST_POINTS))
-    return np.linspace(low, high, count).tolist()
+    return [float(v) for v in np.linspace(low, high, count)]

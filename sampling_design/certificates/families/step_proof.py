@@ -48,7 +48,7 @@ class Dynamics:
     @property
     def size(self) -> int:
         """Dimension n."""
-        return self.A.shape[0]
+        return len(self.A)
 
     def flow(self, durations: npt.ArrayLike) -> tuple[Array, Array]:
         """Return F and W of `growing_flow` for each duration."""

@@ -95,7 +95,8 @@ def _modal_bound(left: Array, A: Array, N: Array, length: float) -> Array:
     inverse_N = np.linalg.solve(V, N.astype(V.dtype))
     growth = _log_norm(np.linalg.solve(V, A @ V))
     with np.errstate(over="ignore", invalid="ignore"):
-        return _norms(left @ V) * float(np.linalg.norm(inverse_N, 2)) * np.exp(min(max(growth, 0.0) * length, 700.0))
+        grown = np.exp(min(max(growth, 0.0) * length, 700.0))
+        return np.asarray(_norms(left @ V) * float(np.linalg.norm(inverse_N, 2)) * grown)
 
 
 def _norms(matrices: Array) -> Array:

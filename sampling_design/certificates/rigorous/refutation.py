@@ -124,7 +124,7 @@ class Search:
         def at(x: Array) -> Array:
             moved = best.copy()
             moved[free] = x
-            return np.clip(moved, 0.0, tops)
+            return np.asarray(np.clip(moved, 0.0, tops))
 
         def lost(x: Array) -> float:
             r, s = at(x)

@@ -74,7 +74,7 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
 def peaks(g: Profile) -> Array:
     """At every edge the larger of the two one-sided limits of g, summed over outputs."""
     left, right = np.sum(g.left, axis=1), np.sum(g.right, axis=1)
-    return np.maximum(np.append(right[-1], right), np.append(left, left[0]))
+    return np.asarray(np.maximum(np.append(right[-1], right), np.append(left, left[0])))
 
 
 def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) -> Array:
@@ -84,7 +84,7 @@ def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) 
     """
     rest = (np.diff(g.edges) ** 2 / 8)[:, None] * g.bend
     sides = (np.roll(g.right, 1, axis=0), g.left, g.right, np.roll(g.left, -1, axis=0))
-    return np.max([best_choice(side + rest, mask, prices) for side in sides], axis=0)
+    return np.asarray(np.max([best_choice(side + rest, mask, prices) for side in sides], axis=0))
 
 
 def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None) -> Array:
@@ -283,7 +283,7 @@ def piece_edges(period: float, points: Array) -> Array:
     points = np.unique(np.concatenate([[0.0, period], points[(points > 0) & (points < period)]]))
     keep = np.append(np.diff(points) > 1e-13 * period, True)
     keep[0] = True
-    return points[keep]
+    return np.asarray(points[keep])
 
 
 def _joined(one: Array, other: Array) -> Array:

@@ -137,7 +137,7 @@ def _order_rows(problem: DesignProblem, zones: Array, times: Array, step: float)
 def matters(problem: DesignProblem, found: Relaxation) -> Array:
     """The window starts whose multipliers have a say."""
     shares = np.einsum("mij,ij->m", found.Z, problem.rows.N) * problem.rows.unit
-    return found.starts[shares > _MATTERS]
+    return np.asarray(found.starts[shares > _MATTERS])
 
 
 def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float, float]:

@@ -161,4 +161,4 @@ class DesignProblem:
 
 
 def _within(t: Array, spans: Array) -> Mask:
-    return np.any((t[..., None] >= spans[:, 0]) & (t[..., None] < spans[:, 1]), axis=-1)
+    return np.asarray(np.any((t[..., None] >= spans[:, 0]) & (t[..., None] < spans[:, 1]), axis=-1))

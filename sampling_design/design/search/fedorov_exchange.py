@@ -128,7 +128,7 @@ def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
     if not others.size:
         return wished
     distance = np.abs((wished[:, None] - others[None, :] + period / 2) % period - period / 2)
-    return wished[distance.min(axis=1) >= (problem.spacing + gap) / 2]
+    return np.asarray(wished[distance.min(axis=1) >= (problem.spacing + gap) / 2])
 
 
 def is_admissible(problem: DesignProblem, times: Array) -> bool:

@@ -47,7 +47,7 @@ class Signal:
     @property
     def n(self) -> int:
         """Number of states."""
-        return self.base.shape[1] if self.here is None else self.here.shape[2]
+        return int(self.base.shape[1] if self.here is None else self.here.shape[2])
 
     @cached_property
     def boxed(self) -> bool:

@@ -254,9 +254,10 @@ def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
         sides = (_checks.floats(name, side) for side in value)
         lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
         value = ConvexSet.box(lower, upper)
-    if value.dimension != dimension:
-        raise ArgumentError(f"`{name}` must have dimension {dimension}, got {value.dimension}.")
-    return value
+    found: ConvexSet = value
+    if found.dimension != dimension:
+        raise ArgumentError(f"`{name}` must have dimension {dimension}, got {found.dimension}.")
+    return found
 
 
 def _bounds(name: str, value: Any) -> Array:

@@ -61,7 +61,7 @@ class ComposedFlow:
         factors = (h * self._norm)[:, None] ** self._powers
         flow = (factors @ self._terms).reshape(h.size, self._n, -1)
         flow[:, :, self._n :] *= h[:, None, None]
-        return flow
+        return np.asarray(flow)
 
     def _composed(self, late: Array, early: Array, length: Array | float) -> Array:
         """Flows over `early` (one or more) and then over `late` (one, or as many), which lasts `length`."""

@@ -79,7 +79,7 @@ class Window:
             half = self.weights.prior_factor.T
         else:
             half = np.asarray(np.linalg.solve(self.prior_root, np.eye(self.prior_root.shape[0])))
-        return half * np.sqrt(self.discount[0])
+        return np.asarray(half * np.sqrt(self.discount[0]))
 
     @cached_property
     def fully_measured(self) -> bool:
@@ -90,7 +90,7 @@ class Window:
         """Return the roots of the samples' weights times (N+1, p) residuals, what is not measured left out."""
         if self.fully_measured:
             return residual @ self.weights.y_root.T
-        return np.matmul(self.weights.of(self.masks).y_root, residual[:, :, None])[:, :, 0]
+        return np.asarray(np.matmul(self.weights.of(self.masks).y_root, residual[:, :, None])[:, :, 0])
 
     @property
     def samples(self) -> npt.NDArray[np.intp]:

@@ -57,7 +57,7 @@ class Cells(NamedTuple):
     def volume(self) -> float:
         """Share of the sphere, as the share of the cube's faces."""
         n = self.centre.shape[1]
-        return float(np.sum(np.prod(self.half, axis=1, where=self.half > 0))) / n
+        return float(np.sum(np.prod(self.half, axis=1, where=self.half > 0)) / n)
 
 
 class Proof(NamedTuple):

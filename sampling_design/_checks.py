@@ -26,7 +26,7 @@ def freeze(array: Any) -> Array:
     return copy
 
 
-def real_array(name: str, value: Any, ndim: int) -> Array:
+def real_array(name: str, value: object, ndim: int) -> Array:
     """Return `value` as a frozen real array of `ndim` dimensions.
 
     Raises
@@ -43,7 +43,7 @@ def real_array(name: str, value: Any, ndim: int) -> Array:
     return freeze(array)
 
 
-def _as_reals(name: str, value: Any) -> npt.NDArray[Any]:
+def _as_reals(name: str, value: object) -> npt.NDArray[Any]:
     try:
         array = np.asarray(value)
     except ValueError:
@@ -59,7 +59,7 @@ def _as_reals(name: str, value: Any) -> npt.NDArray[Any]:
     return array
 
 
-def floats(name: str, value: Any) -> Array:
+def floats(name: str, value: object) -> Array:
     """Return `value` as a new float64 array of any shape, NaN and infinity as they are.
 
     Raises
@@ -70,7 +70,7 @@ def floats(name: str, value: Any) -> Array:
     return np.array(_as_reals(name, value), dtype=np.float64)
 
 
-def described(value: Any) -> str:
+def described(value: object) -> str:
     """Return what came, on one line: a plain value or container with its type, anything else by its type alone."""
     if value is None:
         return "None"
@@ -85,7 +85,7 @@ def described(value: Any) -> str:
         return f"{name} of more than 4000 digits"
 
 
-def matrix(name: str, value: Any, rows: int | None = None, columns: int | None = None) -> Array:
+def matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Array:
     """Return `value` as a frozen real matrix, `rows` by `columns` where these are given.
 
     Raises
@@ -101,7 +101,7 @@ def matrix(name: str, value: Any, rows: int | None = None, columns: int | None =
     return array
 
 
-def vector(name: str, value: Any, length: int | None = None) -> Array:
+def vector(name: str, value: object, length: int | None = None) -> Array:
     """Return `value` as a frozen real vector, of `length` entries where that is given.
 
     Raises
@@ -115,7 +115,7 @@ def vector(name: str, value: Any, length: int | None = None) -> Array:
     return array
 
 
-def number(name: str, value: Any) -> float:
+def number(name: str, value: object) -> float:
     """Return `value` as a finite float.
 
     Raises
@@ -135,7 +135,7 @@ def number(name: str, value: Any) -> float:
         raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
 
 
-def positive(name: str, value: Any) -> float:
+def positive(name: str, value: object) -> float:
     """Return `value` as a finite float > 0.
 
     Raises
@@ -149,7 +149,7 @@ def positive(name: str, value: Any) -> float:
     return result
 
 
-def nonnegative(name: str, value: Any) -> float:
+def nonnegative(name: str, value: object) -> float:
     """Return `value` as a finite float >= 0.
 
     Raises
@@ -163,7 +163,7 @@ def nonnegative(name: str, value: Any) -> float:
     return result
 
 
-def whole(name: str, value: Any, least: int = 0) -> int:
+def whole(name: str, value: object, least: int = 0) -> int:
     """Return `value` as an int of at least `least`.
 
     Raises
@@ -177,7 +177,7 @@ def whole(name: str, value: Any, least: int = 0) -> int:
     return int(result)
 
 
-def increasing(name: str, value: Any, slip: str = "") -> Array:
+def increasing(name: str, value: object, slip: str = "") -> Array:
     """Return `value` as a frozen vector of strictly increasing, non-negative times.
 
     Raises
@@ -200,7 +200,7 @@ def increasing(name: str, value: Any, slip: str = "") -> Array:
     return array
 
 
-def symmetric(name: str, value: Any, size: int) -> Array:
+def symmetric(name: str, value: object, size: int) -> Array:
     """Return `value` as a frozen symmetric matrix (relative tolerance 1e-12), exactly symmetrised.
 
     Raises
@@ -215,7 +215,7 @@ def symmetric(name: str, value: Any, size: int) -> Array:
     return freeze((array + array.T) / 2)
 
 
-def definite(name: str, value: Any, size: int, slip: str = "") -> Array:
+def definite(name: str, value: object, size: int, slip: str = "") -> Array:
     """Return `value` as a frozen symmetric positive definite matrix.
 
     Judged in units in which its diagonal is about one, so that the answer does not depend on those of the caller.
@@ -279,7 +279,7 @@ def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
             raise ArgumentError(f"unknown key {key!r} in {where}. Did you mean {near[0]!r}?")
 
 
-def output_mask(name: str, value: Any, samples: int) -> npt.NDArray[np.bool_] | None:
+def output_mask(name: str, value: object, samples: int) -> npt.NDArray[np.bool_] | None:
     """Return `value` as a frozen boolean (samples, outputs) mask; None means that every output is measured.
 
     Raises

@@ -5,12 +5,16 @@ A record lists its rows once, in `_rows`; everything that shows it is made from 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sampling_design._door import doors
+
+Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
+"""Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
 
 class Record:
@@ -62,10 +66,11 @@ def draw(record: Any, ax: Any = None) -> Any:
     return plotting.draw(record, ax)
 
 
-def short(value: Any, digits: int = 6) -> str:
+def short(value: object, digits: int = 6) -> str:
     """Return a number, or a short list of numbers, as text of `digits` significant digits."""
-    if np.ndim(value) == 0:
-        return f"{float(value):.{digits}g}"
-    flat = np.asarray(value, dtype=float).ravel()
+    numbers = np.asarray(value, dtype=float)
+    if numbers.ndim == 0:
+        return f"{float(numbers):.{digits}g}"
+    flat = numbers.ravel()
     shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
     return f"[{shown}{', ...' if flat.size > 8 else ''}]"

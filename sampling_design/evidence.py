@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from sampling_design._record import Plain
+
 Strength = Literal["proven", "attained", "sampled"]
 
 
@@ -22,7 +24,7 @@ class Claim:
     strength: Strength = "proven"
     citation: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; tuples become lists."""
         data = asdict(self)
         data["assumptions"] = list(self.assumptions)
@@ -45,6 +47,6 @@ class SolverRecord:
     seconds: float = 0.0
     details: dict[str, Any] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return asdict(self)

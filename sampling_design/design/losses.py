@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.design.design import bounded
 from sampling_design.design.problem.posing import repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
@@ -60,7 +60,7 @@ class SampleLosses(Record):
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per sample."""
         columns = zip(*(a.tolist() for a in (self.times, self.lower, self.upper, self.bound)), strict=True)
         rows = [{"time": t, "lower": low, "upper": up, "bound": top} for t, low, up, top in columns]

@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
@@ -58,7 +58,7 @@ class ParetoFront(Record):
                 kept.append(point)
         return tuple(kept)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per count."""
         return {"points": [asdict(point) for point in self.points]}
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.problem.numbers import DesignProblem
@@ -179,7 +179,7 @@ class ScheduleDesign(Record):
         complete = self.schedule.outputs is not None or bool(there.all())
         return complete and not bool(np.any(used & ~there)) and self.cost <= self.problem.cost_limit * (1 + 1e-9)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data with everything that a re-check needs."""
         return {
             "format": "sampling-design/design/1",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.errors import MathematicsError
 from sampling_design.plants.clusters import (
     EigenvalueCluster,
@@ -80,9 +79,9 @@ class ModalSplit(Record):
     clusters: tuple[EigenvalueCluster, ...]
     retained_clusters: tuple[EigenvalueCluster, ...]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data: eigenvalues with multiplicity and index, and what was decided about them."""
-        modes = [
+        modes: list[Plain] = [
             {
                 "eigenvalue": [c.value.real, c.value.imag],
                 "multiplicity": c.multiplicity,

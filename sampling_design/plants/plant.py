@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._modal import exponential
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
 
@@ -75,7 +75,7 @@ class Signals(Record):
         """Names with their units in brackets, for tables and axes."""
         return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Return a table of the plant file format; units and scales that say nothing are left out."""
         table: dict[str, Any] = {"names": list(self.names)}
         if any(self.units):
@@ -315,7 +315,7 @@ class Plant(Record):
             outputs=list(self.outputs.names),
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Return the tree of the plant file format; defaults (no inputs, D = 0, G = identity) are left out."""
         given = {"A": self.A, "C": self.C}
         if self.n_inputs:

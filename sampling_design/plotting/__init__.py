@@ -36,7 +36,7 @@ _PICTURES = {
 
 
 def draw(record: Any, ax: Any = None, **beside: Any) -> Any:
-    """Draw `record` and return the axes (a list of axes where the picture has several).
+    """Draw `record` and return the axes (a list of axes where the picture has several); a notebook shows them.
 
     `beside` is what some pictures show beside the record, such as the measurements of estimates.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 
 from sampling_design._linalg import discounted_flow
 from sampling_design._record import short
@@ -18,12 +17,12 @@ from sampling_design.plotting import style
 _COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)
 
 
-def draw_certificate(certificate: Certificate, ax: Any = None) -> Any:
+def draw_certificate(certificate: Certificate, ax: Axes | None = None) -> Axes:
     """Draw the information along the certificate's worst window, relative to P1."""
     return draw_information(information_curve(certificate), ax)
 
 
-def draw_information(curve: InformationCurve, ax: Any = None) -> Any:
+def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     """Draw lambda_min(Pi(t), P1) along a window; the certificate promises that it never falls below one."""
     ax = style.new_axes(ax)
     ax.semilogy(curve.t, curve.least, color=style.MEASURED, linewidth=1.3)
@@ -40,7 +39,7 @@ def draw_information(curve: InformationCurve, ax: Any = None) -> Any:
     return ax
 
 
-def draw_family_certificate(certificate: FamilyCertificate, ax: Any = None) -> Any:
+def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = None) -> Axes:
     """Draw lambda_max(P2, Phi_s(P_u)) over the time s since a sample, one curve per node of the family's graph."""
     ax = style.new_axes(ax)
     plant, eta = certificate.plant, certificate.eta
@@ -61,17 +60,17 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Any = None) -> A
     return ax
 
 
-def draw_four_horizons(horizons: FourHorizons, ax: Any = None) -> Any:
+def draw_four_horizons(horizons: FourHorizons, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw the four horizons as bars on a log axis; below them, in a figure of its own, the information curve."""
     if ax is not None:
         return _bars(horizons, ax)
     if not horizons.certificate.plant.n_states:
         return _bars(horizons, style.new_axes())
     _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.3))
-    return [_bars(horizons, top), draw_certificate(horizons.certificate, bottom)]
+    return style.Panels([_bars(horizons, top), draw_certificate(horizons.certificate, bottom)])
 
 
-def _bars(horizons: FourHorizons, ax: Any) -> Any:
+def _bars(horizons: FourHorizons, ax: Axes) -> Axes:
     known = [(row, colour) for row, colour in zip(horizons.rows, _COLOURS, strict=True) if row.minimum is not None]
     rows, colours = zip(*known, strict=True)
     lengths = [max(row.minimum, 1e-12) for row in rows]

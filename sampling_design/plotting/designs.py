@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.design.schedule_design import ScheduleDesign, stated
@@ -13,7 +13,7 @@ from sampling_design.plotting.windows import draw_window_sigma
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
-def draw_design(result: ScheduleDesign, ax: Any = None) -> Any:
+def draw_design(result: ScheduleDesign, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw the schedule (on `ax` alone if given), and below it sigma, its proven bound and the bound on all schedules.
 
     Raises
@@ -34,10 +34,10 @@ def draw_design(result: ScheduleDesign, ax: Any = None) -> Any:
     bottom.legend(loc="upper right", fontsize="small", frameon=False, ncols=2)
     bottom.set_ylim(0.0, 1.3 * max(result.upper_bound, float(shown.profile.sigma.max())))
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
-    return [top, bottom]
+    return style.Panels([top, bottom])
 
 
-def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Any) -> Any:
+def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:
     draw_schedule(schedule, ax)
     for lap in (0.0, schedule.period):
         for start, stop in result.requirement.forbidden:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.plotting import style
 
 
-def draw_estimates(record: EstimateRecord, ax: Any = None, measurements: Any = None) -> Any:
+def draw_estimates(record: EstimateRecord, ax: Axes | None = None, measurements: Any = None) -> Axes | style.Panels:
     """Draw one panel per state: the estimate, the tube that is proven to hold the truth, and what was measured.
 
     A measured output appears in the panel of the state that it reads; ticks at the bottom mark the other samples.
@@ -30,7 +31,7 @@ def draw_estimates(record: EstimateRecord, ax: Any = None, measurements: Any = N
     return axes
 
 
-def _panel(ax: Any, record: EstimateRecord, i: int, measurements: Any) -> Any:
+def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Any) -> Axes:
     t, x, radius = record.times, record.x[:, i], record.radii[:, i]
     known = np.isfinite(radius) & record.certified
     low, high = np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
@@ -47,7 +48,7 @@ def _panel(ax: Any, record: EstimateRecord, i: int, measurements: Any) -> Any:
     return ax
 
 
-def _readings(ax: Any, record: EstimateRecord, i: int, measurements: Any) -> None:
+def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Any) -> None:
     """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
     C = record.plant.C
     reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]

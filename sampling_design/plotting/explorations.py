@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from sampling_design._record import short
 from sampling_design.design.losses import SampleLosses
@@ -14,7 +14,7 @@ from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseS
 from sampling_design.plotting import style
 
 
-def draw_worst_case(result: WorstCaseSigma, ax: Any = None) -> Any:
+def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     """Draw what the worst schedule sees of the worst state over the window."""
     ax = style.new_axes(ax)
     profile = result.profile
@@ -29,7 +29,7 @@ def draw_worst_case(result: WorstCaseSigma, ax: Any = None) -> Any:
     return ax
 
 
-def draw_pareto(front: ParetoFront, ax: Any = None) -> Any:
+def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes:
     """Draw proven sigma and the bound over the number of samples per period.
 
     Raises
@@ -47,14 +47,14 @@ def draw_pareto(front: ParetoFront, ax: Any = None) -> Any:
     ax.plot(counts, bound, "--", color=style.TRUTH, linewidth=1.0, label="no schedule exceeds")
     ax.plot(counts, sigma, "o-", color=style.PROVEN, label="proven sigma of the design")
     ax.set_ylim(bottom=0.0)
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     ax.set_xlabel("samples per period")
     ax.set_ylabel("sigma")
     ax.legend(loc="lower right", fontsize="small", frameon=False)
     return ax
 
 
-def draw_losses(losses: SampleLosses, ax: Any = None) -> Any:
+def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     """Draw sigma without each single sample, against sigma with all of them."""
     ax = style.new_axes(ax)
     ax.vlines(losses.times, losses.lower, losses.sigma, color=style.FAILED, linewidth=1.2)

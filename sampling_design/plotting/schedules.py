@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.plotting import style
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
-def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Any = None) -> Any:
+def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None) -> Axes:
     """Draw the samples of a schedule (of two laps, the second pale, if it is periodic)."""
     ax = style.new_axes(ax, height=1.8 + 0.25 * _rows(schedule))
     _stems(ax, schedule.times, schedule.outputs, _rows(schedule), 1.0)
@@ -36,7 +37,7 @@ def _rows(schedule: Schedule | PeriodicSchedule) -> int:
     return len(schedule.output_names) if schedule.output_names else 1
 
 
-def _stems(ax: Any, times: Any, outputs: Any, rows: int, alpha: float) -> None:
+def _stems(ax: Axes, times: Any, outputs: Any, rows: int, alpha: float) -> None:
     mask = np.ones((len(times), rows), dtype=bool) if outputs is None else outputs
     for row in range(rows):
         chosen = np.asarray(times)[mask[:, row]]

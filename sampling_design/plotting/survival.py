@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.certificates.compare.robustness import Survival
 from sampling_design.plotting import style
 
 
-def draw_survival(result: Survival, ax: Any = None) -> Any:
+def draw_survival(result: Survival, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
     if ax is not None:
         return _radii(result, ax)
@@ -20,10 +20,10 @@ def draw_survival(result: Survival, ax: Any = None) -> Any:
     _losses(result, bottom)
     lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated) or "none"
     figure.suptitle(f"timing error up to {short(result.radius, 4)}, losses up to {lost}")
-    return [top, bottom]
+    return style.Panels([top, bottom])
 
 
-def _radii(result: Survival, ax: Any) -> Any:
+def _radii(result: Survival, ax: Axes) -> Axes:
     good = [t for t in result.trials if t.survives]
     bad = [t for t in result.trials if not t.survives]
     ax.plot([t.amount for t in good], [t.lam for t in good], "o-", color=style.PROVEN, label="survives, proven")
@@ -38,7 +38,7 @@ def _radii(result: Survival, ax: Any) -> Any:
     return ax
 
 
-def _losses(result: Survival, ax: Any) -> Any:
+def _losses(result: Survival, ax: Axes) -> Axes:
     for d in sorted({loss.most for loss in result.losses}):
         mine = [loss for loss in result.losses if loss.most == d]
         heights = _shown(result, [loss.lam for loss in mine])
@@ -48,15 +48,9 @@ def _losses(result: Survival, ax: Any) -> Any:
             ax.annotate(f"{d} lost", (loss.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small")
     _limit(result, ax)
     ax.set_xlim(1, max((loss.of for loss in result.losses), default=2) + 1)
-    ax.xaxis.set_major_locator(_ticker().MaxNLocator(integer=True))
+    ax.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
     ax.set_xlabel("consecutive samples among which they are counted")
     return ax
-
-
-def _ticker() -> Any:
-    from matplotlib import ticker
-
-    return ticker
 
 
 def _shown(result: Survival, lams: list[float]) -> list[float]:
@@ -64,13 +58,13 @@ def _shown(result: Survival, lams: list[float]) -> list[float]:
     return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
 
 
-def _limit(result: Survival, ax: Any) -> None:
+def _limit(result: Survival, ax: Axes) -> None:
     label = f"limit of the horizon {short(result.length, 4)}"
     ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
     ax.set_yscale("log")
-    ax.yaxis.set_major_locator(_ticker().LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(_ticker().FuncFormatter(lambda value, _: f"{value:.3g}"))
-    ax.yaxis.set_minor_formatter(_ticker().NullFormatter())
+    ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:.3g}"))
+    ax.yaxis.set_minor_formatter(ticker.NullFormatter())
     low, high = ax.get_ylim()
     ax.set_ylim(low / 1.2, high * 1.2)
     ax.set_ylabel("lambda")

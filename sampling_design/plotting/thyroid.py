@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from matplotlib.axes import Axes
 
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.patient_run import PatientFigure, PatientRun
@@ -16,7 +16,7 @@ _UNMEASURED = (0, 3, 5)
 _ROWS = {1: _MEASURED, 2: _MEASURED, 3: _UNMEASURED}
 
 
-def draw_figure(figure: PatientFigure, ax: Any = None) -> Any:
+def draw_figure(figure: PatientFigure, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw one figure in three rows and return the axes; on `ax` alone its first row."""
     states = _ROWS[figure.number]
     if ax is not None:
@@ -30,7 +30,7 @@ def draw_figure(figure: PatientFigure, ax: Any = None) -> Any:
     return axes
 
 
-def draw_patient_run(run: PatientRun, ax: Any = None) -> Any:
+def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw all six states with both estimates and return the axes.
 
     Raises
@@ -49,7 +49,7 @@ def draw_patient_run(run: PatientRun, ax: Any = None) -> Any:
     return axes
 
 
-def _row(run: PatientRun, number: int, state: int, ax: Any) -> Any:
+def _row(run: PatientRun, number: int, state: int, ax: Axes) -> Axes:
     scale = SCALING[state]
     if number == 1:
         column = _MEASURED.index(state)

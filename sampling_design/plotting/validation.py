@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.plotting import style
@@ -16,7 +15,7 @@ FLOOR = 1e-6
 """Share of the largest error below which a log axis shows nothing more."""
 
 
-def draw_validation(report: ValidationReport, ax: Any = None) -> Any:
+def draw_validation(report: ValidationReport, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw the errors against the bound on a log axis and, below, one run of the estimator inside its tubes."""
     if ax is not None:
         return _errors(report, ax)
@@ -34,7 +33,7 @@ def draw_validation(report: ValidationReport, ax: Any = None) -> Any:
     return axes
 
 
-def _errors(report: ValidationReport, ax: Any) -> Any:
+def _errors(report: ValidationReport, ax: Axes) -> Axes:
     top = 0.0 if report.bound is None else float(np.max(report.bound))
     for course, line in zip(report.courses, _LINES * len(report.courses), strict=False):
         top = max(top, float(np.max(course.largest)))
@@ -57,7 +56,7 @@ def _errors(report: ValidationReport, ax: Any) -> Any:
     return ax
 
 
-def _tube(report: ValidationReport, i: int, ax: Any) -> None:
+def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     run = report.example
     assert run is not None
     t, radius = run.times, run.radii[:, i]
@@ -69,7 +68,7 @@ def _tube(report: ValidationReport, i: int, ax: Any) -> None:
     ax.margins(x=0.01)
 
 
-def draw_schedule_log(log: ScheduleLog, ax: Any = None) -> Any:
+def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw planned and actual times and, below, sigma over the window's end for both."""
     if ax is not None:
         return _times(log, ax)
@@ -90,10 +89,10 @@ def draw_schedule_log(log: ScheduleLog, ax: Any = None) -> Any:
     bottom.set_xlabel(style.time_label(log.time_unit, f"end of the window of length {short(log.planned_sigma.window)}"))
     bottom.set_ylabel("sigma (state at window's start)")
     bottom.legend(loc="upper right", fontsize="small", frameon=False)
-    return [top, bottom]
+    return style.Panels([top, bottom])
 
 
-def _times(log: ScheduleLog, ax: Any) -> Any:
+def _times(log: ScheduleLog, ax: Axes) -> Axes:
     ax.vlines(log.planned.times, 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)
     ax.vlines(log.actual.times, -0.4, 0.4, color=style.MEASURED, linewidth=1.8)
     for k, at in enumerate(log.match):

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plotting import style
 
 
-def draw_window_sigma(result: WindowSigma, ax: Any = None) -> Any:
+def draw_window_sigma(result: WindowSigma, ax: Axes | None = None) -> Axes:
     """Draw sigma over the window's end: attained values, proven bound, and the worst position."""
     ax = style.new_axes(ax)
     profile = result.profile

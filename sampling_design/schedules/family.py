@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record
+from sampling_design._record import Plain, Record
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -114,7 +114,7 @@ class SamplingFamily(Record, ABC):
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
 
     @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data with a key "kind"; `family_from_dict` reads it back."""
 
     # The graph whose paths are the members (certificates/families/).

@@ -8,6 +8,7 @@ from typing import Any
 
 from sampling_design import _checks
 from sampling_design._door import door
+from sampling_design._record import Plain
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.files import schedule_from_dict
@@ -18,7 +19,7 @@ from sampling_design.schedules.spaced_windows import SpacedWindows  # noqa: F401
 
 
 @door
-def family_to_dict(family: SamplingFamily) -> dict[str, Any]:
+def family_to_dict(family: SamplingFamily) -> dict[str, Plain]:
     """Return a family as plain data; `kind` names it.
 
     Parameters

@@ -13,6 +13,7 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._record import Plain
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.family import AnySchedule
@@ -25,7 +26,7 @@ _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of 
 
 
 @door
-def schedule_to_dict(schedule: AnySchedule) -> dict[str, Any]:
+def schedule_to_dict(schedule: AnySchedule) -> dict[str, Plain]:
     """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period).
 
     Parameters

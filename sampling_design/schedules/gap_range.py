@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import short
+from sampling_design._record import Plain, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
@@ -118,9 +118,9 @@ class GapRange(SamplingFamily, kind="gap-range"):
         middle, half = (self.shortest + self.longest) / 2, fraction * (self.longest - self.shortest) / 2
         return type(self)(middle - half, middle + half, time_unit=self.time_unit)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; `family_from_dict` reads it back."""
-        data = {"kind": self.kind, "shortest": self.shortest, "longest": self.longest}
+        data: dict[str, Plain] = {"kind": self.kind, "shortest": self.shortest, "longest": self.longest}
         return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:

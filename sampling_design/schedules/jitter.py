@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gcd
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import short
+from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
     OUTWARD,
@@ -213,7 +213,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         """Return the family of `fraction` times the radius."""
         return type(self)(self.schedule, fraction * self.radius)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; `family_from_dict` reads it back."""
         return {"kind": self.kind, "schedule": self.schedule.to_dict(), "radius": self.radius}
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import short
+from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
     START,
@@ -226,7 +226,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         """Patterns of losses do not vary continuously."""
         return
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; `family_from_dict` reads it back."""
         return {"kind": self.kind, "schedule": self.schedule.to_dict(), "most": self.most, "of": self.of}
 

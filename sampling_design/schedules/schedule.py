@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design._units import check_time_unit, time_factor
 from sampling_design.errors import ArgumentError
 
@@ -128,7 +128,7 @@ class Schedule(_Sampled):
         c = time_factor(self.time_unit or "", unit)
         return Schedule(self.times * c, self.outputs, **{**self._details(), "time_unit": unit})
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, exact; `schedule_from_dict` reads it back."""
         return self._plain(self.outputs, kind="finite", times=self.times.tolist())
 
@@ -270,7 +270,7 @@ class PeriodicSchedule(_Sampled):
         details = {**self._details(), "time_unit": unit}
         return PeriodicSchedule.from_times(self.times * c, self.period * c, self.outputs, **details)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, exact; `schedule_from_dict` reads it back."""
         lap = {"gaps": self.gaps.tolist(), "first": self.first, "times": self.times.tolist(), "period": self.period}
         return self._plain(self.outputs, kind="periodic", **lap)

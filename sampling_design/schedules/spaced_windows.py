@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from sampling_design import _checks
-from sampling_design._record import short
+from sampling_design._record import Plain, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.schedules.family import (
@@ -230,9 +229,14 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         least = min(self.window - sum(old[:i]) - (k - 1 - i) * self.spacing for i in range(min(len(old), k - 1) + 1))
         return float(least + OUTWARD * self.window)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; `family_from_dict` reads it back."""
-        data = {"kind": self.kind, "window": self.window, "count": self.count, "spacing": self.spacing}
+        data: dict[str, Plain] = {
+            "kind": self.kind,
+            "window": self.window,
+            "count": self.count,
+            "spacing": self.spacing,
+        }
         return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
 
@@ -68,7 +68,7 @@ class Finding(Record):
         """One of "held", "BROKEN" and "NOT CHECKED"."""
         return "NOT CHECKED" if not self.checked else "held" if self.passed else "BROKEN"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         keys = ("claim", "scenario", "predicted", "observed", "sense", "source", "strength", "note", "checked")
         data = {key: getattr(self, key) for key in keys} | {"margin": self.margin}
@@ -171,7 +171,7 @@ class ValidationReport(Record):
             for f in self.findings
         ]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data: findings, settings, and the courses of the errors."""
         return {
             "format": "sampling-design/validation/1",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.measurements import Measurements
 from sampling_design.plants.plant import Plant
@@ -45,7 +45,7 @@ class Bounds:
         given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
         return cls(*(_bound(key, value, scales) for (key, value), scales in zip(given.items(), defaults, strict=True)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return {"w_bound": self.w.tolist(), "v_bound": self.v.tolist(), "initial_error": self.e0.tolist()}
 

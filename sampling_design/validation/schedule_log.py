@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
@@ -75,7 +75,7 @@ class ScheduleLog(Record):
             return None
         return self.actual_sigma.lower / self.planned_sigma.lower
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; a deviation of a missed sample is None."""
         sigmas = {"planned_sigma": self.planned_sigma, "actual_sigma": self.actual_sigma}
         return {

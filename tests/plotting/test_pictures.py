@@ -1,5 +1,8 @@
 """Pictures: what they show is what the record says, and they are written whole or not at all."""
 
+import struct
+
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -87,6 +90,18 @@ def test_pictures_are_drawn_on_given_axes():
     for record, ax in zip((SCHEDULE, design, design.window), axes, strict=True):
         assert record.plot(ax) is ax
         assert ax.has_data()
+
+
+def test_a_notebook_shows_the_axes_that_plot_returns():
+    one = SCHEDULE.plot()
+    several = sd.four_horizons(OSCILLATOR, SCHEDULE).plot()
+    assert isinstance(several, list)
+    for shown in (one, several):
+        width, height = struct.unpack(">II", shown._repr_png_()[16:24])
+        assert shown._repr_png_().startswith(b"\x89PNG")
+        assert width > height > 200
+    assert type(one).__name__ == "Axes"
+    assert plt.get_fignums() == []  # nothing of it is known to pyplot, so a script shows nothing
 
 
 def test_what_has_no_picture_is_refused(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.families.certify_family import Proposal, Search, certified
@@ -107,7 +107,7 @@ class Survival(Record):
         families = [c.family for c in self.thinned]
         return tuple((f.most, f.of) for f in families if isinstance(f, LostSamples))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the certificates; a lambda that does not exist is None."""
 
         def plain(entry: Trial | Losses) -> dict[str, Any]:

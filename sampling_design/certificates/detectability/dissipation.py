@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification, verdict_of
@@ -152,7 +152,7 @@ class DetectabilityCertificate(Record):
         """Write the certificate as JSON, whole or not at all; return the path."""
         return write_certificate(self, path)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
         parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}

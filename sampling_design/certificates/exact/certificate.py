@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._linalg import generalised_max
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.export import constants_of
@@ -180,7 +180,7 @@ class SampledCertificate(Record, ABC):
         """Write the certificate as JSON, whole or not at all; return the path."""
         return write_certificate(self, path)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
         seen = self.witness
         parts: dict[str, Any] = {
@@ -382,7 +382,7 @@ class Certificate(SampledCertificate):
         )
 
 
-def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Any]:
+def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Plain]:
     """Return the `times` of a certificate file; outputs null means that every sample measures all of them."""
     outputs = None if schedule.outputs is None else schedule.outputs.astype(int).tolist()
     if isinstance(schedule, PeriodicSchedule):

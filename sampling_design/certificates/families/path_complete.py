@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._record import Plain
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +62,7 @@ class GapGraph:
             tops[edge.source] = max(tops[edge.source], edge.high)
         return tops
 
-    def to_dict(self, P: Array) -> dict[str, Any]:
+    def to_dict(self, P: Array) -> dict[str, Plain]:
         """Plain data, with the information matrix of each node but the start (that one is P2)."""
         return {
             "words": [list(word) for word in self.words],

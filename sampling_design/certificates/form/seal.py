@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sampling_design import __version__, _files
+from sampling_design._record import Plain
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
 
@@ -26,7 +27,7 @@ STATED_MARGIN = 1e-4
 class Recorded(Protocol):
     """A record that has plain data."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
 
 

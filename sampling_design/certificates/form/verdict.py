@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any
 
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM
 
 CHECKERS = {CLAIM: "checker", FAMILY_CLAIM: "family_checker", DETECTABILITY_CLAIM: "dissipation_checker"}
@@ -45,7 +45,7 @@ class Verification(Record):
     def __bool__(self) -> bool:
         return self.passed
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return asdict(self)
 

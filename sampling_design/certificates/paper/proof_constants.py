@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import Certificate
@@ -117,7 +117,7 @@ class ProofConstants(Record):
         """Return the constants as a LaTeX tabular."""
         return self.constants.to_latex()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data: variant, weights and constants."""
         weights = {key: getattr(self, key).tolist() for key in ("P1", "P2", "Qw", "R", "Qv")}
         listed = [{"name": c.name, "value": c.value, "formula": c.formula, "source": c.source} for c in self.constants]

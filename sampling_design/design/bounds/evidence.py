@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design._door import doors
 from sampling_design._linalg import expm_batch
+from sampling_design._record import Plain
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
@@ -78,7 +79,7 @@ class BoundPart:
             return averaged_bound(problem, self.starts, Z, self.tilt, zones)
         return zone_bound(problem, self.starts, Z, zones)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt")}
         return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
@@ -122,7 +123,7 @@ class UpperBound:
         side = sides.pop()
         return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
 
@@ -159,7 +159,7 @@ class Requirement(Record):
         _checks.known_keys("the requirement", changes, known)
         return Requirement(**{**known, **changes})
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, the tree of the requirement file; entries that were not given are left out."""
         data: dict[str, Any] = {"format": FORMAT}
         for key in ("window", "period", "spacing", "target_sigma", "cost_limit", "time_unit"):

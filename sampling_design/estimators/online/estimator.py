@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 
@@ -139,7 +139,7 @@ class Estimate(Record):
             text += " No radius is proven."
         return text + (f" {self.note}" if self.note else "")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; NaN and infinity become None."""
         return {
             "t": self.t,
@@ -215,7 +215,7 @@ class EstimateRecord(Record):
             spread = np.where(variance > 0, self.radius[:, None] * variance, 0.0)
         return freeze(np.sqrt(np.maximum(spread, 0.0)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per estimate; NaN and infinity become None."""
         return {
             "states": list(self.plant.states.names),

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
@@ -74,7 +73,7 @@ class ZeroCountBound(Record):
         critical = self.samples_critical
         return self.samples_needed if critical is None else min(critical, self.samples_needed)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data; an infinite critical length (all eigenvalues real) becomes the word "infinite"."""
         length = "infinite" if self.critical_length == np.inf else self.critical_length
         keys = ("value", "samples_needed", "order", "frequency_spread", "duration", "n_states", "n_outputs")

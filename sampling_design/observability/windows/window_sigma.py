@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
@@ -138,7 +137,7 @@ class WindowSigma(Record):
             assumptions=("the plant's matrices and the sample times are exact",),
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the curve; infinite values (a plant without states) become None."""
         finite = bool(np.isfinite(self.upper))
         witness = self.witness

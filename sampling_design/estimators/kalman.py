@@ -13,11 +13,13 @@ from sampling_design._checks import freeze
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Sample
+from sampling_design.estimators.gap_flows.flows import Flow
+from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Sample
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator
+from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator, Verdict
 from sampling_design.estimators.window.smoother import smooth
+from sampling_design.estimators.window.square_root import absorb, covariance_root
 from sampling_design.estimators.window.window_problem import build_window
 from sampling_design.plants.plant import Plant
 
@@ -77,7 +79,7 @@ class KalmanFilter(OpenLoopEstimator):
         self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
         self._set_up(plant, weights, None, feedthrough)
         self.memory = self.lateness = _checks.nonnegative("lateness", lateness)
-        self._set_bounds(w_bound, v_bound, initial_error, kept_v=False)
+        self._set_bounds(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 
     def _advance(self, state: State, sample: Sample) -> Node:
@@ -85,21 +87,67 @@ class KalmanFilter(OpenLoopEstimator):
         last, weights = state.last, self.weights
         (flow,) = self.table.get([sample.t - last.t])
         drift = self._drift.between(state, last.t, sample.t)
-        x, Y, before = self._flown(last, flow, drift)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, Y, before = self._flown(last, flow, drift)
+        self._refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
-        S = H @ Y @ H.T + np.eye(mask.size)
-        gain = np.linalg.solve(S, H @ Y).T
-        rest = np.eye(x.size) - gain @ H
-        Y = freeze(symmetrise(rest @ Y @ rest.T + gain @ gain.T))
-        x = freeze(x + gain @ innovation)
-        cost = float(innovation @ np.linalg.solve(S, innovation))
+        details: dict[str, Any] = {"engine": "filter", "window_start": state.nodes[0].t}
+        own = float(self._sample_energy(mask[None])[0])
+        terms = before + own
+        if self._too_large(innovation):
+            residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
+            found, words = self._overflowed(state, sample, residual, terms)
+            details |= words
+            x, Y, beta = self._ahead(last, flow, drift)
+            found = found._replace(beta=beta)
+            return self._node(state, (sample, y, mask, feedthrough), (x, Y, flow, drift), found, details)
+        terms += self._rounded(y, x)
+        spread, step, half = absorb(covariance_root(Y), H, innovation)
+        Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
+        cost = float(half @ half)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
-        terms = before + float(self._sample_energy(mask[None])[0]) + self._rounded(y, x)
-        beta, status, sound = self._judged(terms, cost * (1 - ROUNDING), last.sound)
-        details = {"engine": "filter", "window_start": state.nodes[0].t, "cost": past + cost}
-        estimate = self._estimate(sample.t, x, Y, beta, status, sound=sound, scheduled=False, **details)
-        return Node(sample.t, y, mask, feedthrough, x, Y, beta, flow, drift, False, sound, estimate, sample)
+        found = self._judged(terms, cost * (1 - ROUNDING), last)
+        if found.status == "bounds disproved" and last.sound:
+            found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
+        details["cost"] = past + cost
+        return self._node(state, (sample, y, mask, feedthrough), (x, Y, flow, drift), found, details)
+
+    def _node(
+        self,
+        state: State,
+        measured: tuple[Sample, Array, Array, Array],
+        held: tuple[Array, Array, Flow, Array],
+        found: Verdict,
+        details: dict[str, Any],
+    ) -> Node:
+        (sample, y, mask, feedthrough), (x, Y, flow, drift) = measured, held
+        sound, number = found.sound, state.last.number + 1
+        estimate = self._estimate(
+            sample.t,
+            x,
+            Y,
+            found.beta,
+            found.status,
+            sound=sound,
+            scheduled=False,
+            contradiction=found.contradiction,
+            **details,
+        )
+        return Node(
+            sample.t, y, mask, feedthrough, x, Y, found.beta, flow, drift, False, sound, estimate, sample, number
+        )
+
+    def _blame(
+        self, sample: Sample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
+    ) -> Contradiction:
+        """Return what is known of the sample that made the innovations cost more than the bounds allow."""
+        (half, cost), (terms, own) = innovation, bounds
+        shown = np.where(np.isfinite(sample.y), np.abs(half), -1.0)
+        room = own if own > 0 else terms
+        with np.errstate(divide="ignore", over="ignore"):
+            factor = float(np.sqrt((cost - terms + room) / np.float64(room)))
+        return Contradiction(number, sample.t, self.plant.outputs.names[int(np.argmax(shown))], factor)
 
     def smooth(self, record: Any) -> EstimateRecord:
         """Return the estimates at all samples given all samples (fixed-interval smoother); the filter stays as it is.

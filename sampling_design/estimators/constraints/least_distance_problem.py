@@ -65,19 +65,17 @@ class Demands:
         return [signal.values(dx, noise) for signal in self.signals]
 
     def violated(self, values: list[Array], tolerance: float) -> list[Mask]:
-        """Return, per block of rows, those that `values` break by more than `tolerance` times the signal's size."""
+        """Return, per block of rows, those that `values` break by more than `tolerance` times their entries' sizes."""
         by_signal, found = dict(zip(self.signals, values, strict=True)), []
         for rows in self.rows:
             value = by_signal[rows.signal]
-            seen = rows.of(value)
-            limit = tolerance * max(1.0, float(np.abs(value).max()))
+            seen, limit = rows.of(value), tolerance * rows.reach(rows.signal.sizes(value))
             found.append((rows.lower - seen > limit) | (seen - rows.upper > limit))
         return found
 
     def balls_hold(self, values: list[Array], tolerance: float) -> bool:
         """Whether `values` keep all balls, up to `tolerance` times the signal's size."""
-        pairs = zip(self.signals, values, strict=True)
-        return all(s.excess_of_balls(value) <= tolerance * max(1.0, float(np.abs(value).max())) for s, value in pairs)
+        return all(s.keeps_balls(value, tolerance) for s, value in zip(self.signals, values, strict=True))
 
     @property
     def has_balls(self) -> bool:

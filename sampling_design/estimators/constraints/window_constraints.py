@@ -53,30 +53,37 @@ class Constraints:
         signals = []
         if self.x is not None:
             at = np.arange(window.times.size)
-            signals.append(Signal("x_set", window.times, self.plant.states.names, nodes, [self.x], at))
+            unit = np.sqrt(np.diag(free.covariance))
+            signals.append(Signal("x_set", window.times, self.plant.states.names, nodes, [self.x], at, unit))
         if self.keeps_v:
-            signals += self._noisy_signals(window, nodes)
+            signals += self._noisy_signals(window, free)
         if self.reach is not None and window.flows:
             whiten = np.array([flow.whiten for flow in window.flows])
             base, before = _omegas(window, nodes, whiten), -np.matmul(whiten, window.F)
             names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
             sets = self.reach.over(window.flows)
-            signals.append(Signal("w_set", window.times[1:], names, base, sets, at, whiten, before))
+            signals.append(
+                Signal("w_set", window.times[1:], names, base, sets, at, np.ones(len(names)), whiten, before)
+            )
         return Demands(free.spread, signals, *nodes.shape)
 
-    def _noisy_signals(self, window: Window, nodes: Array) -> list[Signal]:
+    def _noisy_signals(self, window: Window, free: Solution) -> list[Signal]:
         """The noise v = gain (y - C x - D u) + its own part, and the output C x + D u + v, at the samples."""
-        plant, at, found = self.plant, window.samples, []
+        plant, at, found, nodes = self.plant, window.samples, [], free.nodes
+        unit = np.linalg.norm(self.weights.at(np.ones(plant.n_outputs)).v_root, axis=1)
+        known = np.sqrt(np.einsum("ij,jk,ik->i", plant.C, free.covariance, plant.C))
         times, names, seen = window.times[at], plant.outputs.names, window.masks[at] > 0
         v = self.noise(window, nodes)[at]
         kinds = self.weights.of(window.masks[at])
         here = -kinds.gain @ plant.C
         own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]
         if self.v is not None:
-            found.append(Signal("v_set", times, names, v, [self.v], at, here, own=own, seen=seen))
+            found.append(Signal("v_set", times, names, v, [self.v], at, unit, here, own=own, seen=seen))
         if self.y is not None:
             y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
-            found.append(Signal("y_set", times, names, y, [self.y], at, plant.C + here, own=own, seen=seen))
+            found.append(
+                Signal("y_set", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen)
+            )
         return found
 
 

@@ -97,9 +97,10 @@ class Weights:
 
     def of(self, masks: Array) -> SampleWeights:
         """Return the weights of N samples, stacked, for (N, p) `masks`."""
-        kinds = [self.at(mask) for mask in masks]
-        shape = (-1, self.y.shape[0], self.y.shape[0])
-        return SampleWeights(*(np.array(part).reshape(shape) for part in zip(*kinds, strict=True)))
+        p = self.y.shape[0]
+        if not len(masks):
+            return SampleWeights(*np.zeros((6, 0, p, p)))
+        return SampleWeights(*(np.array(part) for part in zip(*map(self.at, masks), strict=True)))
 
     def _kind(self, mask: Array) -> tuple[SampleWeights, tuple[float, float]]:
         key = (mask > 0).tobytes()
@@ -123,6 +124,17 @@ class Weights:
     def disturbance_energy(self, bound: Array | None) -> float:
         """Return the largest |w|^2_w over the bound on w (infinity for None)."""
         return _energy(self.w, bound)
+
+    @cached_property
+    def diagonal_noise(self) -> bool:
+        """Whether R and Qv are diagonal."""
+        return all(not np.any(M - np.diag(np.diag(M))) for M in (self.R, self.v))
+
+    def fit_energy(self, bound: Array | None, masks: Array) -> Array:
+        """Return, per row of the (N, p) `masks`, a bound on |v|^2_R over its measured outputs."""
+        if bound is None:
+            return np.where(masks.any(axis=1), np.inf, 0.0)
+        return np.array([_energy(self.at(mask).R, bound) for mask in masks])
 
     def sample_energy(self, bound: Array | None, kept: bool, masks: Array) -> Array:
         """Return, per row of the (N, p) `masks`, a bound on the weighted square of v over its measured outputs.

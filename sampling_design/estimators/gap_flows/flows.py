@@ -21,6 +21,10 @@ CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
 
 
+LONGEST = 700.0
+"""Exponents from here on count as overflows: e^709 is the largest double."""
+
+
 class Flow:
     """Transition over one gap h.
 
@@ -82,17 +86,19 @@ class FlowTable:
 
     def _fill(self, gaps: list[float]) -> None:
         weights = self.weights
-        F, integral, W = self._flow.over(gaps)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
+            F, integral, W = self._flow.over(gaps)
         if self.constant_w:
             root = self._constant_root(integral, gaps)
             whiten = np.linalg.pinv(root)
             W = root @ np.swapaxes(root, 1, 2)
             information: list[Array | None] = [None] * len(gaps)
         else:
-            root, whiten, information = _roots(F, W)
+            root, whiten, information = _finite_roots(F, W)
         parts = zip(F, W, root, whiten, integral, integral @ weights.plant.B, strict=True)
         for gap, matrices, info in zip(gaps, parts, information, strict=True):
-            self._table[gap] = Flow(gap, math.exp(weights.eta * gap), matrices, info)
+            growth = math.exp(weights.eta * gap) if weights.eta * gap < LONGEST else math.inf
+            self._table[gap] = Flow(gap, growth, matrices, info)
 
     def _constant_root(self, integral: Array, gaps: list[float]) -> Array:
         """Root of the noise that is constant over each gap: cost |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2."""
@@ -107,6 +113,20 @@ def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
     """Return int_0^h e^{-eta s} ds."""
     gap = np.asarray(h, dtype=np.float64)
     return gap if eta == 0 else -np.expm1(-eta * gap) / eta
+
+
+def _finite_roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:
+    """Return what `_roots` does; flows that overflow have no roots (NaN)."""
+    fine = np.isfinite(W).all(axis=(1, 2)) & np.isfinite(F).all(axis=(1, 2))
+    if fine.all():
+        return _roots(F, W)
+    root, whiten = np.full_like(W, np.nan), np.full_like(W, np.nan)
+    information: list[Array | None] = [None] * len(W)
+    if fine.any():
+        root[fine], whiten[fine], found = _roots(F[fine], W[fine])
+        for k, block in zip(np.flatnonzero(fine), found, strict=True):
+            information[int(k)] = block
+    return root, whiten, information
 
 
 def _roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:

@@ -43,6 +43,35 @@ class Sample(NamedTuple):
     u: Any = None
 
 
+class Contradiction(NamedTuple):
+    """The sample that the data would have to do without, for the bounds to hold.
+
+    Attributes
+    ----------
+    number : int
+        Of the sample since the prior, from 1.
+    t : float
+    output : str
+        Of its outputs the one.
+    factor : float
+        By which its noise bound would have to grow (infinity where that bound is 0).
+    alone : bool
+        Whether the rest agrees once it is left out; if not, `factor` is that of all bounds together.
+    """
+
+    number: int
+    t: float
+    output: str
+    factor: float
+    alone: bool = True
+
+    def __str__(self) -> str:
+        sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"
+        if self.alone:
+            return f"{sample}: its v_bound would have to be {self.factor:.3g} times as large"
+        return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Record):
     """The state at one time, with the ellipsoid that holds it.
@@ -54,9 +83,10 @@ class Estimate(Record):
     t : float
     x : (n,) array
     covariance : (n, n) array
-        Pi^-1, the discounted Kalman covariance of the window.
+        Pi^-1, the discounted Kalman covariance of the window; ahead of it, of the smaller one of two proven ellipsoids.
     radius : float
-        Bound on |x(t) - x|^2_Pi; infinity where a bound on w, v or the initial error was not given.
+        Bound on |x(t) - x|^2_Pi; infinity where a bound on w, v or the initial error was not given, NaN where the
+        data contradict the bounds or the constraints.
     status : str
         See `Status`.
     cost : float
@@ -72,6 +102,8 @@ class Estimate(Record):
         What solved the window problem.
     note : str
         Why a flag is down or a solve failed, in words.
+    contradiction : Contradiction or None
+        Where the data contradict the bounds: the sample that does, and by what factor.
     """
 
     t: float
@@ -85,6 +117,7 @@ class Estimate(Record):
     window_start: float = np.nan
     engine: str = ""
     note: str = ""
+    contradiction: Contradiction | None = None
 
     @cached_property
     def Pi(self) -> Array:
@@ -96,10 +129,7 @@ class Estimate(Record):
     @cached_property
     def radii(self) -> Array:
         """Half-widths of the ellipsoid, one per state."""
-        variance = np.maximum(np.diag(self.covariance), 0.0)
-        with np.errstate(invalid="ignore"):
-            spread = np.where(variance > 0, self.radius * variance, 0.0)
-        return freeze(np.sqrt(np.maximum(spread, 0.0)))
+        return freeze(half_widths(np.asarray(self.radius), np.diag(self.covariance)))
 
     @property
     def failed(self) -> bool:
@@ -116,6 +146,8 @@ class Estimate(Record):
             np.linalg.cholesky(self.covariance), _checks.vector("truth", truth, self.x.size) - self.x
         )
         square = float(half @ half)
+        if np.isnan(self.radius):
+            return np.nan
         return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -151,7 +183,19 @@ class Estimate(Record):
             "certified": self.certified,
             "on_schedule": self.on_schedule,
             "note": self.note,
+            "contradiction": None if self.contradiction is None else _plain(self.contradiction),
         }
+
+
+def _plain(contradiction: Contradiction) -> dict[str, Any]:
+    return {**contradiction._asdict(), "factor": _finite(contradiction.factor)}
+
+
+def half_widths(radius: Array, variance: Array) -> Array:
+    """Return sqrt(radius variance): 0 where the variance is 0 and there is a radius, NaN where there is none."""
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    with np.errstate(invalid="ignore"):
+        return np.where((spread > 0) | np.isnan(radius), np.sqrt(radius) * spread, 0.0)
 
 
 def _finite(value: float) -> float | None:
@@ -169,6 +213,7 @@ class EstimateRecord(Record):
     status : tuple of str
     certified, on_schedule : (N,) arrays of bool
     notes : tuple of str
+    contradictions : tuple of Contradiction or None
     """
 
     plant: Plant
@@ -181,6 +226,7 @@ class EstimateRecord(Record):
     certified: npt.NDArray[np.bool_]
     on_schedule: npt.NDArray[np.bool_]
     notes: tuple[str, ...] = field(default=())
+    contradictions: tuple[Contradiction | None, ...] = field(default=())
 
     @classmethod
     def collect(cls, plant: Any, estimates: Iterable[Estimate]) -> EstimateRecord:
@@ -202,6 +248,7 @@ class EstimateRecord(Record):
             certified=np.array([e.certified for e in found], dtype=bool),
             on_schedule=np.array([e.on_schedule for e in found], dtype=bool),
             notes=tuple(e.note for e in found),
+            contradictions=tuple(e.contradiction for e in found),
         )
 
     def __len__(self) -> int:
@@ -210,10 +257,7 @@ class EstimateRecord(Record):
     @cached_property
     def radii(self) -> Array:
         """Half-widths of the ellipsoids, (N, n)."""
-        variance = np.maximum(np.einsum("kii->ki", self.covariance), 0.0)
-        with np.errstate(invalid="ignore"):
-            spread = np.where(variance > 0, self.radius[:, None] * variance, 0.0)
-        return freeze(np.sqrt(np.maximum(spread, 0.0)))
+        return freeze(half_widths(self.radius[:, None], np.einsum("kii->ki", self.covariance)))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per estimate; NaN and infinity become None."""
@@ -229,7 +273,13 @@ class EstimateRecord(Record):
             "certified": self.certified.tolist(),
             "on_schedule": self.on_schedule.tolist(),
             "notes": list(self.notes),
+            "contradictions": [_plain(each) for each in self.first_contradictions],
         }
+
+    @property
+    def first_contradictions(self) -> tuple[Contradiction, ...]:
+        """The different samples that contradict the bounds, in order."""
+        return tuple(dict.fromkeys(each for each in self.contradictions if each is not None))
 
     def _rows(self) -> list[tuple[str, str]]:
         span = f"{short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}" if len(self) else "-"
@@ -240,12 +290,15 @@ class EstimateRecord(Record):
             ("status", ", ".join(f"{k}: {v}" for k, v in counts.items()) or "-"),
             ("certified", f"{int(self.certified.sum())} of {len(self)}"),
             ("on schedule", f"{int(self.on_schedule.sum())} of {len(self)}"),
+            *(("contradiction", str(each)) for each in self.first_contradictions),
         ]
 
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""
         failed = sum(s in FAILURES for s in self.status)
         trouble = f" {failed} failed; their notes say why." if failed else ""
+        for each in self.first_contradictions:
+            trouble += f" The data contradict the bounds: {each}."
         return f"{len(self)} estimates, {int(self.certified.sum())} of them with a proven radius.{trouble}"
 
 
@@ -261,6 +314,10 @@ class Estimator(Protocol):
 
     def predict(self, t: float) -> Estimate:
         """Return the estimate at any later time, open loop."""
+        ...
+
+    def reset(self, prior: Any = None, prior_time: float = 0.0) -> None:
+        """Forget all samples and start again from a prior."""
         ...
 
     def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:

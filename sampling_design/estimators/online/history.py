@@ -20,7 +20,8 @@ class Node(NamedTuple):
     """A processed sample: a snapshot from which everything later can be computed again.
 
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
-    on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0.
+    on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
+    the samples, 0 is the prior.
     """
 
     t: float
@@ -36,6 +37,7 @@ class Node(NamedTuple):
     sound: bool
     estimate: Estimate
     sample: Sample
+    number: int = 0
 
 
 class State(NamedTuple):

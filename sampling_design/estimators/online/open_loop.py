@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
+from sampling_design._linalg import symmetrise
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import Flow, FlowTable, discounted_length
-from sampling_design.estimators.online.estimator import Estimate, Sample, Status
+from sampling_design.estimators.online.estimator import Contradiction, Estimate, Sample, Status
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
@@ -27,13 +29,31 @@ CONTRADICTION = 1e-9
 ROUNDING = 1e-12
 """Share of its terms that is added to every bound, so that rounding cannot break it."""
 
+LARGEST = 1e150
+"""Residuals beyond this, in units of their weights, have squares that overflow in sums."""
+
 EXACT_DATA = 1e-13
 """Relative error with which even exact data and states are held; its square, in the weights, joins every bound."""
 
 
+class Verdict(NamedTuple):
+    """What a solve is worth: the bound on |x|^2_Pi, the status, whether the assumptions stand, and what contradicts."""
+
+    beta: float
+    status: Status
+    sound: bool
+    contradiction: Contradiction | None
+
+
 class OpenLoopEstimator(OnlineEstimator):
-    """Adds to `OnlineEstimator` the open loop with its ellipsoid: x flows with F, Pi^-1 to e^{eta h} F Pi^-1 F' + W_h,
-    and the radius to e^{-eta h} radius + w_bound^2 (1 - e^{-eta h})/eta."""
+    """Adds to `OnlineEstimator` the open loop with its ellipsoid.
+
+    x flows with F, Pi^-1 to e^{eta h} F Pi^-1 F' + W_h, and the radius to
+    e^{-eta h} radius + w_bound^2 (1 - e^{-eta h})/eta. Far ahead the discount alone would widen that ellipsoid. So a
+    prediction takes the smaller of it and of the one that flows undiscounted: radius Pi^-1 becomes
+    (1 + p) radius F Pi^-1 F' + (1 + 1/p) h w_bound^2 W_h with W_h at eta = 0 and the p of least trace in units of P2,
+    an outer ellipsoid of the sum of the two.
+    """
 
     claim_note: str
     radius_note: str
@@ -55,23 +75,34 @@ class OpenLoopEstimator(OnlineEstimator):
         self.plant, self.weights, self.feedthrough = plant, weights, feedthrough
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift(self.table)
+        self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0)
         self._watch = None
         tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
         if schedule is not None:
             self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance)
 
-    def _set_bounds(self, w_bound: Any, v_bound: Any, initial_error: Any, kept_v: bool) -> None:
+    def _set_bounds(self, w_bound: Any, v_bound: Any, initial_error: Any) -> None:
         plant, weights = self.plant, self.weights
-        self._v_bound, self._kept_v = noise_bound("v_bound", v_bound, plant.n_outputs), kept_v
+        self._v_bound = noise_bound("v_bound", v_bound, plant.n_outputs)
         self._w_energy = weights.disturbance_energy(noise_bound("w_bound", w_bound, plant.n_disturbances))
-        self._v_energy = float(self._sample_energy(np.ones((1, plant.n_outputs)))[0])
+        v_energy = float(self._sample_energy(np.ones((1, plant.n_outputs)))[0])
         self._prior_energy = weights.prior_energy(noise_bound("initial_error", initial_error, plant.n_states))
-        energies = {"w_bound": self._w_energy, "v_bound": self._v_energy, "initial_error": self._prior_energy}
+        energies = {"w_bound": self._w_energy, "v_bound": v_energy, "initial_error": self._prior_energy}
         missing = [name for name, energy in energies.items() if np.isinf(energy)]
         self.radius_note = f"No radius: {', '.join(missing)} not given." if missing else ""
 
     def _sample_energy(self, masks: Array) -> Array:
-        return self.weights.sample_energy(self._v_bound, self._kept_v, masks)
+        return self.weights.sample_energy(self._v_bound, False, masks)
+
+    def reset(self, prior: Any = None, prior_time: float = 0.0) -> None:
+        """Forget all samples, and what they contradicted, and start again from a prior.
+
+        Raises
+        ------
+        ArgumentError
+            As `initial_state`.
+        """
+        self.state = self.initial_state(prior, prior_time)
 
     def initial_state(self, prior: Any = None, prior_time: float = 0.0) -> State:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2."""
@@ -91,10 +122,18 @@ class OpenLoopEstimator(OnlineEstimator):
         self, t: float, x: Array, Y: Array, beta: float, status: Status, *, sound: bool, scheduled: bool, **details: Any
     ) -> Estimate:
         """Return an estimate with its two flags and, in words, why one is down."""
-        certified = sound and not self.radius_note and status not in ("infeasible", "bounds disproved")
+        contradiction = details.get("contradiction")
         notes = [details.pop("note", "")]
-        if not certified:
-            notes.append(self.radius_note or ("" if sound else "No radius: the data contradict the bounds."))
+        if not sound:
+            beta = np.nan
+        certified = sound and not self.radius_note and bool(np.isfinite(beta) and np.isfinite(Y).all())
+        if contradiction is not None:
+            notes.append(f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time).")
+        elif self.radius_note:
+            notes.append(self.radius_note)
+        elif not certified:
+            broken = "the data contradict the constraints. To start again: reset(prior, prior_time)."
+            notes.append("No radius: " + (broken if not sound else "it overflows."))
         if not scheduled:
             notes.append(self.claim_note or "No a-priori claim: off the certificate's schedule.")
         note = " ".join(filter(None, notes))
@@ -114,9 +153,65 @@ class OpenLoopEstimator(OnlineEstimator):
         if node.t == t:
             return node.estimate
         (flow,) = self.table.get([t - node.t])
-        x, Y, beta = self._flown(node, flow, self._drift.between(state, node.t, t))
+        drift = self._drift.between(state, node.t, t)
+        self._refuse_overflow(flow, self._moved(node, flow, drift), t)
+        x, Y, beta = self._ahead(node, flow, drift)
+        if not np.isfinite(Y).all():
+            self._refuse_overflow(flow, np.array([np.inf]), t)
         scheduled = node.scheduled and self._nothing_missed(node, t)
-        return self._estimate(t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled)
+        details = {"contradiction": node.estimate.contradiction}
+        return self._estimate(
+            t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, **details
+        )
+
+    @staticmethod
+    def _moved(node: Node, flow: Flow, drift: Array) -> Array:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(flow.F @ node.x + drift)
+
+    def _refuse_overflow(self, flow: Flow, x: Array, t: float) -> None:
+        if not (np.isfinite(flow.F).all() and np.isfinite(x).all()):
+            raise ArgumentError(
+                f"`t` = {t!r} lies {flow.gap:.6g} {self.plant.time_unit} after the last sample: what is not measured "
+                "for so long grows beyond double precision. Start again near it: reset(prior, prior_time)."
+            )
+
+    def _ahead(self, node: Node, flow: Flow, drift: Array) -> tuple[Array, Array, float]:
+        """Return state, covariance and radius after `flow`: of the two ellipsoids the smaller one."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, Y, beta = self._flown(node, flow, drift)
+            whole = self._undiscounted(node, flow)
+        if whole is None or not np.isfinite(whole).all():
+            if not np.isfinite(Y).all():
+                with np.errstate(over="ignore", invalid="ignore"):
+                    Y = symmetrise(flow.F @ node.Y @ flow.F.T + self._plain_flow(flow.gap))
+            return x, Y, beta
+        size = self._trace(whole)
+        if np.isfinite(Y).all() and beta * self._trace(Y) <= size:
+            return x, Y, beta
+        scale = beta if beta > 0 else 1.0
+        return x, whole / scale, scale
+
+    def _undiscounted(self, node: Node, flow: Flow) -> Array | None:
+        """Return the matrix of an ellipsoid z'M^-1 z <= 1 that holds the error after `flow`; None without bounds."""
+        if not (np.isfinite(node.beta) and np.isfinite(self._w_energy)) or flow.gap == 0:
+            return None
+        own = node.beta * symmetrise(flow.F @ node.Y @ flow.F.T)
+        pushed = self._w_energy * flow.gap * self._plain_flow(flow.gap)
+        first, second = self._trace(own), self._trace(pushed)
+        if not (first > 0 and second > 0):
+            return own + pushed
+        p = min(max(math.sqrt(second) / math.sqrt(first), 1 / LARGEST), LARGEST)  # any p > 0 proves it
+        return (own * (1 + p) + pushed * (1 + 1 / p)) * (1 + ROUNDING)
+
+    def _trace(self, Y: Array) -> float:
+        """Trace of a covariance in units of P2."""
+        return float(np.sum(self.weights.prior * Y))
+
+    def _plain_flow(self, gap: float) -> Array:
+        """int_0^h e^{As} G Qw^-1 G' e^{A's} ds."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(self._undiscounted_flow.over([gap])[2][0])
 
     def _nothing_missed(self, node: Node, t: float) -> bool:
         return self._watch is None or self._watch.nothing_missed(node.t, t, first=node.sample.y is None)
@@ -143,9 +238,30 @@ class OpenLoopEstimator(OnlineEstimator):
         read, held = np.abs(self.weights.y_root) @ np.abs(y).T, np.abs(self.weights.prior_factor.T) @ np.abs(x).T
         return (EXACT_DATA * (math.sqrt(np.vdot(read, read)) + math.sqrt(np.vdot(held, held)))) ** 2
 
-    def _judged(self, terms: float, dual: float, sound: bool) -> tuple[float, Status, bool]:
+    def _too_large(self, weighted: Array) -> bool:
+        """Whether residuals, in units of their weights, are so large that their squares overflow."""
+        return not bool((np.abs(weighted) < LARGEST).all())
+
+    def _overflowed(
+        self, state: State, sample: Sample, residual: Array, terms: float
+    ) -> tuple[Verdict, dict[str, Any]]:
+        """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
+        last = state.last
+        contradiction, words = last.estimate.contradiction, {"note": "A measurement is too large to be weighed."}
+        if np.isinf(terms):
+            return Verdict(np.nan, "solver failed", last.sound, contradiction), words
+        if contradiction is None:
+            seen = np.isfinite(sample.y)
+            output = int(np.argmax(np.where(seen, np.abs(residual), -1.0)))
+            weight = float(np.max(np.abs(self.weights.y_root[:, output])))
+            factor = weight * abs(float(residual[output])) / math.sqrt(terms) if terms > 0 else np.inf
+            name = self.plant.outputs.names[output]
+            contradiction = Contradiction(last.number + 1, sample.t, name, factor)
+        return Verdict(np.nan, "bounds disproved", False, contradiction), words
+
+    def _judged(self, terms: float, dual: float, last: Node) -> Verdict:
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""
         beta = terms - dual
         if beta < -CONTRADICTION * terms:
-            return 0.0, "bounds disproved", False
-        return max(beta, 0.0) + ROUNDING * terms, "ok", sound
+            return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
+        return Verdict(max(beta, 0.0) + ROUNDING * terms, "ok", last.sound, last.estimate.contradiction)

@@ -55,15 +55,36 @@ def solve_square_root(window: Window) -> Solution:
 def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:
     """Return root and mean after the sample at node j, and what the innovation costs."""
     weights = window.weights
-    n, p = root.shape[0], window.masks.shape[1]
     seen = weights.at(window.masks[j]).y_root * scale
-    H, innovation = seen @ weights.plant.C, seen @ (window.residual[j] - weights.plant.C @ mean)
-    stacked = np.zeros((p + n, p + n))
-    stacked[:p, :p] = np.eye(p)
-    stacked[p:, :p], stacked[p:, p:] = (H @ root).T, root.T
+    innovation = seen @ (window.residual[j] - weights.plant.C @ mean)
+    root, step, half = absorb(root, seen @ weights.plant.C, innovation)
+    return root, mean + step, float(half @ half)
+
+
+def absorb(root: Array, H: Array, innovation: Array) -> tuple[Array, Array, Array]:
+    """Return the covariance root after a measurement with unit noise, the mean's step, and the whitened innovation.
+
+    With Y = root root', S = H Y H' + I: the step is Y H' S^-1 innovation, |whitened|^2 = innovation' S^-1 innovation.
+    The rows of the root come first, so that a large one (little is known) costs no digits of what is then known.
+    """
+    (p, _), n = H.shape, root.shape[0]
+    stacked = np.zeros((n + p, p + n))
+    stacked[:n, :p], stacked[:n, p:] = (H @ root).T, root.T
+    stacked[n:, :p] = np.eye(p)
     triangle = _upper(stacked)
     half = _triangular(triangle[:p, :p], innovation, transposed=True)
-    return triangle[p:, p:].T, mean + triangle[:p, p:].T @ half, float(half @ half)
+    return triangle[p:, p:].T, triangle[:p, p:].T @ half, half
+
+
+def covariance_root(Y: Array) -> Array:
+    """Return S with S S' = Y: Cholesky's factor, or where rounding has made Y singular, that of its correlations."""
+    try:
+        return np.asarray(np.linalg.cholesky(Y))
+    except np.linalg.LinAlgError:
+        size = np.sqrt(np.maximum(np.diag(Y), 0.0))
+        unit = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
+        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _cost_of_reference(window: Window) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.estimators.gap_flows.flows import Flow
+from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, Flow
 
 Array = npt.NDArray[np.float64]
 
@@ -65,12 +65,24 @@ class Window:
 
     @cached_property
     def information(self) -> Array | None:
-        """Discounted blocks W^-1, W^-1 F, F'W^-1 F of every gap, (N, 3, n, n); None if some W is not to be inverted."""
+        """Discounted blocks W^-1, W^-1 F, F'W^-1 F of every gap, (N, 3, n, n).
+
+        None if some W, or the covariance of a carried prior, is not to be inverted.
+        """
         blocks = [flow.information for flow in self.flows]
-        if any(block is None for block in blocks):
+        if any(block is None for block in blocks) or not self._prior_fits:
             return None
         n = self.reference.shape[1]
         return np.array(blocks).reshape(-1, 3, n, n) * self.discount[1:, None, None, None]
+
+    @property
+    def _prior_fits(self) -> bool:
+        """Whether the prior's information is given, or found from its covariance without losing many digits."""
+        if self.prior_root is self.weights.prior_root:
+            return True
+        unit = self.prior_root / np.linalg.norm(self.prior_root, axis=1)[:, None]
+        values = np.linalg.eigvalsh(unit @ unit.T)
+        return bool(values[0] * CONDITION_LIMIT > values[-1])
 
     @cached_property
     def prior_half(self) -> Array:

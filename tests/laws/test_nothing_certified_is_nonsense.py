@@ -1,0 +1,188 @@
+"""`certified` means a finite state and finite radii, above 0 unless all is known; a failed estimate shows no radius.
+
+Over plants that grow, decay and swing, gaps from 1e-3 to 1e5 time constants, data up to 1e300 and outliers of any size.
+"""
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    EstimateRecord,
+    KalmanFilter,
+    MovingHorizonEstimator,
+    Plant,
+    write_estimates,
+)
+from sampling_design._files import to_json
+from sampling_design.errors import ArgumentError
+
+PLANTS = {
+    "integrator": Plant([[0.0]], [[1.0]]),
+    "oscillator": Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]),
+    "saddle": Plant([[1.0, 0.0], [0.0, -1e4]], [[1.0, 1.0]]),
+    "fast": Plant([[-50.0, 3.0], [0.0, -0.1]], [[1.0, 1.0]]),
+}
+MAKERS = {
+    "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, **o),
+    "carried": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, carried_weight=True, **o),
+    "boxes": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, x_set=(-1e3, 1e3), v_set=(-9, 9), **o),
+    "filter": KalmanFilter,
+}
+
+
+def sane(estimate):
+    shown = np.array([value for value in estimate.to_dict()["radii"] if value is not None])
+    if estimate.certified:
+        assert np.isfinite(estimate.x).all()
+        assert np.isfinite(estimate.radii).all()
+        assert np.isfinite(estimate.radius)
+        assert (estimate.radii > 0).all()
+    elif estimate.status in ("infeasible", "bounds disproved") or estimate.contradiction:
+        assert np.isnan(estimate.radius)
+        assert np.isnan(estimate.radii).all()
+        assert shown.size == 0
+    else:
+        assert estimate.note
+        assert not (estimate.radii == 0).any()
+    if estimate.status == "bounds disproved":
+        assert estimate.contradiction is not None
+        assert estimate.contradiction.factor > 1
+        assert "reset(" in estimate.note
+
+
+def answers(estimator, t, y, ahead):
+    """Ask for two estimates; return the words of a refusal."""
+    try:
+        if np.isfinite(y).any():
+            sane(estimator.update(t, y))
+        sane(estimator.predict(ahead))
+    except ArgumentError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(("name", "maker"), list(product(PLANTS, MAKERS)))
+def test_whatever_the_data_and_however_far_ahead(name, maker):
+    plant, refused = PLANTS[name], 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        bounds = {} if seed % 5 == 0 else {"w_bound": 0.1, "v_bound": 0.5, "initial_error": 2.0}
+        estimator = MAKERS[maker](plant, eta=rng.choice([0.0, 0.3, 3.0]), **bounds)
+        t = 0.0
+        for _ in range(6):
+            t += float(10.0 ** rng.uniform(-3, 0.5 if rng.random() < 0.8 else 5))
+            y = rng.normal(size=plant.n_outputs) * (1e-1 if rng.random() < 0.8 else 10.0 ** rng.uniform(0, 300))
+            y[rng.random(y.size) < 0.2] = np.nan
+            words = answers(estimator, t, y, t + 10.0 ** rng.uniform(-3, 5))
+            if words:
+                assert "grows beyond double precision. Start again near it: reset(" in words
+                refused += 1
+                estimator.reset(prior_time=t)
+                sane(estimator.predict(t))
+    assert refused < 100
+
+
+def test_the_three_reported_cases():
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    far = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, eta=3.0, **bounds)
+    far.update(1.0, [0.1])
+    estimate = far.predict(241.0)
+    assert estimate.certified
+    assert estimate.radii[0] == pytest.approx(0.1 * 240, rel=0.02)
+    huge = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, eta=3.0, **bounds)
+    found = huge.update(1.0, [1e155])
+    assert (found.status, found.certified) == ("bounds disproved", False)
+    assert found.contradiction.t == 1.0
+    saddle = MovingHorizonEstimator(PLANTS["saddle"], horizon=3.0, **bounds)
+    saddle.update(1.0, [0.0])
+    with pytest.raises(ArgumentError, match=r"`t` = 1000\.0 lies 999 s after the last sample"):
+        saddle.predict(1000.0)
+    assert saddle.predict(20.0).certified
+
+
+def outlier(estimator, plant, rng, at=7, output=1, size=9.0):
+    """Twelve samples of rest with noise below the bound .1; one output of sample `at` (from 1) is off by `size`."""
+    found = []
+    for k in range(1, 13):
+        y = rng.uniform(-0.05, 0.05, plant.n_outputs)
+        y[output] += size if k == at else 0.0
+        found.append(estimator.update(0.5 * k, y))
+    return found
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_an_outlier_is_named_and_a_reset_forgets_it(maker, tmp_path):
+    plant, rng = PLANTS["oscillator"], np.random.default_rng(3)
+    bounds = {"w_bound": 0.1, "v_bound": [0.1, 0.1], "initial_error": 0.5, "eta": 0.3}
+    weights = {"P2": 4 * np.eye(2), "Qw": 100 * np.eye(2), "R": 200 * np.eye(2), "Qv": 200 * np.eye(2)}
+    estimator = MAKERS[maker](plant, **bounds, **weights)
+    found = outlier(estimator, plant, rng)
+    assert [e.certified for e in found] == [True] * 6 + [False] * 6
+    contradiction = found[6].contradiction
+    assert (contradiction.number, contradiction.t, contradiction.output) == (7, 3.5, "y2")
+    assert 20 < contradiction.factor < 200
+    assert all(e.contradiction == contradiction for e in found[6:])
+    assert "sample 7 at t = 3.5, output y2: its v_bound would have to be" in found[-1].note
+    record = EstimateRecord.collect(plant, found)
+    assert np.isnan(record.radii[6:]).all()
+    assert "sample 7" in record.explain()
+    assert "sample 7" in str(record)
+    data = json.loads(to_json(record.to_dict()))
+    assert data["radii"][6:] == [[None, None]] * 6
+    assert data["contradictions"][0]["number"] == 7
+    rows = write_estimates(record, tmp_path / "e.csv").read_text().splitlines()
+    assert all(row.split(",")[-1] == "" for row in rows[7:])
+    assert all(row.split(",")[-1] != "" for row in rows[1:7])
+    shade = record.plot()[0].collections[0].get_paths()
+    assert max(path.vertices[:, 0].max() for path in shade) == 3.0
+    last = estimator.predict(6.0)
+    estimator.reset(prior=last.x, prior_time=6.0)
+    after = estimator.update(6.5, [0.0, 0.0])
+    assert (after.certified, after.contradiction) == (True, None)
+
+
+def gauge_read_once(factors, seed):
+    """An estimator whose third output is read at the seventh sample only, off by 4; bounds times `factors`."""
+    plant = Plant(PLANTS["oscillator"].A, [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    weights = {"P2": 4 * np.eye(2), "R": 2 * np.eye(3), "Qv": 2 * np.eye(3)}
+    e0, v = 0.3 * factors[0], np.array([0.1, 0.1, 0.2]) * factors
+    mhe = MovingHorizonEstimator(plant, horizon=50.0, w_bound=0.0, initial_error=e0, v_bound=v, **weights)
+    rng, found = np.random.default_rng(seed), []
+    for k in range(1, 9):
+        y = np.append(rng.uniform(-0.05, 0.05, 2), 4.0 if k == 7 else np.nan)
+        found.append(mhe.update(0.5 * k, y))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_factor_is_the_least_that_ends_the_contradiction(seed):
+    found = gauge_read_once(np.ones(3), seed)
+    contradiction = found[6].contradiction
+    assert (contradiction.number, contradiction.output, contradiction.alone) == (7, "y3", True)
+    assert [e.status for e in found[:6]] == ["ok"] * 6
+    for grown, status in ((1.0001, "ok"), (0.9999, "bounds disproved")):
+        again = gauge_read_once(np.array([1.0, 1.0, grown * contradiction.factor]), seed)
+        assert again[6].status == status
+
+
+def test_a_record_of_contradictions_by_several_outputs_names_them_together():
+    plant = PLANTS["oscillator"]
+
+    def after(factor):
+        bounds = {"w_bound": 0.0, "v_bound": 0.01 * factor, "initial_error": 0.01 * factor}
+        return MovingHorizonEstimator(plant, horizon=9.0, **bounds).update(1.0, [5.0, 5.0])
+
+    found = after(1.0)
+    assert "and not it alone: all bounds would have to be" in found.note
+    factor = found.contradiction.factor
+    assert [after(c * factor).status for c in (0.999, 1.001)] == ["bounds disproved", "ok"]
+
+
+def test_what_is_known_exactly_has_radius_zero_and_says_so():
+    mhe = MovingHorizonEstimator(Plant([[0.0]], [[1.0]]), horizon=2.0, w_bound=0, v_bound=0, initial_error=0)
+    estimate = mhe.update(1.0, [0.0])
+    assert estimate.certified
+    assert estimate.radii.tolist() == [0.0]

@@ -88,7 +88,7 @@ class Signal:
 
     def sizes(self, values: Array) -> Array:
         """Return the size of each entry: its largest value, or what it is uncertain by if that is more."""
-        return np.maximum(self.unit, np.abs(values).max(axis=0, initial=0.0))
+        return np.asarray(np.maximum(self.unit, np.abs(values).max(axis=0, initial=0.0)))
 
     def keeps_balls(self, values: Array, tolerance: float) -> bool:
         """Whether no value leaves a ball by more than `tolerance` times the sizes of its entries."""

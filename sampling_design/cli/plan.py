@@ -86,7 +86,10 @@ def design(
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
-    scaled: Annotated[bool, typer.Option("--scaled", help="Design for sigma in scaled coordinates.")] = False,
+    scaled: Annotated[
+        bool | None,
+        typer.Option("--scaled/--physical", help="Coordinates of sigma; scaled where the plant has scales."),
+    ] = None,
     branches: Annotated[
         int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
     ] = None,
@@ -102,7 +105,9 @@ def design(
     plant = sd.read_plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
     flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate)
-    flags["scaled"] = scaled or None
+    flags["scaled"] = scaled
+    if settings.folder() is None and start is not None:  # said before the design is computed, not after
+        raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
@@ -118,8 +123,6 @@ def design(
 def _write_design(settings: Settings, result: Any, start: str | None) -> None:
     folder = settings.folder()
     if folder is None:
-        if start is not None:
-            raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
         return
     settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
     if result.schedule is not None:

@@ -21,6 +21,7 @@ from sampling_design.design.folding import folded, unfolded
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.problem.sizes import check_size
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
@@ -46,6 +47,7 @@ BRANCHES = 20
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
 
+_MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent already
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
@@ -125,12 +127,17 @@ def design_schedule(
     """
     _check_arguments(plant, requirement)
     wanted = Requirement() if requirement is None else requirement
-    starts, branches = _checks.whole("starts", starts, 1), _checks.whole("branches", branches)
+    starts = _checks.whole("starts", min(starts, _MOST_STARTS), 1)
+    branches = _checks.whole("branches", min(branches, _MOST_STARTS))
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    if _checks.positive("rtol", rtol) >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
     split = split_modes(plant, _rate(wanted, plant))
     if split.retained.n_states == 0:
         return _nothing(plant, split, wanted)
     resolved, used = resolve(split, wanted)
+    least = max(1, resolved.fixed.size, resolved.samples.get("exactly", resolved.samples.get("at_least", 1)))
+    check_size(pose(designed_plant(split, resolved), resolved, least, check=False))
     count = zero_count_bound(split.retained, float(resolved.window or 0))  # refuses a mode that no output sees
     run = _Run(
         plant,
@@ -392,7 +399,8 @@ class _Run:
         exact = wanted.get("exactly")
         high = exact or min(wanted.get("at_most", MOST_TRIED), max(problem.capacity(), 1))
         mean = problem.window / problem.period * float(problem.rows.least(np.eye(self.designed.n_states))[0])
-        needed = int(np.ceil(0.98 * float(self.requirement.target_sigma or 0) ** 2 / mean))
+        ratio = min(float(self.requirement.target_sigma or 0) / np.sqrt(max(mean, np.finfo(float).tiny)), _MOST_STARTS)
+        needed = int(np.ceil(0.98 * ratio**2))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
 

@@ -214,14 +214,16 @@ class ScheduleDesign(Record):
             ("sigma", f"{short(self.sigma)} proven ({self.coordinates} coordinates, state at the window's start)"),
             ("no schedule exceeds", short(self.upper_bound)),
             ("gap", f"{100 * self.gap:.2f} %"),
-            ("window, period", f"{short(self.requirement.window)}, {short(self.requirement.period)} {unit}"),
+            ("over every window", f"of {short(self.requirement.window)} {unit} (half-open, at every real position)"),
+            ("period", f"{short(self.requirement.period)} {unit}"),
             ("spacing", f"{short(self.schedule.gaps.min())} (asked {short(self.requirement.spacing)}) {unit}"),
             ("times", short(self.schedule.times)),
             ("retained", f"{self.split.retained.n_states} of {self.plant.n_states} states"),
             ("status", self.status),
         ]
-        if self.sigma_scaled is not None and not self.requirement.scaled:
-            rows.insert(2, ("sigma, scaled", f"{short(self.sigma_scaled)} proven"))
+        if self.sigma_scaled is not None and self.window is not None:
+            other = ("physical", self.window.lower) if self.requirement.scaled else ("scaled", self.sigma_scaled)
+            rows.insert(2, (f"sigma, {other[0]}", f"{short(other[1])} proven"))
         if self.cost:
             limit = self.requirement.cost_limit
             rows.append(("cost of a lap", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
@@ -243,7 +245,7 @@ class ScheduleDesign(Record):
 
 def designed_plant(split: ModalSplit, requirement: Requirement) -> Plant:
     """The plant whose sigma is designed: the retained part, scaled where that was asked."""
-    return split.retained.scaled() if requirement.scaled else split.retained
+    return split.retained.scaled() if requirement.scaled and split.retained.has_scales else split.retained
 
 
 def stated(proof: WindowSigma, requirement: Requirement) -> WindowSigma:

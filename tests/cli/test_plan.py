@@ -50,8 +50,9 @@ def test_design_writes_table_picture_and_files(shell, tmp_path):
     assert schedule.gaps.min() >= 60
     assert 0 < data["sigma"] <= data["sigma_attained"] <= data["upper_bound"]
     judged = json.loads(shell("sigma", plant("satellite"), folder / "schedule.csv", "--json", "--window", 5554).out)
-    assert judged["lower"] == pytest.approx(data["sigma"], rel=0.02)
-    assert judged["lower"] <= data["sigma_attained"]
+    assert data["coordinates"] == "scaled"  # the plant has scales
+    assert judged["scaled"]["lower"] == pytest.approx(data["sigma"], rel=1e-9)
+    assert judged["scaled"]["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
 
 
 def test_design_prints_the_defaults_it_used(shell):
@@ -183,3 +184,13 @@ def test_every_command_teaches_by_an_example(shell):
     for command in ("info", "design", "sigma"):
         text = shell(command, "--help").out
         assert "Example: sampling-design" in text
+
+
+@pytest.mark.parametrize("more", [("-o", "taken"), ("--start", "2026-01-01")])
+def test_where_to_write_is_settled_before_anything_is_designed(shell, tmp_path, monkeypatch, more):
+    (tmp_path / "taken").write_text("a file, no folder")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sampling_design.design_schedule", lambda *_, **__: pytest.fail("designed all the same"))
+    result = shell("design", plant("oscillator"), *more)
+    assert result.code == 2
+    assert "taken" in result.err or "needs a folder" in result.err

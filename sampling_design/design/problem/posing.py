@@ -27,7 +27,7 @@ MOST_DEFAULT_SAMPLES = 24
 def default_window(split: ModalSplit) -> float | None:
     """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
 
-        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|
+        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|, in scaled coordinates
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def default_window(split: ModalSplit) -> float | None:
     """
     rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
     rates = rates[rates > 0]
-    norm = float(np.linalg.norm(split.retained.A, 2)) if split.retained.n_states else 0.0
+    norm = float(np.linalg.norm(split.retained.scaled().A, 2)) if split.retained.n_states else 0.0
     if rates.size:
         return float(2 * np.pi / rates.min())
     return 4 / norm if norm else None
@@ -51,6 +51,10 @@ def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, d
     r = _in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
     retained = split.retained
+    if r.scaled is None:
+        r = r.replace(scaled=retained.has_scales)
+        if retained.has_scales:
+            used["scaled"] = True
     if r.window is None:
         r = r.replace(window=default_window(split) or r.period or 1.0)
         used["window"] = r.window

@@ -83,8 +83,9 @@ class Requirement(Record):
         each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
-    scaled : bool
-        Design for sigma in scaled coordinates (x/s_x, y/s_y) instead of physical ones.
+    scaled : bool, optional
+        Design for sigma in scaled coordinates (x/s_x, y/s_y), or with False in physical ones. Default: scaled where
+        the plant has scales, so that the choice of units decides nothing.
 
     Raises
     ------
@@ -116,7 +117,7 @@ class Requirement(Record):
     outputs: Mapping[str, OutputAccess] = None  # type: ignore[assignment]
     cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
-    scaled: bool = field(default=False, kw_only=True)
+    scaled: bool | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         own: dict[str, Any] = {}
@@ -130,7 +131,7 @@ class Requirement(Record):
         own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        if not isinstance(self.scaled, (bool, np.bool_)):
+        if not isinstance(self.scaled, (bool, np.bool_, type(None))):
             raise ArgumentError(f"`scaled` must be true or false, got {self.scaled!r:.60}.")
         for key, value in own.items():
             object.__setattr__(self, key, value)
@@ -168,8 +169,8 @@ class Requirement(Record):
         if self.samples:
             data["samples"] = dict(self.samples)
         data["decay_rate"] = self.decay_rate
-        if self.scaled:
-            data["scaled"] = True
+        if self.scaled is not None:
+            data["scaled"] = bool(self.scaled)
         if self.forbidden.size:
             data["forbidden"] = self.forbidden.tolist()
         if self.fixed.size:
@@ -194,6 +195,8 @@ class Requirement(Record):
         rows += [
             (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
         ]
+        if self.scaled is not None:
+            rows.append(("coordinates", "scaled" if self.scaled else "physical"))
         if self.cost_limit is not None:
             rows.append(("cost limit", f"{short(self.cost_limit)} a period"))
         return rows

@@ -207,7 +207,7 @@ def window_sigma(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
-    rtol: float = 0.01,
+    rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
     rigorous: bool = False,

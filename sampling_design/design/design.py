@@ -19,13 +19,13 @@ from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, unfolded
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.numbers.sizes import check_size
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import Found, search
+from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Requirement, Signals, design_schedule, library
+from sampling_design import PeriodicSchedule, Plant, Requirement, Signals, design_schedule, library, window_sigma
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 

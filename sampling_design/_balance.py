@@ -35,7 +35,7 @@ def balance(A: Array) -> Balance:
     median) to the largest norm of a component, to 1 where all of these vanish. So d follows a change of units, up to
     the factor of two that powers of two leave.
     """
-    from scipy.linalg import matrix_balance
+    from scipy.linalg.lapack import dgebal
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -51,7 +51,7 @@ def balance(A: Array) -> Balance:
         block = np.flatnonzero(part == k)
         inner = moderate[np.ix_(block, block)]
         if block.size > 1:
-            inner, (d[block], _) = matrix_balance(inner, permute=False, separate=True)
+            inner, _, _, d[block], _ = dgebal(inner, scale=1, permute=0)
         speed[k] = np.linalg.norm(inner)
     fastest = float(np.ldexp(np.linalg.norm(speed), top)) if top < 1000 else np.inf
     if count == 1:

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import matrix_balance
 
+from sampling_design._balance import balance, balanced
 from sampling_design._checks import positive, vector
 from sampling_design._door import door
-from sampling_design._linalg import expm_batch
+from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
-from sampling_design.certificates.existence.periodic import Existence, certificate_exists
+from sampling_design.certificates.existence.lap import lap_modes
+from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded
 from sampling_design.errors import CertificateError
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -27,7 +27,7 @@ Complex = npt.NDArray[np.complex128]
 DESCENTS = 4
 """Words from which the margin is minimised over the gaps."""
 TIED_RTOL = 1e-9
-"""Real parts this near, relative to |A|, can alias."""
+"""Real parts this near, relative to the eigenvalues, can alias; speeds this near are one."""
 RESIDUAL = 1e-6
 """A counterexample is accepted if M v = mu v and all samples of v vanish to this, relative to |M| and |C e^{At}|."""
 
@@ -52,7 +52,8 @@ class Counterexample(Record):
     direction : tuple of complex
         v, of unit length, just after the last sample of a lap.
     residual : float
-        The largest of |Mv - mu v|/|M| and |C_i e^{A tau_i} v|/|C_i e^{A tau_i}|, in units that balance A.
+        The larger of |Mv - mu v| over the norm of |M||v| and |C_i e^{A tau_i} v| over |C_i e^{A tau_i}||v|, in units
+        that balance A.
     reason : str
     """
 
@@ -73,8 +74,7 @@ class Counterexample(Record):
         if not grows or abs(np.linalg.norm(v) - 1) > RESIDUAL:
             return False
         M, rows, units = _lifted(self.plant, self.schedule)
-        z = v / units
-        return _residual(M, rows, mu, z / np.linalg.norm(z)) <= RESIDUAL
+        return _residual(M, rows, mu, (v / units).astype(complex)) <= RESIDUAL
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -95,39 +95,41 @@ def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Arr
 
     Both are in these units, x = units z, so that the units of the plant do not decide what counts as small.
     """
-    balanced, (units, _) = matrix_balance(plant.A, permute=False, separate=True)
-    flows = expm_batch(np.asarray(balanced, dtype=np.float64), np.cumsum(schedule.gaps))
-    rows = (plant.C * units) @ flows
+    units = balance(plant.A).d
+    with np.errstate(over="ignore", invalid="ignore"):
+        flows = expm_batch(balanced(plant.A, units), np.cumsum(schedule.gaps))
+        rows = (plant.C * units) @ flows
     if schedule.outputs is not None:
-        rows = rows * schedule.outputs[:, :, None]
-    return flows[-1], rows.reshape(-1, plant.n_states), np.asarray(units, dtype=np.float64)
+        rows = np.where(schedule.outputs[:, :, None], rows, 0.0)
+    return flows[-1], rows.reshape(-1, plant.n_states), units
 
 
 def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
-    sizes = np.linalg.norm(rows, axis=1)
-    seen = np.abs(rows @ z)[sizes > 0] / sizes[sizes > 0]
-    return float(max(np.linalg.norm(M @ z - mu * z) / np.linalg.norm(M), seen.max(initial=0.0)))
+    """How far the equations are from holding; infinite where the flow is no number."""
+    if not np.isfinite(M).all() or not np.isfinite(rows).all():
+        return np.inf
+    size = np.abs(z)
+    seen = np.abs(rows @ z) / positive_or_one(np.linalg.norm(rows, axis=1) * np.linalg.norm(z))
+    moved = np.linalg.norm(M @ z - mu * z) / (np.linalg.norm(np.abs(M) @ size) or 1.0)
+    return float(max(moved, seen.max(initial=0.0)))
 
 
 def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
     """Return the counterexample that a failed existence test stands for, if its equations hold to `RESIDUAL`."""
-    M, rows, units = _lifted(plant, schedule)
-    values = np.linalg.eigvals(np.asarray(plant.A))
-    modes = [found.eigenvalue, *found.partners] if found.eigenvalue is not None else list(values)
-    sizes = np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
-    best: tuple[float, complex, Complex] | None = None
-    for mu in {complex(np.exp(value * schedule.period)) for value in modes}:
-        pencil = np.vstack([(M - mu * np.eye(len(M))) / np.linalg.norm(M), rows / sizes])
-        z = np.linalg.svd(pencil)[2][-1].conj()
-        residual = _residual(M, rows, mu, z)
-        if best is None or residual < best[0]:
-            best = (residual, mu, z)
-    if best is None or best[0] > RESIDUAL:
+    modes = lap_modes(plant, float(eta))
+    if not modes.blocks or stays_bounded(plant, schedule, eta):
         return None
-    residual, mu, z = best
-    direction = tuple(complex(x) for x in units * z / np.linalg.norm(units * z))
-    main = found.eigenvalue if found.eigenvalue is not None else complex(values[0])
-    return Counterexample(plant, schedule, eta, main, found.partners, mu, direction, residual, found.reason)
+    sight = modes.least_seen(schedule)
+    direction = modes.direction(sight, schedule, float(schedule.gaps[0]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        mu = complex(np.exp(sight.rate * schedule.period))
+    M, rows, units = _lifted(plant, schedule)
+    residual = _residual(M, rows, mu, (direction / units).astype(complex))
+    if not residual <= RESIDUAL:
+        return None
+    main = found.eigenvalue if found.eigenvalue is not None else sight.rate
+    unseen = tuple(complex(x) for x in direction)
+    return Counterexample(plant, schedule, eta, main, found.partners, mu, unseen, residual, found.reason)
 
 
 @door
@@ -170,7 +172,7 @@ def find_counterexample(
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
     for schedule in _suspects(plant, family, eta, laps, rng, quick):
-        found = certificate_exists(plant, schedule, eta)
+        found = judged(plant, schedule, eta)
         if not found.exists:
             made = counterexample(plant, schedule, eta, found)
             if made is not None:
@@ -181,7 +183,7 @@ def find_counterexample(
         return None, least
     for margin, schedule in sorted(tried, key=lambda pair: pair[0])[:DESCENTS]:
         better = _descend(plant, family, eta, schedule)
-        found = certificate_exists(plant, better, eta)
+        found = judged(plant, better, eta)
         if not found.exists:
             made = counterexample(plant, better, eta, found)
             if made is not None:
@@ -231,14 +233,14 @@ def _suspects(
 
 def _aliasing_laps(plant: Plant, eta: float, longest: float) -> list[float]:
     """Laps 2 pi k/|Im(a - b)| up to `longest` over the eigenvalues that do not fade by themselves at rate eta."""
-    retained = split_modes(plant, decay_rate=eta).retained
-    if not retained.n_states:
+    values = np.array([c.value for block in lap_modes(plant, float(eta)).blocks for c in block.clusters])
+    if values.size < 2:
         return []
-    values = np.linalg.eigvals(retained.A)
     first, second = np.triu_indices(values.size, 1)
     apart = values[first] - values[second]
-    tied = np.abs(apart.real) <= TIED_RTOL * max(float(np.linalg.norm(retained.A)), 1e-300)
-    speeds = np.unique(np.round(np.abs(apart.imag[tied]), 12))
+    tied = np.abs(apart.real) <= TIED_RTOL * np.maximum(np.abs(values[first]), np.abs(values[second]))
+    speeds = np.sort(np.abs(apart.imag[tied]))
+    speeds = speeds[np.diff(speeds, prepend=0.0) > TIED_RTOL * speeds]
     return [2 * np.pi * k / w for w in speeds if w > 0 for k in range(1, int(longest * w / (2 * np.pi) + 1e-9) + 1)]
 
 
@@ -251,14 +253,14 @@ def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSc
         return start
     origin, build = near.origin, near.build
 
-    def margin(x: Array) -> float:
-        schedule = build(x)
-        return certificate_exists(plant, schedule, eta).margin if family.contains(schedule) else 1.0
+    def margin(steps: Array) -> float:
+        schedule = build(origin + near.spread * steps)
+        return judged(plant, schedule, eta).margin if family.contains(schedule) else 1.0
 
-    simplex = np.vstack([origin, origin + near.spread * np.eye(origin.size) / 2])
+    simplex = np.vstack([np.zeros(origin.size), np.eye(origin.size) / 2])
     found = minimize(
-        margin, origin, method="Nelder-Mead",
+        margin, simplex[0], method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": 60 * origin.size, "xatol": 1e-12, "fatol": 1e-12},
     )  # fmt: skip
-    best = build(found.x)
+    best = build(origin + near.spread * found.x)
     return best if family.contains(best) else start

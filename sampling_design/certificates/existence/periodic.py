@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import matrix_balance
 
+from sampling_design._balance import balance, balanced
 from sampling_design._door import door
-from sampling_design._linalg import expm_batch, smallest_singular
+from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
-from sampling_design.errors import CertificateError
+from sampling_design.certificates.existence.lap import LapModes, Sight, lap_modes
+from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -29,6 +29,15 @@ REPAIRED = 1e-2
 """A changed schedule counts as repaired from this singular value on: a hundredth of the scaled rows."""
 ALIAS_TOLERANCE = 1e-6
 """Two eigenvalues alias when (a - b) P/(2 pi i) is this near a whole number."""
+NEARLY = 1e-2
+"""Eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1."""
+MOST_LAPS, FEWEST_LAPS, MOST_UPDATES = 400, 40, 8000
+"""Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of laps."""
+SETTLING, SETTLED = 10, 1e-4
+"""Y has settled if it changes by less than this part of itself over so many laps, in every direction (linear growth:
+2.5e-2 of itself after 400 laps)."""
+HUGE = UNSEEN_TOLERANCE**-2
+"""A mode seen as little as `UNSEEN_TOLERANCE` leaves a covariance of this size: beyond it, Y counts as unbounded."""
 REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)
 """Changes of one gap that are tried, as fractions of that gap."""
 
@@ -42,7 +51,9 @@ class Existence(Record):
     exists : bool
     margin : float
         Least singular value of the scaled pencil [e^{A P} - mu I; rows of one lap] over the eigenvalues mu of
-        modulus >= e^{-eta P/2}; infinite if there are none. Zero, up to rounding, where a mode is missed.
+        modulus >= e^{-eta P/2}; infinite if there are none. Zero, up to rounding, where a mode is missed; about as
+        far from it, relatively, as the period is from one at which two modes are aliased. In units of its own:
+        every mode counts as large as what the lap shows of it.
     eigenvalue : complex or None
         Of A: the mode that the lap does not see.
     partners : tuple of complex
@@ -87,11 +98,18 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     -------
     Existence
 
+    Raises
+    ------
+    UndecidedError
+        If the lifted pair misses a mode as far as rounding can tell, and yet the filter's covariance stays bounded.
+
     Notes
     -----
     *Claim.* A certificate exists iff every eigenvalue of e^{AP}, P the lap, of modulus at least e^{-eta P/2} is
-    observable from the rows C_i e^{A tau_i} of one lap. *Numerical aspects.* Decided on the retained part
-    of the plant; `margin` says how clear the verdict is.
+    observable from the rows C_i e^{A tau_i} of one lap. *Method.* In the coordinates of the invariant subspaces of
+    those modes, each column as large as what the outputs show of it, so that units change nothing. *Numerical
+    aspects.* `margin` says how clear the verdict is. A "no" is said only if a run of the discounted covariance over
+    many laps does not settle.
 
     References
     ----------
@@ -109,15 +127,35 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     schedule = meet(plant, schedule)
     if isinstance(schedule, Schedule):
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
-    split = split_modes(plant, decay_rate=eta)
-    if not split.retained.n_states:
+    found = judged(plant, schedule, eta)
+    if not found.exists and stays_bounded(plant, schedule, eta):
+        raise UndecidedError(
+            f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: {found.reason}, as far "
+            f"as rounding can tell (margin {found.margin:.3g}), yet the discounted covariance of the filter stays "
+            "bounded. Move a sample, or scale the plant.",
+            eigenvalue=found.eigenvalue,
+            partners=found.partners,
+            period=found.period,
+            margin=found.margin,
+        )
+    return found
+
+
+def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
+    """Return what the lifted pair says alone, for searches that ask about many schedules."""
+    modes = lap_modes(plant, float(eta))
+    if not modes.blocks:
         return Existence(True, float("inf"), period=schedule.period, reason="every mode fades by itself at that rate")
-    mu, margin, direction = _least_seen(split, schedule)
-    if margin > UNSEEN_TOLERANCE:
-        return Existence(True, margin, period=schedule.period)
-    main, partners = _involved(split, schedule.period, mu, direction)
+    sight = modes.least_seen(schedule)
+    if sight.margin > REPAIRED:
+        return Existence(True, sight.margin, period=schedule.period)
+    main, partners = _involved(modes, sight, schedule.period)
     reason = _reason(main, partners, schedule, eta)
-    return Existence(False, margin, main, partners, schedule.period, reason)
+    if sight.margin > UNSEEN_TOLERANCE:
+        seen = f"every mode that does not fade by itself is seen, but barely (margin {short(sight.margin, 3)})"
+        reason = f"{seen}: nearly, {reason}"
+        return Existence(True, sight.margin, period=schedule.period, reason=reason)
+    return Existence(False, sight.margin, main, partners, schedule.period, reason)
 
 
 def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
@@ -169,7 +207,9 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dic
     *Method.* Every gap is lengthened and shortened by 28 fractions from 0.1 % to 50 %, smallest change first;
     the first change with margin at least 0.01 is returned, so the answer is checked.
     """
-    split = split_modes(plant, decay_rate=eta)
+    schedule, modes = meet(plant, schedule), lap_modes(plant, float(eta))
+    if not modes.blocks:
+        return None
     changes = np.outer(schedule.gaps, REPAIR_FRACTIONS)
     for flat in np.argsort(changes, axis=None, kind="stable"):
         gap, column = np.unravel_index(flat, changes.shape)
@@ -177,7 +217,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dic
             gaps = np.array(schedule.gaps)
             gaps[gap] += sign * changes[gap, column]
             changed = PeriodicSchedule(gaps, outputs=schedule.outputs, time_unit=schedule.time_unit)
-            margin = _least_seen(split, changed)[1]
+            margin = modes.least_seen(changed).margin
             if margin >= REPAIRED:
                 return {
                     "gap": int(gap),
@@ -188,45 +228,60 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dic
     return None
 
 
-def _least_seen(split: ModalSplit, schedule: PeriodicSchedule) -> tuple[complex, float, Complex]:
-    """The lap's eigenvalue mu with the least pencil singular value, that value, and its right singular vector."""
-    part = split.retained
-    period = schedule.period
-    # in units of the states that balance A: those of the plant may differ by any power of ten
-    balanced, (units, _) = matrix_balance(part.A, permute=False, separate=True)
-    A: Array = np.asarray(balanced, dtype=np.float64)
-    rows = (part.C * units) @ expm_batch(A, schedule.times - schedule.times[0])
-    if schedule.outputs is not None:
-        rows = rows * schedule.outputs[:, :, None]
-    stacked = rows.reshape(-1, part.n_states)
-    lap = expm_batch(A, period)[0]
-    # each state counts as large as what the outputs show of it: rows and flow are compared in that scale
-    size = np.linalg.norm(stacked) or 1.0
-    values = np.unique([np.exp(c.value * period) for c in split.retained_clusters])
-    pencils = np.stack(
-        [
-            np.vstack([(lap - mu * np.eye(part.n_states)) / max(np.linalg.norm(lap), abs(mu)), stacked / size])
-            for mu in np.concatenate([values, values.conj()])
-        ]
-    )
-    singular = smallest_singular(pencils)
-    worst = int(np.argmin(singular))
-    direction = units * np.linalg.svd(pencils[worst])[2][-1].conj()
-    direction /= np.linalg.norm(direction)
-    return complex(np.concatenate([values, values.conj()])[worst]), float(singular[worst]), direction
-
-
-def _involved(split: ModalSplit, period: float, mu: complex, direction: Complex) -> tuple[complex, tuple[complex, ...]]:
+def _involved(modes: LapModes, sight: Sight, period: float) -> tuple[complex, tuple[complex, ...]]:
     """The eigenvalues of A of which the unseen direction is made, the largest share first."""
-    values, vectors = np.linalg.eig(split.retained.A)
-    shares = np.abs(np.linalg.lstsq(vectors, direction, rcond=None)[0])
-    near = np.abs(np.exp(values * period) - mu) <= ALIAS_TOLERANCE * max(abs(mu), 1e-300)
-    order = [k for k in np.argsort(-np.round(shares, 9), kind="stable") if near[k] and shares[k] > 1e-6]
-    if not order:
-        order = [int(np.argmin(np.abs(np.exp(values * period) - mu)))]
-    found = [complex(values[k]) for k in order]
+    shares = [
+        (float(share), c) for block, share in zip(modes.blocks, sight.shares, strict=True) for c in block.clusters
+    ]
+    # a turn more or less in e^{(a - b) P} does not count; what is left is how far a and b are from being aliased
+    near = [(share, c.value) for share, c in shares if _turned(c.value - sight.rate, period) <= NEARLY]
+    found = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [sight.rate]
     main = next((v for v in found if v.imag > 0), found[0])
     return main, tuple(v for v in found if v != main)
+
+
+def _turned(difference: complex, period: float) -> float:
+    """|e^{difference P} - 1|, at most some units."""
+    exponent = difference * period
+    return float(abs(np.expm1(complex(min(exponent.real, 1.0), exponent.imag))))
+
+
+def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
+    """Whether the discounted covariance settles in a run over many laps: then some certificate does exist.
+
+        Y -> F Y F' + I,  F = e^{(A + eta/2 I) h};    Y -> Y - Y C'(C Y C' + I)^{-1} C Y at a sample
+
+    Notes
+    -----
+    *Claim.* Y is bounded iff a certificate exists, whatever the weights. This run shares neither modes nor singular
+    values with the test that it checks. An unseen mode grows by at least I a lap, so Y never settles; where it grows
+    beyond all numbers it does not settle either.
+    """
+    d = balance(plant.A).d
+    A = balanced(plant.A, d) + eta / 2 * np.eye(plant.n_states)
+    C = plant.C * d
+    C = C / positive_or_one(np.linalg.norm(C, axis=1))[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        flows = expm_batch(A, np.append(schedule.gaps[1:], schedule.gaps[0]))
+        if not np.isfinite(flows).all():
+            return False
+        Y = last = np.eye(plant.n_states)
+        for lap in range(max(FEWEST_LAPS, min(MOST_LAPS, MOST_UPDATES // len(schedule)))):
+            for i, F in enumerate(flows):
+                rows = C if schedule.outputs is None else C[schedule.outputs[i]]
+                S = rows @ Y @ rows.T + np.eye(len(rows))
+                K = np.linalg.solve(S, rows @ Y).T
+                keep = np.eye(len(Y)) - K @ rows
+                Y = F @ (keep @ Y @ keep.T + K @ K.T) @ F.T + np.eye(len(Y)) / len(flows)
+                if not np.isfinite(Y).all() or np.max(np.abs(Y)) > HUGE:
+                    return False
+            if lap % SETTLING == SETTLING - 1:
+                # relative in every direction: what grows slowly may hide beside what is large
+                gain = np.linalg.eigvals(np.linalg.solve(last, Y - last))
+                if np.max(np.abs(gain)) <= SETTLED:
+                    return True
+                last = Y
+    return False
 
 
 def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSchedule, eta: float) -> str:

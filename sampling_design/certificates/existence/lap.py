@@ -1,0 +1,162 @@
+"""What one lap of a schedule shows of the modes that do not fade by themselves, each in its own coordinates.
+
+In the coordinates of invariant subspaces the flow over a lap is block diagonal, whatever the rates of other modes are,
+and every column counts as large as what the outputs show of it: neither units nor fast modes decide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from sampling_design._linalg import expm_batch, positive_or_one
+from sampling_design.observability.count.pbh import RANK_TOLERANCE
+from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
+from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur, invariant_subspace
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[Any]
+
+EPS = float(np.finfo(float).eps)
+CONDITION_LIMIT = 1e3  # of all blocks' bases side by side: blocks with nearly the same directions are one
+ROUNDS = 4  # in which outputs and columns are scaled in turn
+ON_THE_LINE = 1e-9  # a mode this near Re = -eta/2, relative to its size, counts as on the line
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """An invariant subspace: A X = X T in balanced coordinates, T = mean I + N, and the clusters that it holds."""
+
+    mean: complex
+    N: Complex
+    X: Complex
+    clusters: tuple[EigenvalueCluster, ...]
+
+
+class Sight(NamedTuple):
+    """The multiplier e^{rate P} that a lap sees least, how well, and what the unseen direction is made of.
+
+    `parts` holds a vector for each block, in its own coordinates, at the lap's first sample.
+    """
+
+    rate: complex
+    margin: float
+    parts: list[Complex]
+    shares: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LapModes:
+    """The modes of a plant that do not fade at rate eta, as blocks that do not drive each other."""
+
+    blocks: tuple[Block, ...]
+    d: Array
+    C: Array
+
+    def least_seen(self, schedule: PeriodicSchedule) -> Sight:
+        """Least singular value of [e^{AP} - mu I; rows of one lap] over mu = e^{rate P}, in scaled coordinates."""
+        period, tau = schedule.period, schedule.times - schedule.times[0]
+        sizes = [len(block.N) for block in self.blocks]
+        ends = np.cumsum([0, *sizes])
+        rows, shown = [], []
+        for block in self.blocks:
+            growth = float(np.max(block.mean.real * tau))
+            here = self._rows(block, tau, schedule)
+            laps = [self._rows(block, tau + k * period, schedule) for k in range(len(block.N))]
+            shown.append(np.sqrt(np.sum(np.abs(np.concatenate(laps)) ** 2, axis=0)))
+            rows.append(here * np.exp(block.mean * tau - growth)[:, None, None])
+        outputs, scales = _scales(np.hstack(shown))
+        columns = np.split(scales, ends[1:-1])
+        seen = np.concatenate(
+            [(outputs[:, None] * r * c).reshape(-1, c.size) for r, c in zip(rows, columns, strict=True)], axis=1
+        )
+        if len(seen) > seen.shape[1]:
+            seen = np.asarray(np.linalg.qr(seen, mode="r"))
+        flows = [expm_batch(b.N * c / c[:, None], period)[0] for b, c in zip(self.blocks, columns, strict=True)]
+        best: Sight | None = None
+        for rate in dict.fromkeys(c.value for block in self.blocks for c in block.clusters):
+            parts = [_less(f, b.mean * period, rate * period) for b, f in zip(self.blocks, flows, strict=True)]
+            _, singular, right = np.linalg.svd(np.vstack([block_diag(*parts), seen]))
+            if best is None or singular[-1] < best.margin:
+                z = np.split(right[-1].conj(), ends[1:-1])
+                shares = np.array([np.linalg.norm(part) for part in z])
+                best = Sight(rate, float(singular[-1]), [c * part for c, part in zip(columns, z, strict=True)], shares)
+        assert best is not None
+        return best
+
+    def _rows(self, block: Block, times: Array, schedule: PeriodicSchedule) -> Complex:
+        """C X e^{N t} at the given times, (N, p, m), unmeasured outputs as zeros; what may be rounding is zero."""
+        out = self.C @ block.X
+        out = np.where(np.abs(out) > RANK_TOLERANCE * (np.abs(self.C) @ np.abs(block.X)), out, 0)
+        rows = out @ expm_batch(block.N, times)
+        return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
+
+    def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Complex:
+        """The least seen state, in the plant's coordinates and of length 1, `before` the lap's first sample."""
+        tau = schedule.times - schedule.times[0]
+        growth = np.array([np.max(block.mean.real * tau) for block in self.blocks])
+        x = np.zeros(self.d.size, dtype=complex)
+        for block, part, g in zip(self.blocks, sight.parts, growth - growth.min(), strict=True):
+            back = np.exp(-block.mean * before - g) * expm_batch(block.N, -before)[0]
+            x += block.X @ (back @ part)
+        x *= self.d
+        return np.asarray(x / np.linalg.norm(x))
+
+
+def _scales(size: Array) -> tuple[Array, Array]:
+    """Factors of rows and columns after which each column has norm 1 and no row is small throughout."""
+    outputs, columns = np.ones(len(size)), np.ones(size.shape[1])
+    for _ in range(ROUNDS):
+        columns = 1 / positive_or_one(np.linalg.norm(outputs[:, None] * size, axis=0))
+        outputs = 1 / positive_or_one(np.max(size * columns, axis=1))
+    return outputs, 1 / positive_or_one(np.linalg.norm(outputs[:, None] * size, axis=0))
+
+
+def _less(lap: Complex, own: complex, other: complex) -> Complex:
+    """(e^{own} lap - e^{other} I), divided by the larger of the two, without an overflow."""
+    top = max(own.real, other.real)
+    flow = np.exp(own - top) * lap
+    return np.asarray((flow - np.exp(other - top) * np.eye(len(lap))) / max(float(np.linalg.norm(flow)), 1.0))
+
+
+@lru_cache(maxsize=32)
+def lap_modes(plant: Plant, eta: float) -> LapModes:
+    """Return the modes of `plant` with Re >= -eta/2; kept, since a search asks for many schedules of one plant."""
+    if not plant.n_states:
+        return LapModes((), np.ones(0), plant.C)
+    form = balanced_schur(plant.A)
+    clusters, places = clusters_of(form, plant.n_states * EPS, CLUSTER_CAP)
+    kept = [(c, g) for c, g in zip(clusters, places, strict=True) if _stays(c, eta)]
+    groups = [([c], list(g)) for c, g in kept]
+    while True:
+        blocks = [_block(form, tuple(c), g) for c, g in groups]
+        if len(blocks) < 2 or np.linalg.cond(np.hstack([b.X for b in blocks])) <= CONDITION_LIMIT:
+            break
+        _, i, j = max(
+            (float(np.linalg.norm(a.X.conj().T @ b.X, 2)), i, i + 1 + j)
+            for i, a in enumerate(blocks)
+            for j, b in enumerate(blocks[i + 1 :])
+        )
+        joined = (groups[i][0] + groups[j][0], sorted(groups[i][1] + groups[j][1]))
+        groups = [g for k, g in enumerate(groups) if k not in (i, j)] + [joined]
+    return LapModes(tuple(blocks), form.d, plant.C * form.d)
+
+
+def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> Block:
+    X, T = invariant_subspace(form, group)
+    mean = clusters[0].value if len(clusters) == 1 else complex(np.mean(np.diag(T)))
+    return Block(mean, T - mean * np.eye(len(group)), X, clusters)
+
+
+def _stays(cluster: EigenvalueCluster, eta: float) -> bool:
+    """Whether a group of eigenvalues does not fade at rate eta: within what is known of it, on or right of the line."""
+    value = cluster.value if cluster.sure else complex(max(v.real for v in cluster.members), cluster.value.imag)
+    slack = cluster.uncertainty + ON_THE_LINE * max(abs(value), eta / 2)
+    return value.real >= -eta / 2 - slack

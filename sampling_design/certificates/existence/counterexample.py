@@ -13,9 +13,9 @@ from sampling_design._checks import positive, vector
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
-from sampling_design.certificates.existence.lap import lap_modes
 from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded
 from sampling_design.errors import CertificateError
+from sampling_design.observability.count.lap_modes import lap_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of

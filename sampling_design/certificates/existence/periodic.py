@@ -12,8 +12,8 @@ from sampling_design._balance import balance, balanced
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
-from sampling_design.certificates.existence.lap import LapModes, Sight, lap_modes
 from sampling_design.errors import CertificateError, UndecidedError
+from sampling_design.observability.count.lap_modes import LapModes, Sight, lap_modes
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant

@@ -10,7 +10,6 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design._files import to_json, write_text
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture
@@ -41,7 +40,7 @@ def worst_case(
         )
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "worst_case.json", to_json(result.to_dict())))
+        settings.write_json(folder / "worst_case.json", result.to_dict())
         settings.wrote(save_picture(result, folder / "worst_case.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
     if not result.closed:
@@ -113,7 +112,7 @@ def losses(
         result = sd.sample_losses(design, every_lap=every_lap, progress=progress)
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "losses.json", to_json(result.to_dict())))
+        settings.write_json(folder / "losses.json", result.to_dict())
         settings.wrote(save_picture(result, folder / "losses.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
 
@@ -150,7 +149,7 @@ def survive(
         )
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "survival.json", to_json(result.to_dict())))
+        settings.write_json(folder / "survival.json", result.to_dict())
         settings.wrote(save_picture(result, folder / "survival.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
 

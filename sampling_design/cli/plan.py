@@ -11,7 +11,6 @@ import typer
 
 import sampling_design as sd
 from sampling_design._checks import positive
-from sampling_design._files import to_json, write_text
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.design.problem.posing import default_window
@@ -124,7 +123,7 @@ def _write_design(settings: Settings, result: Any, start: str | None) -> None:
     folder = settings.folder()
     if folder is None:
         return
-    settings.wrote(write_text(folder / "design.json", to_json(result.to_dict())))
+    settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None:
         _schedule_files(settings, result, folder, start)
         settings.wrote(save_picture(result, folder / "design.png"))
@@ -171,7 +170,7 @@ def sigma(
         )
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "sigma.json", to_json(result.to_dict())))
+        settings.write_json(folder / "sigma.json", result.to_dict())
         settings.wrote(save_picture(result, folder / "sigma.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
     if not result.closed:

@@ -10,7 +10,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design._checks import positive
-from sampling_design._files import to_json, write_text
+from sampling_design._files import write_text
 from sampling_design.certificates.detectability.best_rate import BUDGET
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.cli.plan import PlantFile, schedule_for
@@ -180,7 +180,7 @@ def verify(
     verdict = certificate.verify(rigorous=rigorous, budget=settings.budget)
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "verdict.json", to_json(verdict.to_dict())))
+        settings.write_json(folder / "verdict.json", verdict.to_dict())
     settings.show(verdict.to_dict(), record_table(verdict), verdict.explain())
     if getattr(verdict, "verdict", "") == "undecided":
         raise typer.Exit(3)

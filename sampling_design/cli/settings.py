@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 import sampling_design
-from sampling_design._files import to_json
+from sampling_design._files import to_json, write_text
 from sampling_design.errors import ArgumentError
 
 ProgressCall = Callable[[float, str], None]
@@ -53,6 +53,7 @@ _COMMON: dict[str, tuple[Any, Any]] = {
 class Settings:
     """The common flags of one call, with the two streams: results on stdout, all else on stderr."""
 
+    command: str = ""
     as_json: bool = False
     output: Path | None = None
     seed: int = 0
@@ -80,10 +81,18 @@ class Settings:
         """Remember a written file, so that it is named at the end."""
         self.files.append(path)
 
+    def named(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return `data` with the name of its format first: its own, else that of what this command answers."""
+        return {"format": f"sampling-design/{self.command}/1", **data}
+
+    def write_json(self, path: Path, data: Mapping[str, Any]) -> None:
+        """Write a result with the name of its format, and remember the file."""
+        self.wrote(write_text(path, to_json(self.named(data))))
+
     def show(self, data: Mapping[str, Any], *tables: Table | str) -> None:
         """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
         if self.as_json:
-            sys.stdout.write(to_json(data))
+            sys.stdout.write(to_json(self.named(data)))
         else:
             console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
@@ -150,7 +159,7 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     def command(**arguments: Any) -> Any:
         flags = {name: arguments.pop(name) for name in _COMMON}
         flags.pop("version")
-        return function(Settings(**flags), **arguments)
+        return function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design._files import to_json, write_text
+from sampling_design._files import write_text
 from sampling_design.cli.settings import Settings, record_table, save_picture
 
 
@@ -49,7 +49,7 @@ def thyroid(
         )
     if folder is not None and path is not None:
         settings.wrote(path)
-        settings.wrote(write_text(folder / "thyroid.json", to_json(report.to_dict())))
+        settings.write_json(folder / "thyroid.json", report.to_dict())
         shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed)
         page = report.to_markdown() + f"\nFigures 1 to 3 of the paper, from run 0 ({cases[0]}):\n"
         (folder / "figures").mkdir(exist_ok=True)

@@ -13,7 +13,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design._checks import freeze
-from sampling_design._files import to_json, write_text
+from sampling_design._files import write_text
 from sampling_design._record import short
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
@@ -80,7 +80,7 @@ def _write(settings: Settings, data: dict[str, Any], found: Any, curve: Any, rec
     folder = settings.folder()
     if folder is not None:
         settings.wrote(sd.write_estimates(found, folder / "estimates.csv"))
-        settings.wrote(write_text(folder / "estimates.json", to_json(data)))
+        settings.write_json(folder / "estimates.json", data)
         settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record))
 
 
@@ -270,7 +270,7 @@ def _report(settings: Settings, report: Any) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))
-        settings.wrote(write_text(folder / "report.json", to_json(report.to_dict())))
+        settings.write_json(folder / "report.json", report.to_dict())
         settings.wrote(save_picture(report, folder / "validation.png"))
     heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
     findings = table("Findings", heads, report.cells())
@@ -310,7 +310,7 @@ def log(
         )
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(write_text(folder / "log.json", to_json(result.to_dict())))
+        settings.write_json(folder / "log.json", result.to_dict())
         settings.wrote(save_picture(result, folder / "log.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
 

@@ -18,6 +18,7 @@ def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
     assert data["cases"]["per_day"]["standard"]["problems"] == 4
     again = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path, "--json")
     assert json.loads(again.out)["cases"] == data["cases"]
+    assert json.loads(again.out)["format"] == data["format"] == "sampling-design/thyroid/1"
 
 
 def test_thyroid_refuses_another_experiments_file(shell, tmp_path):

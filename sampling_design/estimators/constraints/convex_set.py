@@ -215,8 +215,9 @@ class ConvexSet(Record):
 
         cp = _conic.cvxpy()
         z, excess = cp.Variable(self.dimension), cp.Variable()
-        finite = np.isfinite(self.lower), np.isfinite(self.upper)
-        parts = [self.lower[finite[0]] - z[finite[0]] <= excess, z[finite[1]] - self.upper[finite[1]] <= excess]
+        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
+        parts = [self.lower[low] - z[low] <= excess] if low.size else []
+        parts += [z[high] - self.upper[high] <= excess] if high.size else []
         parts += [self.rows @ z - self.offsets <= excess] if self.rows.shape[0] else []
         parts += [cp.norm(ball.shape @ (z - ball.centre)) - ball.radius <= excess for ball in self.balls]
         record = _conic.solve(cp.Problem(cp.Minimize(excess), [*parts, excess >= -1]))

@@ -1,0 +1,62 @@
+"""Every result that a program reads names its format, on stdout and in the file."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
+RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)
+SATELLITE = EXAMPLES / "plants" / "satellite.toml"
+COMMANDS = {
+    "info": (OSCILLATOR,),
+    "design": (OSCILLATOR, "--window", 4.0, "--samples", 3),
+    "sigma": (OSCILLATOR, "schedule.csv", "--window", 4.0),
+    "worst-case": (OSCILLATOR, *RULE),
+    "pareto": (OSCILLATOR, "requirement.toml", "--counts", "3-4"),
+    "losses": (OSCILLATOR, "requirement.toml"),
+    "certify": (OSCILLATOR, "schedule.csv"),
+    "verify": ("certificate.json",),
+    "survive": (OSCILLATOR, "certificate.json"),
+    "estimate": (SATELLITE, EXAMPLES / "data" / "satellite.csv", "--horizon", 3000),
+    "validate": (OSCILLATOR, "schedule.csv", "--runs", 3),
+    "log": (OSCILLATOR, "schedule.csv", "readings.csv"),
+}
+NAMED = {
+    "design": "design",
+    "certify": "certificate",
+    "validate": "validation",
+    "log": "schedule-log",
+    "estimate": "estimate",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, shell):
+    monkeypatch.chdir(tmp_path)
+    Path("schedule.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.3\n")
+    Path("requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
+    Path("readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
+    assert shell("certify", OSCILLATOR, "schedule.csv", "-o", ".").code == 0
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_names_the_format_of_what_it_prints_and_writes(command, folder, shell):
+    done = shell(command, *COMMANDS[command], "--json", "--quiet", "-o", "out")
+    assert done.code in (0, 1), done.err
+    shown = json.loads(done.out)
+    assert next(iter(shown)) == "format"
+    assert shown["format"] == f"sampling-design/{NAMED.get(command, command)}/1"
+    for path in (folder / "out").glob("*.json"):
+        assert re.fullmatch(r"sampling-design/[a-z-]+/1", json.loads(path.read_text())["format"]), path.name
+
+
+def test_no_command_was_forgotten():
+    from typer.main import get_command
+
+    from sampling_design.cli.app import app
+
+    assert set(get_command(app).commands) == {*COMMANDS, "thyroid"}  # that one is looked at in test_thyroid.py

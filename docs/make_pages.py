@@ -15,6 +15,7 @@ ROOMS = {
     "plants": "What is measured",
     "schedules": "When it is measured",
     "observability": "What samples show",
+    "recovery": "How well anybody can know",
     "design": "When to sample",
     "certificates": "What a schedule proves",
     "estimators": "What the state is",
@@ -26,6 +27,7 @@ ROOMS = {
 FLOORS = (
     ("plants", "schedules"),
     ("observability",),
+    ("recovery",),
     ("design", "certificates"),
     ("estimators",),
     ("nonlinear", "validation"),

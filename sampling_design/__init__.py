@@ -25,6 +25,7 @@ _FRONT_DOOR = {
     "observability.windows.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "observability.windows.window_sigma": ("window_sigma",),
     "observability.worst_case.worst_case_sigma": ("worst_case_sigma",),
+    "recovery.accuracy": ("accuracy",),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),
@@ -118,6 +119,7 @@ _ROOMS = (
     "observability",
     "plants",
     "plotting",
+    "recovery",
     "schedules",
     "validation",
 )

@@ -9,6 +9,7 @@ from sampling_design import nonlinear as nonlinear
 from sampling_design import observability as observability
 from sampling_design import plants as plants
 from sampling_design import plotting as plotting
+from sampling_design import recovery as recovery
 from sampling_design import schedules as schedules
 from sampling_design import validation as validation
 from sampling_design.certificates.certify import certify as certify
@@ -74,6 +75,7 @@ from sampling_design.plants.library import named_plant as named_plant
 from sampling_design.plants.modes import split_modes as split_modes
 from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
+from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.files import read_schedule as read_schedule

@@ -12,13 +12,17 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import SolverError
 from sampling_design.evidence import SolverRecord
+
+if TYPE_CHECKING:
+    from clarabel import DefaultSolver
+    from scipy.sparse import csc_matrix
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -214,3 +218,49 @@ _CLARABEL_STATUS = {
 def _order(length: int) -> int:
     """n of a triangle of n(n+1)/2 entries."""
     return int((np.sqrt(8 * length + 1) - 1) / 2)
+
+
+class ConeSolver:
+    """Minimise cost'x subject to b - A x in a cone, many times: A stays, `cost` and b may change.
+
+    Parameters
+    ----------
+    A : scipy sparse (m, k) matrix
+    cones : sequence of ("zero" | "nonnegative" | "second order", size)
+        In the order of the rows of A.
+    tolerance : float
+    iterations : int
+    """
+
+    def __init__(
+        self, A: csc_matrix, cones: Sequence[tuple[str, int]], *, tolerance: float = TOLERANCE, iterations: int = 200
+    ) -> None:
+        from scipy import sparse
+
+        cl = clarabel()
+        kinds = {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "second order": cl.SecondOrderConeT}
+        settings = cl.DefaultSettings()
+        settings.verbose = False
+        settings.presolve_enable = False  # what is solved again must keep its rows
+        settings.max_iter = iterations
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
+        self._rows, self._columns = A.shape
+        self._parts = (
+            sparse.csc_matrix((self._columns, self._columns)),
+            sparse.csc_matrix(A),
+            [kinds[kind](size) for kind, size in cones],
+            settings,
+        )
+        self._solver: DefaultSolver | None = None
+
+    def solve(self, cost: Array, b: Array) -> tuple[Array, Array, str]:
+        """Return the point, the multipliers (cost + A'z = 0) and how the solver ended; all of it unchecked."""
+        if self._solver is None:
+            P, A, cones, settings = self._parts
+            self._solver = clarabel().DefaultSolver(
+                P, np.asarray(cost, float), A, np.asarray(b, float), cones, settings
+            )
+        else:
+            self._solver.update(q=np.asarray(cost, float), b=np.asarray(b, float))
+        found = self._solver.solve()
+        return np.asarray(found.x), np.asarray(found.z), _CLARABEL_STATUS.get(str(found.status), FAILED)

@@ -1,0 +1,1 @@
+"""What anybody can recover of the state from a schedule when noise and disturbances keep their bounds."""

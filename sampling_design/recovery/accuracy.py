@@ -1,0 +1,316 @@
+"""The least error that any estimator can guarantee for wanted rows of the state, over a whole endless schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._checks import freeze
+from sampling_design._door import door
+from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.meeting import meet
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.chain import Chain, endless_chain
+from sampling_design.recovery.rows import Rows, Wanted, wanted_rows
+from sampling_design.recovery.search import Node, RowSearch, Search
+from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+
+REFLOWN = 1e-3
+"""Share of what an attack attains that its witness may lose when it is flown anew, before a later start is tried."""
+
+MOST_SOLVES = 2000
+"""Programs for one row; a bracket that is not closed by then says so."""
+
+
+@dataclass(frozen=True, eq=False)
+class GapProof:
+    """Gains at some offsets after one sample: what bounds a row from above over the gap that follows.
+
+    Attributes
+    ----------
+    sample : int
+        Its place in the schedule's lap.
+    offsets : (m,) int array
+        Panels of the gap's grid, 0 and the last among them.
+    gains : tuple of tuple of arrays
+        For each offset, the gains of the samples back in time, the latest last, in units of v_bound.
+    """
+
+    sample: int
+    offsets: npt.NDArray[np.intp]
+    gains: tuple[tuple[Array, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyProfile:
+    """Both bounds over one period: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
+
+    Attributes
+    ----------
+    edges : (N+1,) array
+        From the first sample of a lap on [the plant's time unit].
+    lower : (r, N) array
+    upper : (r, N) array
+    samples : (m,) array
+        Sample times of the lap.
+    """
+
+    edges: Array
+    lower: Array
+    upper: Array
+    samples: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Accuracy(Record):
+    """The least guaranteed error of each wanted row, bracketed, at the worst time of an endless schedule.
+
+        lower <= sup over t of rho(c; t) <= upper
+
+    Attributes
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule
+    rows : Rows
+        Matrix, names and units of what is wanted.
+    lower : (r,) array
+        No estimator whatsoever guarantees less: attained by `witnesses`.
+    upper : (r,) array
+        Proven for all real times by gains, whatever the error was in the distant past.
+    worst : (r,) array
+        A time in the lap at which `lower` is attained.
+    closed : (r,) bool array
+        Whether the bracket met the tolerance asked for.
+    at_samples : (r, N) array
+        What gains prove at each sample of the lap, the sample included.
+    profile : AccuracyProfile
+    witnesses : tuple of AccuracyWitness
+    """
+
+    plant: Plant
+    schedule: PeriodicSchedule
+    rows: Rows
+    bounds: Bounds
+    lower: Array
+    upper: Array
+    worst: Array
+    closed: npt.NDArray[np.bool_]
+    at_samples: Array
+    profile: AccuracyProfile
+    witnesses: tuple[AccuracyWitness, ...]
+    proof: tuple[tuple[GapProof, ...], ...] = field(repr=False)
+
+    def verify(self) -> bool:
+        """Whether both sides hold, recomputed from gains and witnesses without a solver."""
+        return all(self._upper_holds(k) and self._lower_holds(k) for k in range(len(self.rows)))
+
+    def _upper_holds(self, k: int) -> bool:
+        search = Search(_chain(self.plant, self.schedule, self.bounds))
+        found = search.opened(self.rows.matrix[k])
+        if sorted(part.sample for part in self.proof[k]) != list(range(len(found.opened))):
+            return False
+        for part in self.proof[k]:
+            search.restore(found, part.sample, part.offsets.tolist(), part.gains)
+        return bool(max(search.segments(found))[0] <= self.upper[k] * (1 + KEPT))
+
+    def _lower_holds(self, k: int) -> bool:
+        value, excess = attains(self.witnesses[k], self.bounds)
+        return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
+        lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
+        for k, label in enumerate(self.rows.labels()):
+            text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
+            lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
+        return lines
+
+    def explain(self) -> str:
+        """Say what can be guaranteed."""
+        parts = [f"{name} within {short(up, 4)}" for name, up in zip(self.rows.labels(), self.upper, strict=True)]
+        width = float(np.max(np.divide(self.upper, self.lower, out=np.ones_like(self.upper), where=self.lower > 0))) - 1
+        return (
+            f"At all times, some estimator guarantees {', '.join(parts)}; none guarantees less than "
+            f"{short(self.lower, 4)} (brackets within {100 * width:.2g} %)."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "rows": {
+                "names": list(self.rows.names),
+                "units": list(self.rows.units),
+                "matrix": self.rows.matrix.tolist(),
+            },
+            "time_unit": self.plant.time_unit,
+            "schedule": self.schedule.to_dict(),
+            "lower": self.lower.tolist(),
+            "upper": self.upper.tolist(),
+            "worst": self.worst.tolist(),
+            "closed": self.closed.tolist(),
+            "at_samples": self.at_samples.tolist(),
+            "profile": {
+                "edges": self.profile.edges.tolist(),
+                "lower": self.profile.lower.tolist(),
+                "upper": self.profile.upper.tolist(),
+            },
+            "witnesses": [witness.to_dict() for witness in self.witnesses],
+        }
+
+
+@door
+def accuracy(
+    plant: Plant,
+    schedule: PeriodicSchedule,
+    *,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
+    of: Wanted = None,
+    rtol: float = 0.01,
+) -> Accuracy:
+    """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
+
+        rho(c; t) = min over gains of  h(rest) + int h_W(G'g(s)) ds + sum h_V(lambda_j)
+                  = sup { c'x(t) : w, v within their bounds, all y_j = 0 }
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule
+        Without end; so long under way that its start no longer matters.
+    w_bound : float or (q,) array
+        Bound on the Euclidean norm of w(t), or on each entry; 0 where there is none.
+    v_bound : float, (p,) or (N, p) array
+        Bound on the Euclidean norm of the noise of a sample, on each output, or on each output of each sample of the
+        lap (a better instrument today); 0 for an exact sensor.
+    of : str, sequence of str, or (r, n) array, optional
+        Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
+    rtol : float
+        Relative width of the brackets.
+
+    Returns
+    -------
+    Accuracy
+        With `verify()`, which recomputes both sides without a solver.
+
+    Raises
+    ------
+    ArgumentError
+        If a bound is missing, negative or of another shape, a name is unknown, or the schedule is not periodic.
+
+    Notes
+    -----
+    *Assumptions.* w is bounded at every time and v at every sample; nothing else is known of them, nor of the start.
+    *Claim.* `upper` holds for all real times and is guaranteed by an affine estimate; no estimator, linear or not,
+    guarantees less than `lower`. *Method.* The adversary's program, a cone program with w constant on cells, over
+    windows that grow until the past no longer matters; both sides are evaluated without the solver. The distant past
+    costs at most what a filter's gains prove of it. *Numerical aspects.* Coordinates come from the filter's covariance,
+    so that units change nothing; integrals are bounded for all real times by the trapezoidal rule with its proven
+    error.
+
+    References
+    ----------
+    Micchelli and Rivlin, A survey of optimal recovery (1977); Milanese and Tempo, Optimal algorithms theory for robust
+    estimation and prediction (1985).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sampling_design import Plant, PeriodicSchedule
+    >>> plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+    >>> found = accuracy(plant, PeriodicSchedule([1.0, 0.6, 1.4]), w_bound=0.02, v_bound=0.1)
+    >>> [round(float(x), 3) for x in found.upper]
+    [0.269, 0.123]
+    >>> found.verify()
+    True
+    """
+    if not isinstance(schedule, PeriodicSchedule):
+        raise ArgumentError(
+            f"`schedule` must be a PeriodicSchedule, got {type(schedule).__name__}: its accuracy is that without end."
+        )
+    schedule = meet(plant, schedule)
+    tolerance = _checks.positive("rtol", rtol)
+    rows = wanted_rows(plant, of)
+    bounds = Bounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound)
+    search = Search(_chain(plant, schedule, bounds))
+    found = []
+    for row in rows.matrix:
+        found.append(search.row(row, tolerance, MOST_SOLVES))
+        search.profile(found[-1])
+    return _record(plant, schedule, rows, bounds, search, found, tolerance)
+
+
+def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Chain:
+    """The chain whose gap j lies behind sample j."""
+    return endless_chain(plant, np.roll(schedule.gaps, -1), bounds)
+
+
+def _record(
+    plant: Plant,
+    schedule: PeriodicSchedule,
+    rows: Rows,
+    bounds: Bounds,
+    finder: Search,
+    found: list[RowSearch],
+    rtol: float,
+) -> Accuracy:
+    times, first = schedule.times, schedule.times[0]
+    grids = [opened.d for opened in found[0].opened]
+    edges = np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [first + schedule.period]])
+    worst, witnesses = [], []
+    for row, search in zip(rows.matrix, found, strict=True):
+        witness, offset = _flown(finder, row, bounds, search)
+        witnesses.append(witness)
+        worst.append(times[witness.last] + search.opened[witness.last].d[offset])
+    return Accuracy(
+        plant,
+        schedule,
+        rows,
+        bounds,
+        freeze([w.value for w in witnesses]),
+        freeze([f.upper for f in found]),
+        freeze(worst),
+        np.array([f.closed and f.upper <= (1 + rtol) * w.value for f, w in zip(found, witnesses, strict=True)]),
+        freeze([[nodes[0].gains.value for nodes in f.nodes] for f in found]),
+        AccuracyProfile(freeze(edges), freeze([f.below() for f in found]), freeze([f.above() for f in found]), times),
+        tuple(witnesses),
+        tuple(tuple(_proof(j, nodes) for j, nodes in enumerate(f.nodes)) for f in found),
+    )
+
+
+def _flown(finder: Search, row: Array, bounds: Bounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
+    """The strongest witness that keeps its bounds when it is flown anew, and its offset.
+
+    Flown open loop through a plant that grows, the last digits of w grow too: then a later start serves better.
+    """
+    attack = max(found.attacks, key=lambda a: float(np.max(a.values)))
+    j, count, aim = attack.sample, len(attack.adversary.w) + 1, float(np.max(attack.values))
+    best: tuple[AccuracyWitness, int] | None = None
+    while best is None or (best[0].value < aim * (1 - REFLOWN) and count > 1):
+        offset = int(np.argmax(attack.values))
+        witness = physical(finder.chain, row, found.opened[j], attack, offset)
+        value, excess = attains(witness, bounds)
+        if excess < np.inf and value > 0:
+            factor = max(excess, 1.0)
+            witness = replace(witness, w=freeze(witness.w / factor), value=value / factor)
+        else:
+            witness = replace(witness, w=freeze(0 * witness.w), value=0.0)
+        if best is None or witness.value > best[0].value:
+            best = witness, offset
+        count = max(1, 3 * count // 4)
+        if best[0].value < aim * (1 - REFLOWN):
+            attack = finder.strike(found, j, offset, count)[1]
+    return best
+
+
+def _proof(j: int, nodes: dict[int, Node]) -> GapProof:
+    offsets = sorted(nodes)
+    return GapProof(j, np.array(offsets), tuple(nodes[o].gains.gains for o in offsets))

@@ -1,0 +1,97 @@
+"""Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, and its closure over all real d.
+
+rho(.; t_i) is a norm. Between two offsets whose rows have been bounded, Phi(d)'c lies on their chord but for a rest of
+at most delta^2/8 sup|A'^2 Phi'c|, and the norm of the rest is at most the filter's reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import expm_batch
+from sampling_design.recovery.chain import Chain
+
+Array = npt.NDArray[np.float64]
+
+GRID = (64, 2048)
+"""Least and largest number of panels of a gap on which the profile stands."""
+
+FINENESS = 0.1
+"""Length of such a panel times |A| in scaled coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Open:
+    """One wanted row after sample j, on a grid of offsets d.
+
+    Attributes
+    ----------
+    d : (N+1,) array
+    mu : (N+1, n) array
+        Phi(d)'c in the coordinates of z_j.
+    above, below : (N+1,) arrays
+        Bounds on int_0^d h_W(G'Phi(s)'c) ds.
+    turn : (N,) array
+        On each panel, a bound on reach'|d^2 mu/dd^2|.
+    """
+
+    d: Array
+    mu: Array
+    above: Array
+    below: Array
+    turn: Array
+
+    def bound(self, a: int, b: int, at_a: float, at_b: float) -> Array:
+        """Return bounds on rho on the panels from d[a] to d[b]; `at_a`, `at_b` bound rho(Phi(d)'c; t_j) at the ends."""
+        d = self.d[a : b + 1]
+        length = d[-1] - d[0]
+        part = (d - d[0]) / length
+        chord = at_a + (at_b - at_a) * part
+        rest = part * (1 - part)  # on a panel at most the larger of its ends and the square of half its part, and 1/4
+        sag = np.minimum(np.maximum(rest[1:], rest[:-1]) + (np.diff(part) / 2) ** 2, 0.25) * length**2 / 2
+        worst = np.maximum(chord[1:], chord[:-1]) + sag * np.max(self.turn[a:b]) + self.above[a + 1 : b + 1]
+        return np.asarray(worst)
+
+    def between(self, a: int, b: int, at_a: float, at_b: float) -> tuple[float, int]:
+        """Return the largest of these bounds and its panel."""
+        bound = self.bound(a, b, at_a, at_b)
+        k = int(np.argmax(bound))
+        return float(bound[k]), a + k
+
+
+def open_row(chain: Chain, j: int, row: Array) -> Open:
+    """Return one row (n,) of x after sample j, over the whole gap."""
+    gap, ball = chain.gaps[j], chain.bounds.w_ball
+    A, G, n = chain.A, chain.G, chain.D.size
+    size = float(np.linalg.norm(A, 2))
+    number = int(np.clip(np.ceil(size * gap.length / FINENESS), *GRID))
+    d = np.linspace(0.0, gap.length, number + 1)
+    step = gap.length / number
+    c = row * chain.D
+    flown = c @ expm_batch(A, d)  # rows c'Phi(d), (N+1, n)
+    p, bend = flown @ G, flown @ (A @ A @ G)
+    middle = np.linalg.norm(c @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A), axis=1) * np.exp(size * step / 2)
+    third = middle * np.linalg.norm(G, 2)
+    joint = np.zeros((n + G.shape[1], n + G.shape[1]))
+    joint[:n, :n], joint[:n, n:] = A, G
+    inner = expm_batch(joint, [step])[0, :n, n:]
+    mean = flown[:-1] @ inner
+    if ball:
+        value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
+        curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third
+    else:
+        value, least = np.abs(p).sum(axis=1), np.abs(mean).sum(axis=1)
+        curve = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + G.shape[1] * step / 2 * third
+    most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
+    L, reach = chain.L[j], chain.reach[j]
+    turning = np.abs(flown @ (A @ A) @ L)
+    drift = step / 2 * middle[:, None] * np.linalg.norm(L, axis=0)
+    turn = (np.maximum(turning[1:], turning[:-1]) + drift) @ reach
+    return Open(d, flown @ L, _sums(most), _sums(least), turn)
+
+
+def _sums(x: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(x)])

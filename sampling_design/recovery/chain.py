@@ -1,0 +1,268 @@
+"""A schedule as a chain of samples in coordinates in which every program is well scaled, whatever the units.
+
+    x(t_j) = D L_j z_j,   z_{j+1} = F_j z_j + int (e^{A_z s} G_z) w ds,   |H_j z_j| <= 1
+
+D evens out units, L_j is a root of a filter's covariance at that sample: z_j is of size one. The filter only scales;
+its gains also bound the error once and for all (`reach`), which is what an endless past costs at its far end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.riccati import CovarianceMap, limit, updated
+
+Array = npt.NDArray[np.float64]
+
+EXACT = 1e-6
+"""Size given to an exact sensor, in units of what w does to its output over a lap: for scaling only."""
+
+RANDOM_WALK = 1e-3
+"""Share of a free start's covariance that joins the filter's noise at each lap, so that it never goes to sleep."""
+
+PANELS = (16, 4096)
+"""Least and largest number of panels of the quadrature over a gap."""
+
+PANEL = 0.25
+"""Length of a panel times |A| in scaled coordinates."""
+
+CELL_LOSS = 2e-3
+"""What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
+
+CONTRACTED = 1e-3
+"""Laps are added until the filter's error forgets all but this share of its past."""
+
+LAPS = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Panels:
+    """M(s) = (e^{A_z s} G_z)' at panel ends s back from the end of a gap; errors of the trapezoidal rule."""
+
+    s: Array  # (Q+1,)
+    M: Array  # (Q+1, q, n)
+    bend: Array  # (Q+1, q, n): M''
+    third: Array  # (Q,): bound on |M''' g| for |g| = 1 in D coordinates
+    back: Array  # (n, n): g = back mu
+
+    def integral(self, mu: Array, ball: bool) -> Array:
+        """Return an upper bound on int h_W(M(s) mu) ds for each column of mu (n, k), for all real s.
+
+        On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
+        a panel times sup|p'''|.
+        """
+        d = np.diff(self.s)[:, None]
+        p, bend = self.M @ mu, self.bend @ mu
+        third = self.third[:, None] * np.linalg.norm(self.back @ mu, axis=0)
+        if ball:
+            size, curve = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1)
+            sup = np.maximum(curve[1:], curve[:-1]) + d / 2 * third
+        else:
+            size = np.abs(p).sum(axis=1)
+            sup = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + p.shape[1] * d / 2 * third
+        return np.asarray(np.sum(d / 2 * (size[1:] + size[:-1]) + d**3 / 12 * sup, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """From one sample to the next, in the coordinates of both."""
+
+    length: float
+    F: Array
+    panels: Panels
+    edges: Array
+    """Ends of the cells on which the adversary's w is constant, back from the end of the gap."""
+    cells: Array
+    """(m, n, q): int over a cell of e^{A_z s} G_z ds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
+
+    outputs: npt.NDArray[np.intp]
+    size: Array
+    H: Array
+    exact: npt.NDArray[np.bool_]
+    K: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Samples j = 0..N-1 and the gaps behind them; endless: after the last comes the first."""
+
+    plant: Plant
+    bounds: Bounds
+    D: Array
+    L: Array
+    A: Array
+    G: Array
+    samples: tuple[Sample, ...]
+    gaps: tuple[Gap, ...]
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def mu(self, j: int, rows: Array) -> Array:
+        """Return rows (k, n) of x at sample j as columns (n, k) that multiply z."""
+        return np.asarray((rows * self.D @ self.L[j]).T)
+
+    def nodes(self, j: int, count: int) -> list[int]:
+        """Indices of the `count` samples up to and with j, the latest last."""
+        return [(j - k) % len(self) for k in range(count - 1, -1, -1)]
+
+    def refined(self, loss: float) -> Chain:
+        """Return the chain with cells so fine that their curvature loses no more than `loss`."""
+        after = [self.L[(j + 1) % len(self)] for j in range(len(self))]
+        fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
+        gaps = tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
+        finer = replace(self, gaps=gaps)
+        finer.__dict__["reach"] = self.reach
+        return finer
+
+    @cached_property
+    def reach(self) -> Array:
+        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was."""
+        count, n = len(self), self.D.size
+        found = np.empty((count, n))
+        for j in range(count):
+            mu, cost = np.eye(n), np.zeros(n)
+            at = j
+            for step in range(LAPS * count):
+                sample = self.samples[at]
+                gains = sample.K.T @ mu
+                mu = mu - sample.H.T @ gains
+                cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
+                if step and at == j and np.abs(mu).sum(axis=0).max() < CONTRACTED:
+                    break
+                at = (at - 1) % count
+                gap = self.gaps[at]
+                cost += gap.panels.integral(mu, self.bounds.w_ball)
+                mu = gap.F.T @ mu
+            # R <= cost + |rest|'R, and |rest| contracts
+            found[j] = np.linalg.solve(np.eye(n) - np.abs(mu).T, cost)
+        return found
+
+
+def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
+    """h_V of scaled gains (p, k): exact sensors cost nothing."""
+    noisy = gains[~exact]
+    return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
+
+
+def endless_chain(plant: Plant, gaps: Array, bounds: Bounds) -> Chain:
+    """Return the chain of a periodic schedule; gaps[j] lies behind sample j."""
+    balance = balanced_schur(plant.A).d
+    A = plant.A * balance / balance[:, None]
+    G = plant.G * bounds.w / balance[:, None]
+    F, W = discounted_flow(A, G @ G.T, gaps)
+    W = W * float(np.mean(gaps))
+    rows, sizes, exact = _noise_units(plant.C * balance, bounds, W)
+    D = _scales(F, W, rows)
+    A, G = A * D / D[:, None], G / D[:, None]
+    F, W = F * D / D[:, None], W / np.outer(D, D)
+    rows = [H * D for H in rows]
+    P = _covariances(F, W, rows)
+    after = [updated(P[j], rows[j].T @ rows[j]) for j in range(len(rows))]
+    L = np.array([np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))) for X in after])
+    samples = []
+    for j, H in enumerate(rows):
+        gain = np.linalg.solve(H @ P[j] @ H.T + np.eye(len(H)), H @ P[j]).T
+        K = np.linalg.solve(L[j], gain)
+        samples.append(Sample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+    steps = []
+    for j, h in enumerate(gaps):
+        following = L[(j + 1) % len(rows)]
+        steps.append(_gap(A, G, float(h), L[j], following, F[j]))
+    return Chain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps))
+
+
+def _noise_units(C: Array, bounds: Bounds, W: Array) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
+    """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
+    driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
+    stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
+    stand_in = np.where(stand_in > 0, stand_in, 1.0)
+    rows, sizes, exact = [], [], []
+    for j in range(bounds.v.shape[0]):
+        outputs = bounds.measured(j)
+        v = bounds.v[j, outputs]
+        size = np.where(v > 0, v, stand_in[outputs])
+        rows.append(C[outputs] / size[:, None])
+        sizes.append(size)
+        exact.append(v == 0)
+    return rows, sizes, exact
+
+
+def _scales(F: Array, W: Array, rows: list[Array]) -> Array:
+    """Diagonal D: between what w reaches and what samples see of each state over a lap."""
+    n = F.shape[1]
+    flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
+    for H, step, reached in zip(rows, F, W, strict=True):
+        seen += np.sum((H @ flow) ** 2, axis=0)
+        flow = step @ flow
+        spread = step @ spread @ step.T + reached
+    reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        both = np.sqrt(reach / seen)
+    D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
+    return np.asarray(np.where(D > 0, D, 1.0))
+
+
+def _covariances(F: Array, W: Array, rows: list[Array]) -> list[Array]:
+    """The filter's covariance before each sample, in its periodic limit."""
+    maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
+    lap = maps[0]
+    for following in maps[1:]:
+        lap = lap.then(following)
+    several = lap
+    for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
+        several = several.then(several)
+    known = np.diag(several.G)
+    start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
+    walk = RANDOM_WALK * several(start)
+    P = [limit(CovarianceMap(lap.F, lap.G, lap.Q + walk))]
+    for following in maps[:-1]:
+        P.append(following(P[-1]))
+    return P
+
+
+def _gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array) -> Gap:
+    number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
+    s = np.linspace(0.0, h, number + 1)
+    E = expm_batch(A, s)
+    M = np.swapaxes(np.linalg.solve(following, E @ G), 1, 2)
+    bend = np.swapaxes(np.linalg.solve(following, E @ (A @ A @ G)), 1, 2)
+    middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
+    grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
+    third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
+    panels = Panels(s, M, bend, third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
+    return Gap(
+        h,
+        np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),
+        panels,
+        *_cells(A, G, following, panels, CELL_LOSS),
+    )
+
+
+def _cells(A: Array, G: Array, following: Array, panels: Panels, loss: float) -> tuple[Array, Array]:
+    """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
+    s, n, q = panels.s, len(A), G.shape[1]
+    size, curve = (np.linalg.norm(X, axis=(1, 2)) for X in (panels.M, panels.bend))
+    rate = np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss))
+    marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
+    number = max(2, int(np.ceil(marks[-1])))
+    even = np.linspace(0.0, s[-1], number + 1)
+    edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
+    edges[0], edges[-1] = 0.0, s[-1]
+    joint = np.zeros((n + q, n + q))
+    joint[:n, :n], joint[:n, n:] = A, G
+    inner = expm_batch(joint, np.diff(edges))[:, :n, n:]
+    return edges, np.asarray(np.linalg.solve(following, expm_batch(A, edges[:-1]) @ inner), dtype=np.float64)

@@ -1,0 +1,171 @@
+"""An adversary in the plant's own units: from rest, every sample zero, the row as far off as it gets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import freeze
+from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design._record import Plain, Record, short
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.between import Open
+from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.chain import Chain
+from sampling_design.recovery.search import Attack
+
+KEPT = 1e-9
+"""Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AccuracyWitness(Record):
+    """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
+
+    The state starts at 0; every sample shows y = C x + v = 0, so that +x and -x look alike, and any estimator errs by
+    `value` on one of them.
+
+    Attributes
+    ----------
+    plant : Plant
+    row : (n,) array
+    edges : (M+1,) array
+        Ends of the cells on which w is constant, from 0 on [the plant's time unit].
+    w : (M, q) array
+    samples : (K,) array
+        Sample times after the start; the last at most a gap before the end.
+    last : int
+        Place of the last sample in the schedule's lap.
+    outputs : (K, p) array of bool
+        What each sample measures.
+    value : float
+        row'x at the end.
+    """
+
+    plant: Plant
+    row: Array
+    edges: Array
+    w: Array
+    samples: Array
+    last: int
+    outputs: npt.NDArray[np.bool_]
+    value: float
+
+    def simulate(self) -> tuple[Array, Array]:
+        """Return v (K, p) = -C x at the samples (NaN where not measured) and x (n,) at the end, flown anew."""
+        plant = self.plant
+        marks = np.union1d(self.edges, self.samples)
+        scale = self._scales()
+        n, size = plant.n_states, np.max(np.abs(self.w), axis=0, initial=0.0)
+        joint = np.zeros((n + plant.n_disturbances,) * 2)
+        joint[:n] = np.hstack([plant.A * scale, plant.G * size]) / scale[:, None]
+        flows = expm_batch(joint, np.diff(marks))[:, :n]
+        w = np.divide(self.w, size, out=np.zeros_like(self.w), where=size > 0)
+        x, states = np.zeros(n), {marks[0]: np.zeros(n)}
+        cells = np.searchsorted(self.edges, marks[:-1], side="right") - 1
+        for t, flow, cell in zip(marks[1:], flows, cells, strict=True):
+            x = flow @ np.concatenate([x, w[cell]])
+            states[t] = scale * x
+        x = states[marks[-1]]
+        v = np.array([-plant.C @ states[t] for t in self.samples])
+        return np.where(self.outputs, v, np.nan), x
+
+    def _scales(self) -> Array:
+        """How far w carries each state over the longest cell, so that units play no part in the flow."""
+        balance = balanced_schur(self.plant.A).d
+        G = self.plant.G * np.max(np.abs(self.w), axis=0, initial=0.0) / balance[:, None]
+        longest = np.max(np.diff(self.edges), initial=0.0)
+        _, W = discounted_flow(self.plant.A * balance / balance[:, None], G @ G.T, [longest])
+        spread = np.sqrt(np.diag(W[0]))
+        return np.asarray(balance * np.where(spread > 0, spread, 1.0))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("value", short(self.value)),
+            ("samples", str(self.samples.size)),
+            ("duration", f"{short(self.edges[-1])} {self.plant.time_unit}"),
+        ]
+
+    def explain(self) -> str:
+        """Say what the witness does."""
+        return (
+            f"From rest, a disturbance within its bound moves the row to {short(self.value)} in "
+            f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes all "
+            f"{self.samples.size} samples read zero."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "row": self.row.tolist(),
+            "edges": self.edges.tolist(),
+            "w": self.w.tolist(),
+            "samples": self.samples.tolist(),
+            "last": self.last,
+            "outputs": self.outputs.astype(int).tolist(),
+            "value": self.value,
+        }
+
+
+def attains(witness: AccuracyWitness, bounds: Bounds) -> tuple[float, float]:
+    """Return row'x at the end of a witness flown anew, and the factor by which w and v exceed their bounds."""
+    v, x = witness.simulate()
+    lap = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
+    if not np.array_equal(witness.outputs, np.isfinite(bounds.v[lap])):
+        return 0.0, np.inf
+    w = np.linalg.norm(witness.w, axis=1, keepdims=True) if bounds.w_ball else np.abs(witness.w)
+    noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[lap], np.inf)
+    if bounds.v_ball:
+        noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
+    return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit))
+
+
+def _excess(size: Array, limit: Array) -> float:
+    """The largest ratio; an exact sensor is kept within rounding of what it would show without its neighbours."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(size > 0, size / limit, 0.0)
+    return float(np.max(ratio, initial=0.0))
+
+
+def physical(chain: Chain, row: Array, opened: Open, attack: Attack, offset: int) -> AccuracyWitness:
+    """Return an attack with its best end after the last sample, in the plant's units."""
+    count = len(attack.adversary.w) + 1
+    nodes = chain.nodes(attack.sample, count)
+    scale = chain.bounds.w
+    edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
+    for j, u in zip(nodes[:-1], attack.adversary.w, strict=True):
+        gap = chain.gaps[j]
+        edges.append(now + (gap.length - gap.edges[::-1])[1:])
+        w.append(u[::-1] * scale)
+        now += gap.length
+        samples.append(now)
+    if offset:
+        d = opened.d[: offset + 1]
+        step = d[1] - d[0]
+        n = chain.D.size
+        joint = np.zeros((n + chain.G.shape[1],) * 2)
+        joint[:n] = np.hstack([chain.A, chain.G])
+        mean = (row * chain.D) @ expm_batch(chain.A, d[:-1]) @ expm_batch(joint, [step])[0, :n, n:]
+        if chain.bounds.w_ball:
+            size = np.linalg.norm(mean, axis=1, keepdims=True)
+            u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)
+        else:
+            u = np.sign(mean)
+        edges.append(now + d[1:])
+        w.append(u[::-1] * scale)
+    outputs = np.array([np.isin(np.arange(chain.plant.n_outputs), chain.samples[j].outputs) for j in nodes])
+    return AccuracyWitness(
+        chain.plant,
+        freeze(row),
+        freeze(np.concatenate(edges)),
+        freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
+        freeze(samples),
+        attack.sample,
+        outputs,
+        float(attack.values[offset]),
+    )

@@ -1,0 +1,29 @@
+"""The least guaranteed error in other units is the same error, every row by its own factor."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import library
+from tests.rescale import Units
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", ["double_integrator", "triple_integrator"])
+def test_units_change_nothing_of_the_accuracy(name, seed):
+    plant = library.named_plant(name)
+    gaps = [1.0, 0.6, 1.4]
+    schedule = sd.PeriodicSchedule(gaps)
+    units = Units.drawn(np.random.default_rng(seed), plant)
+    w, v = plant.disturbances.scales / 50, plant.outputs.scales / 10
+    here = sd.accuracy(plant, schedule, w_bound=w, v_bound=v)
+    there = sd.accuracy(
+        units.plant(plant),
+        units.schedule(schedule),
+        w_bound=w * units.disturbances,
+        v_bound=v * units.outputs,
+    )
+    for side in ("lower", "upper"):
+        assert getattr(there, side) / units.states == pytest.approx(getattr(here, side), rel=1e-5)
+    assert there.closed.tolist() == here.closed.tolist()
+    assert there.verify()

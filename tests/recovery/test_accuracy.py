@@ -1,0 +1,122 @@
+"""The least guaranteed error: reference values, both proofs, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import library
+from sampling_design.errors import ArgumentError
+from sampling_design.recovery.accuracy import GapProof
+from tests.oracles import accuracy as oracle
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+GAPS = sd.PeriodicSchedule([0.7, 1.6, 0.9, 2.0])
+
+
+@pytest.fixture(scope="module")
+def found():
+    return sd.accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4)
+
+
+def test_the_reference_values_of_an_oscillator(found):
+    assert np.allclose(found.at_samples[0], 0.4, rtol=1e-6)
+    assert np.allclose(found.at_samples[1], [0.5614, 0.4381, 0.5521, 0.4938], rtol=4e-4)
+    assert found.upper[0] == pytest.approx(0.595, rel=3e-3)
+    assert np.all(found.closed)
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert np.all(found.profile.lower <= found.profile.upper)
+    assert np.all(found.profile.upper <= found.upper[:, None])
+
+
+def test_the_reference_values_of_a_double_integrator():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0, 0.6, 1.4]), w_bound=0.02, v_bound=0.1, rtol=1e-3)
+    assert found.lower[0] <= 0.26903 <= found.upper[0]  # the oracle with 40 cells a gap: 0.2690294 to 0.2690299
+    assert found.upper == pytest.approx([0.26903, 0.12338], rel=5e-4)
+    assert found.at_samples[1] == pytest.approx([0.0960, 0.0954, 0.0954], abs=6e-5)
+
+
+def test_the_oracle_agrees_at_a_sample_and_between():
+    times = np.concatenate([[0.0], np.cumsum(np.tile([1.6, 0.9, 2.0, 0.7], 3))])[:10]
+    A, C, G, c = OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G, np.array([0.0, 1.0])
+    low, *_ = oracle.adversary(A, C, G, times, c, 0.02, 0.4, cells=8)
+    high, _ = oracle.gains(A, C, G, times, c, 0.02, 0.4, cells=8)
+    found = sd.accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, of="velocity")
+    last = (len(times) - 1) % 4  # ten samples back from the second of the lap
+    assert found.at_samples[0, last] == pytest.approx((low + high) / 2, rel=1e-3)
+    d = 0.5
+    row = c @ OSCILLATOR.transition(d)
+    low, *_ = oracle.adversary(A, C, G, times, row, 0.02, 0.4, cells=8)
+    value = low + oracle.flown(A, G, c, d, 0.02)
+    edges = found.profile.edges
+    k = int(np.searchsorted(edges, GAPS.times[last] + d)) - 1
+    assert found.profile.lower[0, k] <= value * 1.002
+    assert found.profile.upper[0, k] >= value * 0.999
+
+
+def test_both_sides_verify_and_a_corrupt_one_does_not(found):
+    assert found.verify()
+    first = found.proof[0][0]
+    worse = tuple(tuple(1.5 * g for g in gains) for gains in first.gains)
+    forged = replace(found, proof=((GapProof(first.sample, first.offsets, worse), *found.proof[0][1:]), found.proof[1]))
+    assert not forged.verify()
+    assert not replace(found, upper=0.9 * found.upper).verify()
+    assert not replace(found, lower=1.1 * found.lower).verify()
+    assert not replace(found, proof=(found.proof[0][1:], found.proof[1])).verify()
+    louder = replace(found.witnesses[0], w=1.1 * found.witnesses[0].w)
+    assert not replace(found, witnesses=(louder, found.witnesses[1])).verify()
+
+
+def test_a_witness_shows_nothing_and_is_far_away(found):
+    for k, witness in enumerate(found.witnesses):
+        v, x = witness.simulate()
+        assert np.nanmax(np.abs(v)) <= 0.4 * (1 + 1e-9)
+        assert np.max(np.linalg.norm(witness.w, axis=1)) <= 0.02 * (1 + 1e-9)
+        assert x[k] == pytest.approx(found.lower[k], rel=1e-9)
+        assert "samples read zero" in witness.explain()
+
+
+def test_the_record_speaks(found):
+    assert "within 0.59" in found.explain()
+    assert "position" in str(found)
+    assert found.to_dict()["rows"]["names"] == ["position", "velocity"]
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"w_bound": None}, "`w_bound` is missing: without a bound on w1, w2 nothing can be guaranteed"),
+        ({"v_bound": None}, "`v_bound` is missing"),
+        ({"v_bound": [-1.0]}, "`v_bound` must not be negative, got -1.0"),
+        ({"of": "velocty"}, "got 'velocty'. Did you mean 'velocity'?"),
+        ({"of": np.zeros((0, 2))}, "`of` must name at least one row"),
+        ({"schedule": sd.Schedule([0.0, 1.0])}, "`schedule` must be a PeriodicSchedule, got Schedule"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    given = {"schedule": GAPS, "w_bound": 0.02, "v_bound": 0.4, "of": None} | change
+    with pytest.raises(ArgumentError, match=match):
+        sd.accuracy(OSCILLATOR, given.pop("schedule"), **given)
+
+
+def test_a_name_of_a_state_and_of_another_output_is_refused():
+    plant = sd.Plant(-np.eye(2), [[1.0, 1.0]], states=["level", "salt"], outputs=["level"])
+    with pytest.raises(ArgumentError, match="a state and an output that is not that state alone"):
+        sd.accuracy(plant, GAPS, w_bound=1.0, v_bound=1.0, of="level")
+
+
+@pytest.mark.parametrize("name", ["double_integrator", "triple_integrator", "oscillator", "helicopter_he1"])
+def test_plants_of_the_library_close_to_one_percent(name):
+    plant = library.named_plant(name)
+    gaps = [0.5, 0.8, 0.3] if name == "helicopter_he1" else [1.0, 0.6, 1.4]
+    found = sd.accuracy(
+        plant,
+        sd.PeriodicSchedule(gaps),
+        w_bound=plant.disturbances.scales / 50,
+        v_bound=plant.outputs.scales / 10,
+    )
+    assert np.all(found.closed)
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert found.verify()

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 MAKERS = {
-    "certificates.certify": ("certify_given",),
+    "certificates.certify": ("certify_given", "_Proof.closed"),
     "certificates.families.certify_family": ("certified", "without_states"),
     "certificates.paper.proof_constants": ("ProofConstants.certificate",),
     "certificates.detectability.best_rate": ("proven",),

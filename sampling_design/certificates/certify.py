@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -11,14 +13,23 @@ import numpy.typing as npt
 
 from sampling_design import __version__, _checks
 from sampling_design._door import door
+from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
-from sampling_design.certificates.exact.weight_choice import choose_rate, choose_weights
-from sampling_design.certificates.exact.window_problem import AnySchedule, WindowProblem, window_problem
-from sampling_design.certificates.existence.periodic import require_certificate
+from sampling_design.certificates.exact.weight_choice import (
+    COMPARED,
+    Choice,
+    choose_rate,
+    choose_weights,
+    rate_range,
+    settled_sizes,
+)
+from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
+from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -44,65 +55,125 @@ def certify_given(
     Raises
     ------
     CertificateError
-        If no certificate with that rate exists, or the proof does not close.
+        If no certificate with that rate exists.
+    UndecidedError
+        If the proof does not close, or the information is lost in rounding.
     """
-    require_certificate(plant, schedule, eta)
+    weights = (P2, Qw, R, Qv)
     if not plant.n_states:
         return Certificate(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
-    problem = window_problem(plant, schedule, P2, Qw, R, Qv, eta)
-    finer = 1
-    anywhere, at_samples = supremum(problem)
-    for _ in range(ATTEMPTS):
-        made = _made(plant, schedule, problem, (P2, Qw, R, Qv), (anywhere, at_samples), solver)
-        verdict = made.verify()
-        if verdict.passed:
-            return made
-        if verdict.time is None or verdict.start is None:  # undecided: the grids missed a peak by a hair
-            if finer == FINEST:
-                break
-            finer *= 4
-            others = supremum(problem, finer)
-            anywhere, at_samples = (max(pair, key=_value) for pair in zip((anywhere, at_samples), others, strict=True))
-            anywhere = max(anywhere, at_samples, key=_value)
-            continue
-        missed = located(problem, verdict.start, verdict.time)
-        if "samples" in verdict.inequality:
-            at_samples = max(refine(problem, missed, 0.0), at_samples, key=_value)
-        else:
-            missed = refine(problem, missed, problem.reach[missed.index] / 16)
-        anywhere = max(anywhere, missed, at_samples, key=_value)
-    raise CertificateError(
-        f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
-    )
+    proof = _Proof(plant, schedule, weights, eta)
+    _require(plant, schedule, eta, proof.canon)
+    return proof.closed(solver)
 
 
-def _value(peak: Peak) -> float:
-    return peak.value
+def _require(plant: Plant, schedule: AnySchedule, eta: float, canon: Canonical) -> None:
+    """Refuse where no certificate exists, in the internal units and, for the words, in those of the caller."""
+    if not certificate_exists(canon.plant, canon.schedule, eta * canon.time).exists:
+        require_certificate(plant, schedule, eta)
 
 
-def _made(
-    plant: Plant,
-    schedule: AnySchedule,
-    problem: WindowProblem,
-    weights: tuple[Array, Array, Array, Array],
-    peaks: tuple[Peak, Peak],
-    solver: SolverRecord,
-) -> Certificate:
+def _bounds(plant: Plant, schedule: AnySchedule, canon: Canonical) -> tuple[float, float]:
+    """The rates to be searched, in internal units; refused as in `_require`."""
+    try:
+        return rate_range(canon.plant, canon.schedule)
+    except CertificateError:
+        low, high = rate_range(plant, schedule)
+        return low * canon.time, high * canon.time
+
+
+class _Proof:
+    """Given weights and rate: the best lambda, found in internal units, and its proof."""
+
+    def __init__(
+        self, plant: Plant, schedule: AnySchedule, weights: tuple[Array, Array, Array, Array], eta: float
+    ) -> None:
+        self.plant, self.schedule, self.weights, self.eta = plant, schedule, weights, eta
+        self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
+        inner = (canon.inside(weights[0]), *canon.weights)
+        self.problem = window_problem(canon.plant, canon.schedule, *inner, eta * canon.time)
+
+    @cached_property
+    def peaks(self) -> tuple[Peak, Peak]:
+        """Where lambda is attained: over all real starts, and over those at samples.
+
+        Raises
+        ------
+        UndecidedError
+            If the windows are lost in rounding.
+        """
+        with np.errstate(all="ignore"):
+            try:
+                found = supremum(self.problem)
+            except (SolverError, np.linalg.LinAlgError) as error:
+                raise UndecidedError(f"undecided: {error}") from None
+        if not all(np.isfinite(peak.value) for peak in found):
+            raise UndecidedError("undecided: the information kept by some window is below what doubles can hold.")
+        return found
+
+    @property
+    def horizon(self) -> float:
+        """ln(lam)/eta."""
+        return float(np.log(max(self.peaks[0].value, 1.0))) / self.eta
+
+    def closed(self, solver: SolverRecord) -> Certificate:
+        """Return the certificate, lambda raised to whatever window the checker finds."""
+        finer = 1
+        anywhere, at_samples = self.peaks
+        for _ in range(ATTEMPTS):
+            made = _made(self, (anywhere, at_samples), solver)
+            verdict = made.verify()
+            if verdict.inequality == "witness" and not verdict.passed:  # true, but its replay is lost in rounding
+                made = replace(made, witness=None)
+                verdict = made.verify()
+            if verdict.passed:
+                return made
+            if verdict.time is None or verdict.start is None:  # undecided: the grids missed a peak by a hair
+                if finer == FINEST:
+                    break
+                finer *= 4
+                others = supremum(self.problem, finer)
+                at_samples = max(at_samples, others[1], key=_value)
+                anywhere = max(anywhere, others[0], at_samples, key=_value)
+                continue
+            missed = located(self.problem, verdict.start / self.canon.time, verdict.time / self.canon.time)
+            if "samples" in verdict.inequality:
+                at_samples = max(refine(self.problem, missed, 0.0), at_samples, key=_value)
+            else:
+                missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
+            anywhere = max(anywhere, missed, at_samples, key=_value)
+        raise UndecidedError(
+            f"undecided: the proof of the certificate did not close: {verdict.reason}.",
+            verification=verdict,
+            certificate=made,
+        )
+
+    def witness_of(self, peak: Peak) -> Witness:
+        """Return where a peak is attained, in the plant's coordinates."""
+        Y, t, start = at_peak(self.problem, peak)
+        values, vectors = np.linalg.eigh(Y)
+        direction = self.canon.x * self.problem.physical(vectors[:, -1])
+        direction /= np.linalg.norm(direction)
+        time = self.canon.time
+        return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
+
+
+def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord) -> Certificate:
+    """The certificate that claims these peaks."""
     lam, lam_samples = (max(peak.value, 1.0) for peak in peaks)
-    P2, Qw, R, Qv = weights
-    P1 = (1 - RESOLUTION) * P2 / lam
-    seen = witness_of(problem, peaks[0])
+    P2, Qw, R, Qv = proof.weights
+    P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
     return Certificate(
-        plant,
-        schedule,
+        proof.plant,
+        proof.schedule,
         P1=P1,
         P2=P2,
         Qw=Qw,
         R=R,
         Qv=Qv,
-        eta=problem.eta,
+        eta=proof.eta,
         lam=lam,
         lam_samples=lam_samples,
         margin=STATED_MARGIN,
@@ -111,12 +182,8 @@ def _made(
     )
 
 
-def witness_of(problem: WindowProblem, peak: Peak) -> Witness:
-    """Return where a peak is attained, in the plant's coordinates."""
-    Y, t, start = at_peak(problem, peak)
-    values, vectors = np.linalg.eigh(Y)
-    direction = problem.physical(vectors[:, -1])
-    return Witness(t, start, tuple(float(v) for v in direction), float(values[-1]))
+def _value(peak: Peak) -> float:
+    return peak.value
 
 
 @overload
@@ -231,31 +298,109 @@ def certify(
             "`schedule` is None, as in a design with nothing to observe: "
             "`certify_detectability(plant)` certifies such a plant without samples."
         )
-    schedule = _met(plant, schedule)
+    schedule = met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
     prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else _checks.positive("eta", eta)
     if not _checks.number("budget", budget) > 1:
         raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
     began = time.perf_counter()
-    how, steps, status = "given weights", 0, "given"
     if not plant.n_states:
         prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
-    elif prior is None:
-        if rate is not None:
-            require_certificate(plant, schedule, rate)
-        choice = choose_weights(plant, schedule, weights, rate, budget, progress)
-        prior, rate, steps, status = choice.P2, choice.eta, choice.iterations, choice.status
-        how = f"least horizon under budget {budget:g}"
-    elif rate is None:
-        rate, how = choose_rate(plant, schedule, prior, weights, progress), "least horizon for given P2"
-    assert prior is not None
-    assert rate is not None
-    solver = SolverRecord("sampling_design", __version__, status, steps, time.perf_counter() - began, {"weights": how})
+    if prior is None:
+        return chosen(plant, schedule, weights, rate, [float(budget)], progress)[0]
+    how = "given weights"
+    if rate is None:
+        canon = canonical(plant, schedule, weights, prior)
+        with np.errstate(all="ignore"):
+            rate = choose_rate(canon, canon.inside(prior), _bounds(plant, schedule, canon), progress) / canon.time
+        how = "least horizon for given P2"
+    solver = SolverRecord("sampling_design", __version__, "given", 0, time.perf_counter() - began, {"weights": how})
     return certify_given(plant, schedule, prior, *weights, rate, solver)
 
 
-def _met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+def chosen(
+    plant: Plant,
+    schedule: AnySchedule,
+    weights: Weights,
+    eta: float | None,
+    budgets: list[float],
+    progress: Progress | None = None,
+) -> list[Certificate]:
+    """Return a certificate for each noise budget, P2 (and eta where it is None) chosen for the least horizon.
+
+    A larger budget has no longer horizon. `schedule` is in the plant's terms.
+
+    Raises
+    ------
+    CertificateError
+        If no certificate exists.
+    UndecidedError
+        If the proof closes for none of the weights that were tried.
+    """
+    began = time.perf_counter()
+    if not plant.n_states:
+        empty = np.zeros((0, 0))
+        return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in budgets]
+    canon = canonical(plant, schedule, weights)
+    if eta is None:
+        bounds = _bounds(plant, schedule, canon)
+    else:
+        _require(plant, schedule, eta, canon)
+        bounds = (eta * canon.time, eta * canon.time)
+    canon = canonical(plant, schedule, weights, log_sizes=settled_sizes(canon, bounds[0]))
+    with np.errstate(all="ignore"):
+        found = choose_weights(canon, bounds, budgets, progress)
+    return [
+        _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)
+        for choices, budget in zip(found, budgets, strict=True)
+    ]
+
+
+def _best_proven(
+    problem: tuple[Plant, AnySchedule, Weights],
+    canon: Canonical,
+    choices: list[Choice],
+    eta: float | None,
+    budget: float,
+    began: float,
+) -> Certificate:
+    """The choice of the least exact horizon whose proof closes."""
+    plant, schedule, weights = problem
+    failed: list[UndecidedError] = []
+    proofs: list[tuple[float, int, _Proof, Choice]] = []
+    for choice in choices:
+        rate = choice.eta / canon.time if eta is None else eta
+        prior = symmetrise(canon.outside(choice.P2))
+        try:
+            proof = _Proof(plant, schedule, (prior, *weights), rate)
+            if choice.value <= COMPARED * choices[0].value or not proofs:
+                proofs.append((proof.horizon, len(proofs), proof, choice))
+            else:
+                proofs.append((np.inf, len(proofs), proof, choice))
+        except UndecidedError as error:
+            failed.append(error)
+    for _, _, proof, choice in sorted(proofs, key=lambda item: item[:2]):
+        how = {"weights": f"least horizon under budget {budget:g}"}
+        seconds = time.perf_counter() - began
+        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
+        try:
+            return proof.closed(solver)
+        except UndecidedError as error:
+            failed.append(error)
+    if failed:
+        raise failed[0]
+    raise UndecidedError(f"undecided: no weights within the budget {budget:g} could be followed in doubles.")
+
+
+def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+    """Return the schedule in the plant's terms.
+
+    Raises
+    ------
+    ArgumentError
+        If they do not fit, or the schedule holds no sample later than time 0.
+    """
     if not isinstance(plant, Plant):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     schedule = meet(plant, schedule)

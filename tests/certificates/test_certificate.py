@@ -70,7 +70,7 @@ def test_chosen_weights_keep_the_noise_budget():
     for plant in (DOUBLE, FOUR):
         made = certify(plant, EVERY, eta=0.4, budget=3.0)
         problem = window_problem(plant, EVERY, np.eye(plant.n_states), *weights_of(plant, None, None, None), 0.4)
-        least = WindowSet.of(problem).least_floor()
+        least = WindowSet.of(problem).least_floor(np.ones(plant.n_states))
         assert made.horizon().C_w <= 3.0 * least * 1.01
         assert made.verify().passed
         round_prior = given(plant, P2=1.0 / least * np.eye(plant.n_states))

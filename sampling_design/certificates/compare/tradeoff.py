@@ -11,8 +11,9 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Record, short
-from sampling_design.certificates.certify import certify
+from sampling_design.certificates.certify import chosen, met
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_problem import AnySchedule
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
@@ -96,8 +97,9 @@ def tradeoff_curve(
 
     Notes
     -----
-    *Method.* `certify` at each budget. *Claim.* Every point is a proven certificate; that no smaller horizon exists at
-    that budget is not claimed.
+    *Method.* The search of `certify` once for all budgets: shapes of P2 found at reference budgets, each scaled to the
+    budget. *Claim.* Every point is a proven certificate, and no horizon is longer than that of a smaller budget; that
+    no smaller horizon exists at that budget is not claimed.
 
     Examples
     --------
@@ -109,11 +111,11 @@ def tradeoff_curve(
     steps = _checks.vector("budgets", budgets)
     if not steps.size or np.any(np.diff(steps) <= 0):
         raise ArgumentError("`budgets` must increase strictly and hold at least one value.")
-    found = []
-    for k, step in enumerate(steps):
-        if progress is not None:
-            progress(k / steps.size, f"budget {step:g}")
-        found.append(certify(plant, schedule, eta=eta, Qw=Qw, R=R, Qv=Qv, budget=float(step)))
+    if np.any(steps <= 1):
+        raise ArgumentError(f"`budgets` must be above 1, got {float(steps[0])!r}: no P2 attains the least noise gain.")
+    schedule = met(plant, schedule)
+    weights, rate = weights_of(plant, Qw, R, Qv), _checks.positive("eta", eta)
+    found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
     horizons = [made.horizon() for made in found]
     return TradeoffCurve(
         steps,

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize, minimize_scalar
+from scipy.linalg import solve_triangular
+from scipy.optimize import brentq, minimize, minimize_scalar
 
+from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.canonical import Canonical
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.errors import SolverError
+from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -24,103 +28,192 @@ ETA_RANGE = (0.05, 3.0)
 BELOW_UNSEEN = 0.9
 """Fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched."""
 SCAN = 7
-SCALES = (-12, 12)
-"""Powers of two between which the first guess scales L."""
+REFERENCE = 3.0
+"""The budget at which rates are compared and the first descents run, whatever budget is asked for."""
+BELOW = (2.0, 1.5, 1.2), (1.5,)
+ABOVE = (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6)
+"""Budgets at which a further descent runs: those below the reference always, those above where the budget allows them.
+
+So a larger budget has all the shapes of a smaller one and perhaps more, and each shape is scaled to the budget, which
+shortens its horizon as the budget grows: the horizon cannot grow with the budget.
+"""
 ROUNDNESS = (0.01, 1.0, 30.0)
-"""Shares of the identity in the shapes of the first guess."""
-STARTS = 3
+"""Shares of the least P1 in the shapes of the first guess."""
+LEAST_SHARE = 1e-6
+"""P1 keeps at least this part of the long-run information in every direction (over the budget): below it the prior is
+lost in rounding, and the horizon gains nothing."""
+SMALL = 4
+"""States up to which a search may take its full time; beyond them the second number of each pair below counts."""
+STARTS = 3, 1
 """Rates of the scan from which the descent starts."""
-MAX_ITERATIONS = 40
+MAX_ITERATIONS = 40, 20
+JOINT = 40, 8
+RESTARTS = 4, 2
+WORTHWHILE = 1e-3
+"""Descents that follow each other at most, and the relative gain below which none follows."""
+EXACT, COARSE = 1e-8, 0.05
+"""Width to which the scale of a shape is found, at the end and while rates are compared."""
 PRECISION = 1e-5
 """Change of ln lam (of the horizon, relative) at which the descent stops."""
 DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
+WIDEST = 200.0
+"""Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
+COMPARED = 1.15
+"""Shapes whose horizon is within this factor of the best one's are compared by their exact lambda."""
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Weights found: P2 in the plant's coordinates, eta, and how the search ended."""
+    """Weights found: P2 in the coordinates of the search, eta, ln(lam)/eta by its windows, and how the search ended."""
 
     P2: Array
     eta: float
-    iterations: int
-    status: str
-
-
-@dataclass(frozen=True, eq=False)
-class Descent:
-    """Where a descent ended: L of P2 = L L' in scaled coordinates, eta, ln(lam)/eta."""
-
-    L: Array
-    eta: float
     value: float
-    iterations: int
-    status: str
+    iterations: int = 0
+    status: str = "first guess"
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
-    """Minimise ln(lam)/eta over the shape of P2, in scaled coordinates where the noise budget is counted."""
+class Setting:
+    """The windows of one rate, and what the noise budget asks of P1 there: P1 >= B/budget, B = b b'."""
 
-    plant: Plant
-    schedule: AnySchedule
-    weights: tuple[Array, Array, Array]
-    budget: float
+    windows: WindowSet
+    b: Array
+    mean: Array
 
-    def windows(self, eta: float) -> WindowSet:
-        """The windows of one rate, in coordinates x/s_x."""
-        P2 = np.diag(1.0 / self.plant.states.scales**2)
-        return WindowSet.of(window_problem(self.plant, self.schedule, P2, *self.weights, eta))
+    def least(self, P: Array) -> float:
+        """ln of the least eigenvalue of (P, B)."""
+        half = solve_triangular(self.b, np.linalg.cholesky(P), lower=True)
+        return 2 * float(np.log(np.linalg.svd(half, compute_uv=False)[-1]))
 
-    def first_guess(self, windows: WindowSet) -> tuple[Array, float]:
-        """L of P2 = L L' at the least scale allowed, the best of a few shapes, and its ln lam.
+    def scaled(self, shape: Array, budget: float, width: float = EXACT) -> tuple[Array, float] | None:
+        """The shape at the least scale that the budget allows, and ln lam there; None where none does.
 
-        The shapes lie between the average long-run information and the identity, which any budget above 1 allows.
+        lam(c)/c falls with the scale c and lam(c) rises, so the least scale is the one on the budget. It is met to
+        within the factor e^`width`, from above.
         """
-        mean = windows.average()
-        allowed = np.log(self.budget * windows.least_floor())
-        size = np.trace(mean) / len(mean)
-        found: list[tuple[float, Array]] = []
-        for roundness in ROUNDNESS:
-            L = np.linalg.cholesky(np.linalg.inv(mean + roundness * size * np.eye(len(mean))))
-            least = float(np.log(np.linalg.eigvalsh(L @ L.T)[0]))
-            low, high, best = *SCALES, np.inf
-            while high - low > 1:  # lam falls with the scale of P2 while the noise gain lam/lambda_min(P2) grows
-                middle = (low + high) // 2
-                log_lam = float(windows.log_lambda(2.0**middle * L)[0].max())
-                fits = log_lam - least - middle * np.log(4.0) <= allowed
-                low, high, best = (low, middle, log_lam) if fits else (middle, high, best)
-            found.append((best, 2.0**high * L))
-        log_lam, L = min(found, key=lambda pair: pair[0])
-        return L, log_lam
+        least, allowed = self.least(shape), float(np.log(budget))
 
-    def descend(self, L: Array, eta: float, bounds: tuple[float, float]) -> Descent:
-        """Sequential quadratic programming on ln lam, T (L = L0 T) and ln eta."""
-        state = _State(self, L, eta, bounds)
-        start = state.start()
-        free = [(None, None)] * (start.size - 1)
+        @cache
+        def excess(log_scale: float) -> float:
+            return self.windows.value(np.exp(log_scale) * shape) - log_scale - least - allowed
+
+        direction = 1.0 if excess(0.0) > 0 else -1.0
+        near, step = 0.0, 1.0
+        while (excess(near + direction * step) > 0) == (direction > 0):
+            near, step = near + direction * step, 2 * step
+            if step > WIDEST:
+                return None
+        low, high = sorted((near, near + direction * step))
+        P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
+        return P, self.windows.value(P)
+
+
+class Search:
+    """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
+
+    def __init__(self, canon: Canonical) -> None:
+        self.canon = canon
+        self.known: dict[float, Setting] = {}
+        large = canon.plant.n_states > SMALL
+        self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
+        self.joint, self.below = JOINT[large], BELOW[large]
+
+    def setting(self, eta: float) -> Setting:
+        """The windows of one rate and the demand on P1."""
+        if eta not in self.known:
+            if len(self.known) > SCAN + 1:
+                self.known.pop(next(iter(self.known)))
+            self.known[eta] = self._setting(eta)
+        return self.known[eta]
+
+    def _setting(self, eta: float) -> Setting:
+        canon, n = self.canon, self.canon.plant.n_states
+        windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
+        prior = np.diag(canon.sizes**2)
+        size = 1.0 / canon.plant.states.scales
+        along = np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0)
+        held = np.linalg.inv(symmetrise(along))
+        B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
+        mean = along if windows.steady is None else np.mean(windows.steady, axis=0)
+        return Setting(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
+
+    def guesses(self, eta: float) -> list[Array]:
+        """Shapes between the inverse of the long-run covariance and the least P1, which any budget allows."""
+        setting = self.setting(eta)
+        B, mean = setting.b @ setting.b.T, setting.mean
+        size = float(np.trace(B @ mean)) / len(mean)
+        free = np.linalg.inv(B)
+        return [*(symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS), B]
+
+    def best_guess(self, eta: float, budget: float) -> Choice | None:
+        """The best of the guesses at a rate."""
+        found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
+        return min((choice for choice in found if choice is not None), key=_value, default=None)
+
+    def judged(
+        self, shape: Array, eta: float, budget: float, like: Choice | None = None, width: float = EXACT
+    ) -> Choice | None:
+        """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding."""
+        try:
+            found = self.setting(eta).scaled(shape, budget, width)
+        except (np.linalg.LinAlgError, SolverError, ValueError):
+            return None
+        if found is None or not np.isfinite(found[1]):
+            return None
+        steps, status = (0, "first guess") if like is None else (like.iterations, like.status)
+        return Choice(found[0], eta, found[1] / eta, steps, status)
+
+    def descend(self, start: Choice, budget: float, bounds: tuple[float, float]) -> Choice:
+        """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
+        best = self._descent(start, budget, bounds)
+        for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
+            found = self._descent(best, budget, bounds)
+            steps = best.iterations + found.iterations
+            gained = found.value < best.value * (1 - WORTHWHILE)
+            best = replace(min(found, best, key=_value), iterations=steps)
+            if not gained:
+                break
+        return best
+
+    def _descent(self, start: Choice, budget: float, bounds: tuple[float, float]) -> Choice:
+        """Sequential quadratic programming on ln lam, T (L = L0 T, P2 = L L') and ln eta."""
+        L = np.asarray(np.linalg.cholesky(start.P2), dtype=np.float64)
+        state = _State(self, L, start.eta, bounds, budget)
         solve: Any = minimize
-        found = solve(
-            state.objective,
-            start,
-            jac=True,
-            method="SLSQP",
-            bounds=[*free, (np.log(bounds[0]), np.log(bounds[1]))],
-            constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
-            options={"maxiter": MAX_ITERATIONS, "ftol": PRECISION},
-        )
+        try:
+            z = state.start()
+            free = [(None, None)] * (z.size - 1)
+            found = solve(
+                state.objective,
+                z,
+                jac=True,
+                method="SLSQP",
+                bounds=[*free, (np.log(bounds[0]), np.log(bounds[1]))],
+                constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
+                options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
+            )
+            steps, status = int(found.nit), str(found.message)
+        except (np.linalg.LinAlgError, SolverError, ValueError) as error:
+            steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
+        if not state.best.size:
+            return start
         T, rate = state.unpack(state.best)
-        return Descent(L @ T, rate, state.value, int(found.nit), str(found.message))
+        return Choice(L @ T @ T.T @ L.T, rate, state.value, steps, status)
+
+
+def _value(choice: Choice) -> float:
+    return choice.value
 
 
 class _State:
-    """Variables z = (ln lam, entries of T, ln eta); constraints: every window, and every eigenvalue of P2."""
+    """Variables z = (ln lam, entries of T, ln eta); constraints: every window, and every eigenvalue of (P2, B)."""
 
-    def __init__(self, search: Search, L: Array, eta: float, bounds: tuple[float, float]) -> None:
-        self.search, self.L, self.eta, self.bounds = search, L, eta, bounds
+    def __init__(self, search: Search, L: Array, eta: float, bounds: tuple[float, float], budget: float) -> None:
+        self.search, self.L, self.eta, self.bounds, self.budget = search, L, eta, bounds, budget
         self.lower = np.tril_indices(len(L))
         self.known: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
-        self.sets: dict[float, WindowSet] = {}
         self.best, self.value = np.zeros(0), np.inf  # the best point met that keeps the budget
 
     def start(self) -> Array:
@@ -167,26 +260,20 @@ class _State:
         return slope
 
     def _constraints(self, T: Array, rate: float, log_lam: float) -> tuple[Array, Array]:
-        windows = self._windows(rate)
+        setting = self.search.setting(rate)
         L = self.L @ T
-        logs, gradients = windows.log_lambda(L)
-        values, vectors = np.linalg.eigh(L @ L.T)
-        values = np.maximum(values, 1e-300)
-        sized = np.einsum("ik,jk->kij", vectors / np.sqrt(values), vectors / np.sqrt(values))
-        room = np.log(self.search.budget * windows.least_floor()) - log_lam + np.log(values)
+        logs, gradients = setting.windows.log_lambda(L)
+        vectors, sizes, _ = np.linalg.svd(solve_triangular(setting.b, L, lower=True))
+        sizes = np.maximum(sizes, 1e-150)
+        along = solve_triangular(setting.b, vectors, lower=True, trans="T") / sizes
+        sized = np.einsum("ik,jk->kij", along, along)
+        room = np.log(self.budget) - log_lam + 2 * np.log(sizes)
         slopes = np.concatenate([-gradients, sized])
         in_T = 2 * self.L.T @ slopes @ L
         slope = np.zeros((len(slopes), 2 + self.lower[0].size))
         slope[:, 1:-1] = in_T[:, self.lower[0], self.lower[1]]
-        slope[:, 0] = np.append(np.ones(logs.size), -np.ones(values.size))
+        slope[:, 0] = np.append(np.ones(logs.size), -np.ones(sizes.size))
         return np.append(log_lam - logs, room), slope
-
-    def _windows(self, rate: float) -> WindowSet:
-        if rate not in self.sets:
-            if len(self.sets) > 1:
-                self.sets.pop(next(iter(self.sets)))
-            self.sets[rate] = self.search.windows(rate)
-        return self.sets[rate]
 
 
 def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
@@ -211,72 +298,102 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     return min(low, high / 8), high
 
 
+def settled_sizes(canon: Canonical, eta: float) -> Array:
+    """Base-two sizes of the states, in the caller's units, at which the long-run covariance has a unit diagonal.
+
+    The balanced ones where it cannot be followed.
+    """
+    known = np.log2(canon.x) + np.log2(canon.sizes)
+    n = canon.plant.n_states
+    with np.errstate(all="ignore"):
+        try:
+            windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
+            spread = np.mean(windows.long_run(np.diag(canon.sizes**2)).reshape(-1, n, n), axis=0)
+        except (np.linalg.LinAlgError, SolverError):
+            return known
+        settled = np.log2(canon.x) + np.log2(np.diagonal(spread)) / 2
+    return np.where(np.isfinite(settled), settled, known)
+
+
 def choose_weights(
-    plant: Plant,
-    schedule: AnySchedule,
-    weights: tuple[Array, Array, Array],
-    eta: float | None,
-    budget: float,
-    progress: Progress | None = None,
-) -> Choice:
-    """Return P2, and eta where it is None, for the least horizon ln(lam)/eta under the noise budget.
+    canon: Canonical, bounds: tuple[float, float], budgets: list[float], progress: Progress | None = None
+) -> list[list[Choice]]:
+    """Return for each budget P2, and eta within its bounds, for the least horizon ln(lam)/eta; the best first.
 
     Notes
     -----
-    *Method.* A scan over eta with P2 the average long-run information, then sequential quadratic programming on
-    the exact lambda of a set of windows, with gradients. The result is a local optimum, never evidence.
+    *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
+    sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
+    every shape met is scaled to the budget asked for. A local optimum, never evidence.
+
+    Raises
+    ------
+    UndecidedError
+        If the windows of every rate are lost in rounding.
     """
-    search = Search(plant, schedule, weights, budget)
+    search = Search(canon)
     report = progress or (lambda fraction, message: None)
-    bounds = rate_range(plant, schedule) if eta is None else (eta, eta)
-    rates = np.geomspace(*bounds, SCAN) if eta is None else np.array([eta])
+    free = bounds[0] < bounds[1]
+    rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
     guesses = []
     for k, rate in enumerate(rates):
-        report(0.3 * k / rates.size, f"rate {rate:.3g}")
+        report(0.3 * k / len(rates), f"rate {rate:.3g}")
         try:
-            L, log_lam = search.first_guess(search.windows(float(rate)))
+            guess = search.best_guess(rate, REFERENCE)
         except (SolverError, np.linalg.LinAlgError):
             continue
-        guesses.append((log_lam / rate, float(rate), L))
+        if guess is not None:
+            guesses.append(guess)
     if not guesses:
-        raise SolverError("no rate gave a first guess of the weights: the schedule is on the edge.", status="edge")
-    guesses.sort(key=lambda guess: guess[0])
+        raise UndecidedError(
+            "undecided: at no rate that was tried could the information on this schedule be followed in doubles; the "
+            "schedule is on the edge of what can be certified."
+        )
+    guesses.sort(key=_value)
     found = []
-    for k, (_, rate, L) in enumerate(guesses[:STARTS]):
-        report(0.3 + 0.13 * k, f"descent at rate {rate:.3g}")
-        found.append(search.descend(L, rate, (rate, rate)))
-    best = min(found, key=lambda result: result.value)
-    if eta is None:
+    for k, guess in enumerate(guesses[: search.starts]):
+        report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
+        found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
+    best = min(found, key=_value)
+    if free:
         report(0.7, "descent on shape and rate")
-        best = min(best, search.descend(best.L, best.eta, bounds), key=lambda result: result.value)
-    L = best.L
+        best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
+    report(0.8, "descents at other budgets")
+    shapes, last = [(0.0, best), (0.0, guesses[0])], best
+    for reference in (*search.below, *(above for above in ABOVE if above <= max(budgets))):
+        above = reference > REFERENCE
+        start = search.judged(last.P2, last.eta, reference) or search.best_guess(last.eta, reference)
+        if start is not None:
+            made = search.descend(start, reference, bounds if above else (start.eta, start.eta))
+            shapes.append((reference if above else 0.0, made))
+            last = made if above else last
+    shapes += [(0.0, Choice(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
     report(0.9, "proof")
-    scaled = L / plant.states.scales[:, None]
-    return Choice(scaled @ scaled.T, best.eta, sum(result.iterations for result in found), best.status)
+    return [_ordered(search, shapes, budget) for budget in budgets]
 
 
-def choose_rate(
-    plant: Plant,
-    schedule: AnySchedule,
-    P2: Array,
-    weights: tuple[Array, Array, Array],
-    progress: Progress | None = None,
-) -> float:
+def _ordered(search: Search, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:
+    """The shapes of references up to the budget, each scaled to it, the best first."""
+    found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
+    return sorted((choice for choice in found if choice is not None), key=_value)
+
+
+def choose_rate(canon: Canonical, P2: Array, bounds: tuple[float, float], progress: Progress | None = None) -> float:
     """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best."""
     report = progress or (lambda fraction, message: None)
-    scales = plant.states.scales
-    root = np.asarray(np.linalg.cholesky(P2 * np.outer(scales, scales)), dtype=np.float64)
-    search = Search(plant, schedule, weights, np.inf)
+    root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
+    n = canon.plant.n_states
 
     def horizon(log_rate: float) -> float:
         rate = float(np.exp(log_rate))
         report(0.5, f"rate {rate:.3g}")
         try:
-            return max(float(search.windows(rate).log_lambda(root)[0].max()), 0.0) / rate
+            problem = window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, rate)
+            return max(float(WindowSet.of(problem).log_lambda(root)[0].max()), 0.0) / rate
         except (SolverError, np.linalg.LinAlgError):
             return np.inf
 
-    grid = np.log(np.geomspace(*rate_range(plant, schedule), SCAN))
+    grid = np.log(np.geomspace(*bounds, SCAN))
     k = int(np.argmin([horizon(rate) for rate in grid]))
     found = minimize_scalar(horizon, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, SCAN - 1)]), options={"xatol": 1e-3})
     return float(np.exp(found.x))

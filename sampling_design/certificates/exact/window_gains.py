@@ -18,7 +18,9 @@ Array = npt.NDArray[np.float64]
 
 MERGED = 1e-3
 """A window this near the steady lap, relative to it or to P2^-1, is followed no further."""
-MOST_WINDOWS = 48
+MOST_WINDOWS, FEWER = 48, 20
+"""Windows of one set, of plants with at most FOUR states and of larger ones."""
+FOUR = 4
 MOST_STEPS = 150
 ACTIVE = 0.05
 """Times of a window whose ln lambda lies within this of its largest enter the smooth maximum."""
@@ -43,9 +45,10 @@ class WindowSet:
         index, remaining = problem.sample_starts()
         index = np.append(index, np.arange(problem.count))
         remaining = np.append(remaining, problem.reach / 2)
-        if index.size > MOST_WINDOWS:
+        most = MOST_WINDOWS if problem.size <= FOUR else FEWER
+        if index.size > most:
             order = np.argsort(-remaining, kind="stable")
-            chosen = order[np.linspace(0, order.size - 1, MOST_WINDOWS).astype(int)]
+            chosen = order[np.linspace(0, order.size - 1, most).astype(int)]
             index, remaining = index[chosen], remaining[chosen]
         parts = np.asarray(PARTS)
         F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
@@ -53,27 +56,27 @@ class WindowSet:
         steady = None if problem.period is None else steady_lap(problem)
         return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady)
 
-    def least_floor(self) -> float:
-        """The largest eigenvalue of Y in the long run (finite: of the windows without prior error).
+    def least_floor(self, size: Array) -> float:
+        """The largest eigenvalue of size Y size in the long run (finite: of the windows without prior error).
 
-        No certificate with this eta has a smaller 1/lambda_min(P1).
+        No certificate with this eta has a smaller 1/lambda_min(P1), states counted in units of 1/size.
         """
+        Y = self.long_run(np.zeros((self.problem.size, self.problem.size)))
+        return float(np.linalg.eigvalsh(Y * size * size[:, None])[..., -1].max())
+
+    def long_run(self, prior: Array) -> Array:
+        """Y within the gaps of the long-run lap; of a finite schedule, along its windows from P2^-1 = `prior`."""
         if self.steady is not None:
             follower = (np.arange(self.problem.count) + 1) % self.problem.count
-            Y = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
-        else:
-            Y = self._paths(np.zeros((self.problem.size, self.problem.size)))[0]
-        return float(np.linalg.eigvalsh(Y)[..., -1].max())
+            return push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
+        Y, _, valid = self._paths(prior)
+        return np.asarray(Y[valid])
 
-    def average(self) -> Array:
-        """Y averaged over the long-run lap; of a finite schedule, over its windows from P2 = I."""
-        if self.steady is not None:
-            return np.asarray(self.steady.mean(axis=0))
-        Y, _, valid = self._paths(np.eye(self.problem.size))
-        return np.asarray(Y[valid].mean(axis=0))
+    def _paths(self, X: Array, gains: bool = True) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Y and Phi at the noted times, shape (times, windows, n, n), and which of them lie within the schedule.
 
-    def _paths(self, X: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Y and Phi at the noted times, shape (times, windows, n, n), and which of them lie within the schedule."""
+        Without `gains` Phi stays as it is at the first sample.
+        """
         problem = self.problem
         Y, Phi, at = push(X, *self.head), self.head[0], self.index
         Ys, Phis, valid = [Y], [Phi], [np.ones(at.size, dtype=bool)]
@@ -81,7 +84,7 @@ class WindowSet:
         scale = max(float(np.linalg.norm(X)), 0.0 if self.steady is None else float(np.linalg.norm(self.steady[0])))
         for _ in range(MOST_STEPS):
             following = update(Y, problem.rows[at])
-            gain_free = _closed(Y, problem.rows[at]) @ Phi
+            gain_free = _closed(Y, problem.rows[at]) @ Phi if gains else Phi
             if self.steady is None:
                 alive = alive & (at + 1 < problem.count)
             else:
@@ -92,11 +95,26 @@ class WindowSet:
             at = (at + 1) % problem.count
             for part in range(len(PARTS)):
                 F, W = self.inside[0][at, part], self.inside[1][at, part]
-                Y, Phi = push(following, F, W), F @ gain_free
+                Y, Phi = push(following, F, W), F @ gain_free if gains else Phi
                 Ys.append(Y)
-                Phis.append(Phi)
                 valid.append(alive)
+                if gains:
+                    Phis.append(Phi)
         return np.array(Ys), np.array(Phis), np.array(valid)
+
+    def value(self, P: Array) -> float:
+        """The largest of `log_lambda` for P2 = P, without gradients."""
+        L = np.linalg.cholesky(P)
+        half = np.asarray(np.linalg.inv(L), dtype=np.float64)
+        Y, _, valid = self._paths(half.T @ half, gains=False)
+        tops = []
+        if self.steady is not None:
+            lap = self.long_run(P).reshape(-1, *P.shape)
+            tops.append(_tops(L.T @ lap @ L, np.ones(len(lap), dtype=bool))[0].max())
+        logs, _ = _tops(L.T @ Y @ L, valid)
+        top = logs.max(axis=0)
+        total = np.sum(np.exp(SHARPNESS * np.minimum(logs - top, 0.0)), axis=0, where=logs > top - ACTIVE)
+        return float(max([*tops, (top + np.log(total) / SHARPNESS).max()]))
 
     def log_lambda(self, L: Array) -> tuple[Array, Array]:
         """Return ln lambda of each window (and of the steady lap, last) and the gradients in P2, (m,) and (m, n, n)."""
@@ -123,13 +141,27 @@ def _closed(Y: Array, rows: Array) -> Array:
     return np.eye(Y.shape[-1]) - np.swapaxes(gain, -1, -2) @ rows
 
 
+def _tops(seen: Array, valid: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times; the matrices.
+
+    Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues.
+    """
+    n = seen.shape[-1]
+    mean = np.trace(seen, axis1=-2, axis2=-1) / n
+    spread = np.maximum(np.einsum("...ij,...ij->...", seen, seen) / n - mean**2, 0.0)
+    above = mean + np.sqrt((n - 1) * spread)
+    below = np.where(valid, np.diagonal(seen, axis1=-2, axis2=-1).max(axis=-1), 0.0).max(axis=0)
+    hopeful = valid & ~(above < np.exp(-ACTIVE) * below)
+    logs = np.full(seen.shape[:-2], -np.inf)
+    logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(seen[hopeful])[..., -1], 1e-300))
+    return logs, seen
+
+
 def _smooth_max(
     L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: npt.NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Smooth maximum over times (first axis) of ln lambda_max(L'YL) per window, and its gradient in P2."""
-    seen = L.T @ Y @ L
-    logs = np.log(np.maximum(np.linalg.eigvalsh(seen)[..., -1], 1e-300))
-    logs = np.where(valid, logs, -np.inf)
+    logs, seen = _tops(L.T @ Y @ L, valid)
     top = logs.max(axis=0)
     time, window = np.nonzero(logs > top - ACTIVE)
     share = np.exp(SHARPNESS * (logs[time, window] - top[window]))

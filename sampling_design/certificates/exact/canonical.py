@@ -1,0 +1,121 @@
+"""A plant, its schedule and its weights in internal units, in which the search works: powers of two, so that nothing is
+lost on the way there and back.
+
+Time is counted in mean gaps, outputs and disturbances in the size that their weights give them, states in that of the
+prior weight, or in one that balances A, C and G. So the units of the caller change no step of a search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.certificates.exact.window_problem import AnySchedule
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant, Signals
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Weights = tuple[Array, Array, Array]
+
+RANGE = 2.0**400
+"""Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Canonical:
+    """The internal problem, and the units x, w, y and time of it in those of the caller, all powers of two.
+
+    `sizes` are the balancing sizes of the states in the internal units, between 1/sqrt(2) and sqrt(2) where the states
+    were balanced: with them every quantity of the search is a fixed multiple of one that knows no units.
+    """
+
+    plant: Plant
+    schedule: AnySchedule
+    weights: Weights
+    x: Array
+    w: Array
+    y: Array
+    time: float
+    sizes: Array
+
+    def inside(self, P: Array) -> Array:
+        """A weight of the states in internal units."""
+        return P * self.x * self.x[:, None]
+
+    def outside(self, P: Array) -> Array:
+        """The inverse of `inside`."""
+        return P / self.x / self.x[:, None]
+
+
+def canonical(
+    plant: Plant, schedule: AnySchedule, weights: Weights, P2: Array | None = None, log_sizes: Array | None = None
+) -> Canonical:
+    """Return the problem in internal units: states in those of P2, else of the base-two `log_sizes`, else balanced.
+
+    Raises
+    ------
+    ArgumentError
+        If numbers are so far apart that they leave the range of doubles.
+    """
+    Qw, R, Qv = weights
+    gaps = schedule.gaps if schedule.gaps.size else np.asarray(schedule.times)
+    time = float(_power(np.log2(float(np.mean(gaps)))))
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
+        w = _power(-(np.log2(np.diagonal(Qw)) + np.log2(time)) / 2)
+        y = _power(-np.maximum(np.log2(np.diagonal(R)), np.log2(np.diagonal(Qv))) / 2)
+        A, C, G = time * plant.A, plant.C / y[:, None], time * plant.G * w
+        if P2 is not None:
+            logs = -np.log2(np.diagonal(P2)) / 2
+        else:
+            logs = _balanced(A, C, G, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
+        x = _power(logs)
+        A, C, G = A * x / x[:, None], C * x, G / x[:, None]
+        inner = (time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])
+        scales = [plant.states.scales / x, plant.outputs.scales / y, plant.disturbances.scales / w]
+    for name, value in {"A": A, "C": C, "G": G, "Qw": inner[0], "R": inner[1], "Qv": inner[2]}.items():
+        if not np.all(np.abs(value) < RANGE):
+            raise ArgumentError(
+                f"`{name}` holds numbers too far apart for doubles: {np.abs(value).max():.3g} in units of gaps, "
+                "weights and prior. Is one of them meant in another unit?"
+            )
+    details = zip((plant.states, plant.outputs, plant.disturbances), scales, strict=True)
+    states, outputs, disturbances = (Signals(s.names, (), np.clip(v, 1 / RANGE, RANGE)) for s, v in details)
+    found = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
+    sizes = np.exp2(logs) / x
+    return Canonical(found, _timed(schedule, time), inner, x, w, y, time, sizes)
+
+
+def _power(logs: npt.ArrayLike) -> Array:
+    """The power of two that is nearest on a logarithmic scale."""
+    return np.exp2(np.rint(np.nan_to_num(np.asarray(logs, dtype=np.float64), neginf=-400.0, posinf=400.0)))
+
+
+def _timed(schedule: AnySchedule, time: float) -> AnySchedule:
+    if isinstance(schedule, PeriodicSchedule):
+        return PeriodicSchedule(schedule.gaps / time, schedule.first / time, outputs=schedule.outputs)
+    return Schedule(schedule.times / time, schedule.outputs)
+
+
+def _balanced(A: Array, C: Array, G: Array, start: Array) -> Array:
+    """Base-two sizes of the states that bring the entries of A, C and G near one, in least squares of logarithms.
+
+    Another unit of a state shifts its logarithm and nothing else. What no entry ties down stays at `start`.
+    """
+    n = len(start)
+    rows, right = [np.zeros((0, n))], [np.zeros(0)]
+    eye = np.eye(n)
+    for M, of_row, of_column in ((A, -eye, eye), (C, None, eye), (G, -eye, None)):
+        i, j = np.nonzero(M)
+        if of_row is not None and of_column is not None:
+            i, j = i[i != j], j[i != j]
+        change = np.zeros((i.size, n))
+        if of_row is not None:
+            change += of_row[i]
+        if of_column is not None:
+            change += of_column[j]
+        rows.append(change)
+        right.append(-np.log2(np.abs(M[i, j])) - change @ start)
+    return np.asarray(start + np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-9)[0])

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical
+from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, followed
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
@@ -64,9 +64,11 @@ def certify_given(
         return Certificate(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
-    proof = _Proof(plant, schedule, weights, eta)
-    _require(plant, schedule, eta, proof.canon)
-    return proof.closed(solver)
+    with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
+        proof = _Proof(plant, schedule, weights, eta)
+        followed(proof.canon, eta * proof.canon.time)
+        _require(plant, schedule, eta, proof.canon)
+        return proof.closed(solver)
 
 
 def _require(plant: Plant, schedule: AnySchedule, eta: float, canon: Canonical) -> None:
@@ -104,9 +106,13 @@ class _Proof:
         UndecidedError
             If the windows are lost in rounding.
         """
+        return self.found(1)
+
+    def found(self, finer: int) -> tuple[Peak, Peak]:
+        """The peaks of grids that are so much finer; raises as `peaks`."""
         with np.errstate(all="ignore"):
             try:
-                found = supremum(self.problem)
+                found = supremum(self.problem, finer)
             except (SolverError, np.linalg.LinAlgError) as error:
                 raise UndecidedError(f"undecided: {error}") from None
         if not all(np.isfinite(peak.value) for peak in found):
@@ -134,7 +140,7 @@ class _Proof:
                 if finer == FINEST:
                     break
                 finer *= 4
-                others = supremum(self.problem, finer)
+                others = self.found(finer)
                 at_samples = max(at_samples, others[1], key=_value)
                 anywhere = max(anywhere, others[0], at_samples, key=_value)
                 continue
@@ -210,6 +216,7 @@ def certify(
     R: npt.ArrayLike | None = ...,
     Qv: npt.ArrayLike | None = ...,
     budget: float = ...,
+    memory: int | None = ...,
     progress: Progress | None = ...,
 ) -> FamilyCertificate: ...
 @door
@@ -223,6 +230,7 @@ def certify(
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
     budget: float = 3.0,
+    memory: int | None = None,
     progress: Progress | None = None,
 ) -> Certificate | FamilyCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
@@ -246,6 +254,8 @@ def certify(
     budget : float
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
         their scales. Only used where P2 is chosen.
+    memory : int, optional
+        For a family alone: how much of the past its graph remembers; see `certify_family`.
     progress : callable, optional
         Called with (fraction, message).
 
@@ -292,12 +302,14 @@ def certify(
         from sampling_design.certificates.families.certify_family import certify_family
 
         given: dict[str, Any] = {"eta": eta, "P2": P2, "Qw": Qw, "R": R, "Qv": Qv}
-        return certify_family(plant, schedule, **given, budget=budget, progress=progress)
+        return certify_family(plant, schedule, **given, budget=budget, memory=memory, progress=progress)
     if schedule is None:
         raise ArgumentError(
             "`schedule` is None, as in a design with nothing to observe: "
             "`certify_detectability(plant)` certifies such a plant without samples."
         )
+    if memory is not None:
+        raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
     schedule = met(plant, schedule)
     weights = weights_of(plant, Qw, R, Qv)
     prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
@@ -343,18 +355,19 @@ def chosen(
         empty = np.zeros((0, 0))
         return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in budgets]
     canon = canonical(plant, schedule, weights)
-    if eta is None:
-        bounds = _bounds(plant, schedule, canon)
-    else:
-        _require(plant, schedule, eta, canon)
-        bounds = (eta * canon.time, eta * canon.time)
-    canon = canonical(plant, schedule, weights, log_sizes=settled_sizes(canon, bounds[0]))
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
+        followed(canon, 0.0 if eta is None else eta * canon.time)
+        if eta is None:
+            bounds = _bounds(plant, schedule, canon)
+        else:
+            _require(plant, schedule, eta, canon)
+            bounds = (eta * canon.time, eta * canon.time)
+        canon = canonical(plant, schedule, weights, log_sizes=settled_sizes(canon, bounds[0]))
         found = choose_weights(canon, bounds, budgets, progress)
-    return [
-        _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)
-        for choices, budget in zip(found, budgets, strict=True)
-    ]
+        return [
+            _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)
+            for choices, budget in zip(found, budgets, strict=True)
+        ]
 
 
 def _best_proven(

@@ -13,13 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.window_problem import AnySchedule
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Weights = tuple[Array, Array, Array]
 
+MOST_GROWTH = 300.0
+"""Exponent of the largest growth between two samples that is followed: its square is still a double."""
 RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
 
@@ -86,6 +88,26 @@ def canonical(
     found = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
     sizes = np.exp2(logs) / x
     return Canonical(found, _timed(schedule, time), inner, x, w, y, time, sizes)
+
+
+def followed(canon: Canonical, eta: float) -> None:
+    """Say that it is undecided where the squared error grows beyond doubles before the next sample.
+
+    Raises
+    ------
+    UndecidedError
+        If e^{(2 max Re mu + eta) d}, d the longest gap, is beyond e^MOST_GROWTH.
+    """
+    rate = 2 * float(np.max(np.linalg.eigvals(canon.plant.A).real, initial=0.0)) + eta
+    gaps, first = canon.schedule.gaps, float(canon.schedule.times[0])
+    longest = max(float(np.max(gaps, initial=0.0)), first)
+    if rate * longest > MOST_GROWTH:
+        origin = canon.schedule.times.size > 1 and first > 10 * float(np.median(np.diff(canon.schedule.times)))
+        slip = " Times count from 0: should the schedule begin there?" if origin else ""
+        raise UndecidedError(
+            f"undecided: the squared error may grow by e^{rate * longest:.4g} before the next sample, beyond what "
+            f"doubles can follow (e^{MOST_GROWTH:g}).{slip}"
+        )
 
 
 def _power(logs: npt.ArrayLike) -> Array:

@@ -190,7 +190,7 @@ class Search:
                 z,
                 jac=True,
                 method="SLSQP",
-                bounds=[*free, (np.log(bounds[0]), np.log(bounds[1]))],
+                bounds=[(0.0, None), *free[1:], (np.log(bounds[0]), np.log(bounds[1]))],
                 constraints={"type": "ineq", "fun": lambda z: state.at(z)[0], "jac": state.jacobian},
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
             )
@@ -219,7 +219,7 @@ class _State:
     def start(self) -> Array:
         """The starting point, ln lam just feasible."""
         z = np.concatenate([[0.0], np.eye(len(self.L))[self.lower], [np.log(self.eta)]])
-        z[0] = -self.at(z)[0][: -len(self.L)].min()
+        z[0] = max(-self.at(z)[0][: -len(self.L)].min(), 0.0)
         self.best = z.copy() if not self.best.size else self.best
         return z
 
@@ -243,7 +243,7 @@ class _State:
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
         # what counts is the least horizon with the constraints kept, at whatever ln lam the windows then need
-        need = z[0] - value[: -len(T)].min()
+        need = max(z[0] - value[: -len(T)].min(), 0.0)
         room = value[-len(T) :].min() + z[0] - need
         if room >= -1e-6 and need / rate < self.value:
             self.best, self.value = z.copy(), need / rate

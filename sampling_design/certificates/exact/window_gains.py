@@ -114,7 +114,7 @@ class WindowSet:
         logs, _ = _tops(L.T @ Y @ L, valid)
         top = logs.max(axis=0)
         total = np.sum(np.exp(SHARPNESS * np.minimum(logs - top, 0.0)), axis=0, where=logs > top - ACTIVE)
-        return float(max([*tops, (top + np.log(total) / SHARPNESS).max()]))
+        return float(max([0.0, *tops, (top + np.log(total) / SHARPNESS).max()]))  # a window starts with one
 
     def log_lambda(self, L: Array) -> tuple[Array, Array]:
         """Return ln lambda of each window (and of the steady lap, last) and the gradients in P2, (m,) and (m, n, n)."""

@@ -1,0 +1,95 @@
+"""What doubles cannot follow is said in one sentence, before or after it was tried; nothing raw, no warning."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, certify_family, tradeoff_curve
+from sampling_design.certificates import certify as room
+from sampling_design.certificates.exact import weight_choice
+from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+EACH = PeriodicSchedule([1.0])
+
+
+@pytest.mark.parametrize("growth", [200.0, 400.0, 800.0])
+@pytest.mark.parametrize("given", [{}, {"eta": 0.4}, {"eta": 0.4, "P2": [[1.0]]}], ids=["free", "rate", "weights"])
+def test_growth_beyond_doubles_is_undecided_before_it_is_tried(growth, given):
+    with pytest.raises(UndecidedError, match=r"the squared error may grow by e\^.* before the next sample, beyond"):
+        certify(Plant([[growth]], [[1.0]]), EACH, **given)
+
+
+def test_dated_times_are_asked_for_their_origin():
+    with pytest.raises(UndecidedError, match=r"Times count from 0: should the schedule begin there\?"):
+        certify(OSCILLATOR, Schedule(1.7e9 + np.arange(5.0)), eta=0.4)
+
+
+@pytest.mark.parametrize("key", ["A", "C"])
+def test_numbers_too_far_apart_are_refused(key):
+    matrices = {"A": OSCILLATOR.A, "C": OSCILLATOR.C}
+    with pytest.raises(ArgumentError, match=f"`{key}` holds numbers too far apart for doubles"):
+        certify(Plant(**{**matrices, key: 1e200 * matrices[key]}), EACH)
+
+
+@pytest.mark.parametrize("given", [{}, {"eta": 0.4}, {"eta": 0.4, "P2": np.eye(2)}], ids=["free", "rate", "weights"])
+def test_what_is_large_but_can_be_done_is_done(given):
+    stiff = Plant([[0, 1, 0], [-1, 0, 0], [0, 0, -1e9]], [[1, 0, 1]])
+    more = {**given, "P2": np.diag([1.0, 1.0, 1e-9])} if "P2" in given else given
+    assert certify(stiff, EACH, **more).lam > 1
+    assert certify(Plant([[-1e4]], [[1.0]]), EACH, **{**given, **({"P2": [[1.0]]} if "P2" in given else {})}).lam == 1.0
+    heavy = {**given, "P2": 1e300 * np.eye(2), "Qw": 1e300 * np.eye(2), "R": [[1e300]]} if "P2" in given else given
+    assert certify(OSCILLATOR, EACH, **heavy).lam > 1
+
+
+def test_a_budget_that_no_shape_keeps_is_undecided():
+    with pytest.raises(UndecidedError, match=r"no weights within the budget .* could be followed in doubles"):
+        certify(OSCILLATOR, EACH, eta=0.4, budget=1 + 1e-12)
+
+
+def test_budgets_of_a_curve_are_above_one():
+    with pytest.raises(ArgumentError, match=r"`budgets` must be above 1, got 0\.5"):
+        tradeoff_curve(OSCILLATOR, EACH, 0.4, [0.5, 2.0])
+
+
+def test_what_fails_at_every_rate_is_undecided(monkeypatch):
+    def unsettled(problem):
+        raise SolverError("the information did not settle", status="unsettled")
+
+    monkeypatch.setattr(weight_choice.WindowSet, "of", unsettled)
+    with pytest.raises(UndecidedError, match="at no rate that was tried could the information"):
+        certify(OSCILLATOR, EACH)
+
+
+def test_what_fails_with_given_weights_is_undecided(monkeypatch):
+    def lost(problem, finer=1):
+        return (room.Peak(np.inf, 0, 0.0, 0, 1.0),) * 2
+
+    def unsettled(problem, finer=1):
+        raise SolverError("the information did not settle", status="unsettled")
+
+    monkeypatch.setattr(room, "supremum", lost)
+    with pytest.raises(UndecidedError, match="the information kept by some window is below what doubles can hold"):
+        certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
+    monkeypatch.setattr(room, "supremum", unsettled)
+    with pytest.raises(UndecidedError, match="undecided: the information did not settle"):
+        certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
+
+
+def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
+    def low(peaks):
+        return tuple(room.Peak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
+
+    found = room._Proof.found
+    monkeypatch.setattr(room._Proof, "found", lambda self, finer: low(found(self, finer)))
+    monkeypatch.setattr(room, "ATTEMPTS", 1)
+    with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
+        certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
+
+
+def test_memory_is_for_families():
+    made = certify(OSCILLATOR, GapRange(0.5, 1.0), eta=0.1, P2=np.eye(2), memory=0)
+    assert made.lam == certify_family(OSCILLATOR, GapRange(0.5, 1.0), eta=0.1, P2=np.eye(2), memory=0).lam
+    with pytest.raises(ArgumentError, match="`memory` is for families of schedules, got 1 with a PeriodicSchedule"):
+        certify(OSCILLATOR, EACH, memory=1)

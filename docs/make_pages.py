@@ -225,7 +225,7 @@ def command_help(text: str) -> list[str]:
     """Return the help of a command, its example as something to copy."""
     lines = []
     for paragraph in text.strip().split("\n\n"):
-        said = " ".join(paragraph.split())
+        said = " ".join(paragraph.replace("\b", "").split())
         if said.startswith("Example: "):
             lines += ["```sh", said.removeprefix("Example: "), "```", ""]
         else:

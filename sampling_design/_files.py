@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import re
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from sampling_design.errors import FileFormatError
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
@@ -46,6 +50,35 @@ def read_text(path: str | os.PathLike[str]) -> str:
     except UnicodeDecodeError:
         raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def csv_rows(lines: Iterable[tuple[int, str]], where: str) -> list[tuple[int, list[str]]]:
+    """Return the cells of numbered lines of a CSV file, the first of which is its header.
+
+    Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
+    write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5.
+
+    Raises
+    ------
+    FileFormatError
+        If a quote is left open or a cell is beyond all measure.
+    """
+    found: list[tuple[int, list[str]]] = []
+    mark = ","
+    for number, line in lines:
+        if not found:
+            mark = max(",;\t", key=line.count) if line.count(",") == 0 else ","
+        try:
+            row = next(csv.reader([line], delimiter=mark, strict=True))
+        except csv.Error as error:
+            raise FileFormatError(
+                f"{where}, line {number}: cannot be read as cells ({error}). Was a quote left open?", where
+            ) from None
+        cells = [cell.strip() for cell in row]
+        if mark != ",":
+            cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+        found.append((number, cells))
+    return found
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from sampling_design import _files
+from sampling_design._files import csv_rows
 from sampling_design.errors import FileFormatError
 
 
@@ -103,3 +104,36 @@ def test_bad_toml(text):
 
 def test_toml_is_read():
     assert _files.from_toml("a = 1.5\n[b]\nc = [1]\n", "x") == {"a": 1.5, "b": {"c": [1]}}
+
+
+@pytest.mark.parametrize(
+    ("lines", "cells"),
+    [
+        (["time,y", "0.5,1"], [["time", "y"], ["0.5", "1"]]),
+        (["time;y", "0,5;-1,25e-3"], [["time", "y"], ["0.5", "-1.25e-3"]]),
+        (["time\ty", "0,5\t1"], [["time", "y"], ["0.5", "1"]]),
+        (["time;y", "0.5;"], [["time", "y"], ["0.5", ""]]),
+        (['"a;b",y', '"1,5",2'], [["a;b", "y"], ["1,5", "2"]]),
+    ],
+)
+def test_cells_are_separated_by_what_separates_the_header(lines, cells):
+    assert [row for _, row in csv_rows(enumerate(lines, 1), "f.csv")] == cells
+
+
+@pytest.mark.parametrize("line", ['0.5,"1', "0.5," + "9" * 200_000])
+def test_a_cell_that_cannot_be_read_is_one_sentence(line):
+    with pytest.raises(FileFormatError, match=r"f.csv, line 2: cannot be read as cells .*Was a quote left open\?"):
+        csv_rows([(1, "time,y"), (2, line)], "f.csv")
+
+
+def test_spreadsheet_files_are_read_as_they_come(tmp_path):
+    import sampling_design as sd
+
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["y"])
+    (tmp_path / "m.csv").write_bytes("\ufefftime;y\r\n0,5;1,25\r\n1;\r\n2,5;-3\r\n".encode().replace(b"1;\r\n", b""))
+    found = sd.read_measurements(tmp_path / "m.csv", plant)
+    assert (found.times.tolist(), found.y.ravel().tolist()) == ([0.5, 2.5], [1.25, -3.0])
+    (tmp_path / "s.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime;y\n0,5;1\n1,5;1\n")
+    assert sd.read_schedule(tmp_path / "s.csv").times.tolist() == [0.5, 1.5]
+    (tmp_path / "t.csv").write_text("time;what\n0,5;a\n1,5;b\n")
+    assert sd.import_time_stamps(tmp_path / "t.csv", "s").times.tolist() == [0.5, 1.5]

@@ -1,5 +1,5 @@
 """The command line: each command reads its arguments, calls one verb and prints its record."""
 
-from sampling_design.cli.app import main
+from sampling_design.cli.ending import main
 
 __all__ = ["main"]

@@ -53,7 +53,7 @@ def pareto(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="[REQUIREMENT]", help="Requirement file (.toml); without it, defaults.")
+        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
     counts: Annotated[str, typer.Option(help="Samples per period: 8,10,12 or 8-16.")] = "",
     workers: Annotated[int, typer.Option(help="Processes that design at the same time.")] = 1,
@@ -89,7 +89,7 @@ def losses(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="[REQUIREMENT]", help="Requirement file (.toml); without it, defaults.")
+        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
     every_lap: Annotated[
         bool, typer.Option("--every-lap", help="Leave the sample out of every lap, not once.")

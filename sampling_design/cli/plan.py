@@ -77,7 +77,7 @@ def design(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="[REQUIREMENT]", help="Requirement file (.toml); without it, defaults.")
+        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
     window: Annotated[float | None, typer.Option(help="Window length that must be observable.")] = None,
     period: Annotated[float | None, typer.Option(help="The schedule repeats after this time.")] = None,

@@ -22,7 +22,7 @@ NOISE_BUDGET = 3.0
 
 ScheduleFile = Annotated[
     Path | None,
-    typer.Argument(metavar="[SCHEDULE]", help="Schedule file; none with --gap-range, --spaced, --detectability."),
+    typer.Argument(metavar="SCHEDULE", help="Schedule file; none with --gap-range, --spaced, --detectability."),
 ]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")]
 NoiseBudget = Annotated[

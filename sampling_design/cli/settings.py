@@ -6,7 +6,7 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 import sampling_design
+from sampling_design._checks import positive, whole
 from sampling_design._files import to_json, write_text
 from sampling_design.errors import ArgumentError
 
@@ -65,7 +66,8 @@ class Settings:
     def notice(self, text: str) -> None:
         """Say something on stderr unless --quiet."""
         if not self.quiet:
-            Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False)
+            with suppress(OSError):  # nobody listens
+                Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False)
 
     def folder(self) -> Path | None:
         """Return the output folder, made if it is missing."""
@@ -97,6 +99,7 @@ class Settings:
             console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
                 console.print(table, markup=False) if isinstance(table, str) else console.print(table)
+        sys.stdout.flush()  # a full disk is found out here, not on Python's way out
         if self.files:
             self.notice("Written: " + ", ".join(str(f) for f in self.files))
 
@@ -159,9 +162,13 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     def command(**arguments: Any) -> Any:
         flags = {name: arguments.pop(name) for name in _COMMON}
         flags.pop("version")
+        whole("seed", flags["seed"])
+        positive("budget", flags["budget"])
         return function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    # one unbroken line to copy: the mark keeps the paragraph from being filled
+    command.__doc__ = (function.__doc__ or "").replace("    Example: ", "    \b\n    Example: ")
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command

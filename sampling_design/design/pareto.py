@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._record import Plain, Record, short
+from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
@@ -85,7 +85,7 @@ def pareto(
     requirement: Requirement,
     counts: Iterable[int],
     *,
-    workers: Executor | int | str | None = None,
+    workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -98,8 +98,8 @@ def pareto(
     requirement : Requirement
         Its `samples` and `target_sigma` are replaced by each count.
     counts : iterable of int
-    workers : Executor, int or str, optional
-        Any `concurrent.futures.Executor`, a number of processes, or the name of a joblib backend.
+    workers : Executor, Client, int or str, optional
+        Any `concurrent.futures.Executor`, a Dask client, a number of processes, or the name of a joblib backend.
         Default: one after the other.
     resume : path, optional
         A JSON file that is written after every count; what it holds already is not designed again.
@@ -125,8 +125,9 @@ def pareto(
     key = _key(plant, requirement, options)
     known = {} if resume is None else _load(resume, key)
     todo = [c for c in wanted if c not in known]
+    check_workers(workers)
     jobs = [(plant, requirement, count, options) for count in todo]
-    for done, point in enumerate(_run(jobs, workers)):
+    for done, point in enumerate(mapped(_point, jobs, workers, ordered=False)):
         known[point.samples] = point
         if resume is not None:
             rows = [asdict(known[c]) for c in sorted(known)]
@@ -147,25 +148,6 @@ def _point(job: tuple[Plant, Requirement, int, dict[str, Any]]) -> ParetoPoint:
     if design.schedule is None:
         return ParetoPoint(count, 0.0, 0.0, (), "no samples needed")
     return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()))
-
-
-def _run(jobs: list[Any], workers: Executor | int | str | None) -> Iterator[ParetoPoint]:
-    """Points as they are finished."""
-    if workers is None:
-        yield from map(_point, jobs)
-    elif isinstance(workers, Executor):
-        for future in as_completed([workers.submit(_point, job) for job in jobs]):
-            yield future.result()
-    elif isinstance(workers, (int, str)) and not isinstance(workers, bool):
-        from joblib import Parallel, delayed
-
-        chosen = {"n_jobs": workers} if isinstance(workers, int) else {"n_jobs": -1, "backend": workers}
-        yield from Parallel(return_as="generator_unordered", **chosen)(delayed(_point)(job) for job in jobs)
-    else:
-        raise ArgumentError(
-            "`workers` must be a concurrent.futures.Executor, a number of processes or the name of a joblib backend, "
-            f"got {type(workers).__name__}."
-        )
 
 
 def _key(plant: Plant, requirement: Requirement, options: dict[str, Any]) -> str:

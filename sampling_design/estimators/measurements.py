@@ -120,7 +120,7 @@ def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str
     lines = [(k, line) for k, line in enumerate(_files.read_text(path).splitlines(), 1) if _counts(line)]
     if not lines:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
-    rows = [(k, [cell.strip() for cell in next(csv.reader([line]))]) for k, line in lines]
+    rows = _files.csv_rows(lines, where)
     header = rows[0][1]
     stamp = _check_header(where, header, plant)
     clock = _Clock(where, plant, None if origin is None else _date(where, 0, origin))

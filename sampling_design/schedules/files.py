@@ -12,7 +12,7 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._files import csv_rows, from_json, read_text, to_json, write_text
 from sampling_design._record import Plain
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -226,17 +226,16 @@ def _from_csv(text: str, where: str) -> AnySchedule:
     keys = _header(lines[0], where)
     if len(lines) < 2 or not lines[1].strip():
         raise fail(2, "expected the header `time[,output names]`. Was the file cut off?")
-    header = [cell.strip() for cell in lines[1].split(",")]
+    held = [(n, line) for n, line in enumerate(lines[1:], 2) if n == 2 or (line.strip() and not line.startswith("#"))]
+    rows = csv_rows(held, where)
+    header = rows[0][1]
     if header[0] != "time":
         raise fail(2, f"the first column must be `time`, got {header[0]!r}.")
     if lines[-1] != "":
         raise fail(len(lines), "does not end in a line break. Was the file cut off?")
     times: list[float] = []
     mask: list[list[int]] = []
-    for number, line in enumerate(lines[2:], start=3):
-        if not line.strip() or line.startswith("#"):
-            continue
-        cells = [cell.strip() for cell in line.split(",")]
+    for number, cells in rows[1:]:
         if len(cells) != len(header):
             raise fail(number, f"expected {len(header)} cells, got {len(cells)}. Was the file cut off?")
         times.append(_time(cells[0], times, lambda what, n=number: fail(n, what)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sampling_design._door import door
-from sampling_design._files import read_text
+from sampling_design._files import csv_rows, read_text
 from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.files import in_file
@@ -108,11 +107,7 @@ def _table(text: str, where: str) -> tuple[list[str], list[tuple[int, list[str]]
     lines = [(n, line) for n, line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise FileFormatError(f"{where}: is empty, expected a header and rows.", where)
-    cells = list(csv.reader(line for _, line in lines))
-    if len(cells) != len(lines):
-        raise FileFormatError(f"{where}: a quoted cell runs over several lines. Was a quote left open?", where)
-    header = [cell.strip() for cell in cells[0]]
-    rows = [(n, row) for (n, _), row in zip(lines[1:], cells[1:], strict=True)]
+    (_, header), *rows = csv_rows(lines, where)
     for n, row in rows:
         if len(row) != len(header):
             raise FileFormatError(

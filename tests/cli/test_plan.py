@@ -168,18 +168,6 @@ def test_version(shell):
     assert shell("info", "--version").out.startswith("sampling-design ")
 
 
-def test_an_interrupt_ends_with_130(shell, monkeypatch):
-    from sampling_design.cli import app
-
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(app, "app", interrupted)
-    result = shell("info")
-    assert result.code == 130
-    assert "interrupted" in result.err
-
-
 def test_every_command_teaches_by_an_example(shell):
     for command in ("info", "design", "sigma"):
         text = shell(command, "--help").out

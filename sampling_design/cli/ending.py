@@ -1,0 +1,119 @@
+"""How the command line ends: one sentence on stderr, an exit code, and an interrupt that is one at any moment.
+
+Only what Python itself has loaded is imported here, so that an interrupt while everything else loads is caught too.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any, NoReturn
+
+DEFECT = 70
+"""Exit code of an error that is none of ours: a defect of this program, with its traceback."""
+INTERRUPTED = 130
+
+
+class _Interrupt:
+    """Remembers that it was rung: some libraries turn KeyboardInterrupt into errors of their own, or swallow it."""
+
+    def __init__(self) -> None:
+        self.rung = False
+        self.before = (signal.getsignal(signal.SIGINT), sys.unraisablehook)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a parent ignores it for us
+            signal.signal(signal.SIGINT, self._ring)
+            sys.unraisablehook = self._unraisable
+
+    def _ring(self, *_: Any) -> None:
+        self.rung = True
+        raise KeyboardInterrupt
+
+    def _unraisable(self, found: Any) -> None:
+        if self.rung:
+            self.end()
+        sys.__unraisablehook__(found)
+
+    def close(self) -> None:
+        """Give back what was there before; after an interrupt a second one must not show Python's way out."""
+        handler, sys.unraisablehook = self.before
+        signal.signal(signal.SIGINT, signal.SIG_IGN if self.rung else handler)
+
+    @staticmethod
+    def end() -> NoReturn:
+        """Leave at once: what still runs (threads, half-loaded libraries) has nothing to say any more."""
+        _say("interrupted.")
+        os._exit(INTERRUPTED)
+
+
+def main() -> None:
+    """Run the command line; every expected error is one sentence on stderr."""
+    interrupt = _Interrupt()
+    try:
+        code = _run()
+        if interrupt.rung:
+            raise KeyboardInterrupt
+    except BaseException as error:
+        if interrupt.rung or isinstance(error, KeyboardInterrupt):
+            code = INTERRUPTED
+            _say("interrupted.")
+        else:
+            code = _ending(error)
+    finally:
+        interrupt.close()
+    sys.exit(code)
+
+
+def _run() -> int:
+    from sampling_design.cli import app
+
+    try:
+        app.app(standalone_mode=True)
+    except SystemExit as stop:
+        if isinstance(stop.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        if isinstance(stop.__context__, OSError):
+            raise stop.__context__ from None
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    return 0
+
+
+def _ending(error: BaseException) -> int:
+    """Say what went wrong, and return the exit code."""
+    from sampling_design.errors import SamplingDesignError
+
+    if isinstance(error, SamplingDesignError):
+        _say(str(error))
+        return error.exit_code
+    if isinstance(error, BrokenPipeError):  # whoever read us has seen enough
+        _drop(sys.stdout)
+        return 0
+    if isinstance(error, OSError) and error.filename is None:
+        _drop(sys.stdout)
+        _say(f"the output cannot be written ({error.strerror or error}).")
+        return 2
+    if isinstance(error, MemoryError):
+        _say(f"this needs more memory than there is ({str(error) or 'none left'}).")
+        return 3
+    import traceback
+
+    traceback.print_exception(error)
+    _say(f"a defect of this program, please report it: {type(error).__name__} ({str(error).splitlines()[:1]}).")
+    return DEFECT
+
+
+def _say(text: str) -> None:
+    try:
+        sys.stderr.write(f"sampling-design: {text}\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):  # nobody listens
+        pass
+
+
+def _drop(stream: Any) -> None:
+    """Let what is still in a stream's buffer go nowhere: Python would complain on its way out."""
+    try:
+        hole = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(hole, stream.fileno())
+    except (OSError, ValueError):
+        pass

@@ -1,0 +1,140 @@
+"""How the command line ends: interrupts, outputs that cannot be written, defects."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+OSCILLATOR, SATELLITE = (EXAMPLES / "plants" / f"{name}.toml" for name in ("oscillator", "satellite"))
+INTERRUPTED = """
+import os, signal, sys, threading
+from sampling_design.cli import main
+threading.Timer(float(sys.argv.pop(1)), os.kill, (os.getpid(), signal.SIGINT)).start()
+main()
+"""
+
+
+@pytest.mark.parametrize("after", [0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0])
+def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after):
+    """From the first line on: while numpy, scipy and the drawing load, and while the search runs."""
+    command = ["design", str(SATELLITE), str(EXAMPLES / "requirements" / "satellite.toml"), "--branches", "100000"]
+    found = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, str(after), *command], capture_output=True, text=True, check=False
+    )
+    assert (found.returncode, "Traceback" in found.stderr) == (130, False), found.stderr
+    assert "sampling-design: interrupted." in found.stderr
+
+
+def test_an_interrupt_ends_the_processes_that_share_the_work(tmp_path):
+    code = "from sampling_design.cli import main; main()"
+    command = [sys.executable, "-c", code, "pareto", str(SATELLITE), "--counts", "8-40", "--workers", "2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(6)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        told = process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in told
+
+
+def test_an_error_of_a_library_that_an_interrupt_caused_is_the_interrupt(shell, monkeypatch):
+    from sampling_design.cli import app
+
+    def swallowed(*_, **__):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("cannot load") from None
+
+    monkeypatch.setattr(app, "app", swallowed)
+    before = signal.getsignal(signal.SIGINT)
+    result = shell("info")
+    signal.signal(signal.SIGINT, before)
+    assert result.code == 130
+    assert result.err == "sampling-design: interrupted.\n"
+
+
+def test_after_a_command_the_interrupt_is_as_it_was(shell):
+    before = (signal.getsignal(signal.SIGINT), sys.unraisablehook)
+    shell("--version")
+    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+
+
+@pytest.mark.parametrize("more", [["--json"], [], ["--help"]])
+def test_a_full_device_is_one_sentence_and_exit_code_2(more):
+    code = "from sampling_design.cli import main; main()"
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", code, "info", str(OSCILLATOR), "--quiet", *more]
+        found = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert found.returncode == 2
+    assert found.stderr == "sampling-design: the output cannot be written (No space left on device).\n"
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    code = "from sampling_design.cli import main; main()"
+    command = [sys.executable, "-c", code, "info", str(OSCILLATOR), "--quiet", "--json"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    found = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_a_folder_that_is_full_is_one_sentence(shell):
+    result = shell("info", OSCILLATOR, "-o", "/dev/full")
+    assert result.code in (0, 2)
+    result = shell("sigma", OSCILLATOR, OSCILLATOR, "-o", "/dev/full")
+    assert result.code == 2
+
+
+def test_a_defect_is_told_apart_from_a_no(shell, monkeypatch):
+    import sampling_design as sd
+
+    def broken(*_, **__):
+        raise AttributeError("no such thing\nat all")
+
+    monkeypatch.setattr(sd, "read_plant", broken)
+    result = shell("info", OSCILLATOR)
+    assert result.code == 70
+    assert result.err.splitlines()[-1].startswith("sampling-design: a defect of this program, please report it")
+    assert "Traceback" in result.err
+
+
+def test_memory_and_numbers_of_processes(shell, monkeypatch):
+    import sampling_design as sd
+
+    def greedy(*_, **__):
+        raise MemoryError("Unable to allocate 60 GiB")
+
+    monkeypatch.setattr(sd, "read_plant", greedy)
+    result = shell("info", OSCILLATOR)
+    assert (result.code, "needs more memory than there is (Unable to allocate 60 GiB)" in result.err) == (3, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("info", OSCILLATOR, "--seed", -1), "`seed` must be a whole number of at least 0, got -1"),
+        (("info", OSCILLATOR, "--budget", 0), "`budget` must be positive"),
+        (("info", OSCILLATOR, "--budget", "nan"), "`budget` must be finite"),
+        (("pareto", OSCILLATOR, "--counts", "2,3", "--workers", 0), "`workers` must be a number of processes"),
+        (("thyroid", "--workers", 0), "`workers` must be a number of processes"),
+    ],
+)
+def test_flags_out_of_range_are_one_sentence(shell, arguments, words):
+    result = shell(*arguments, "--quiet")
+    assert result.code == 2
+    assert words in result.err
+    assert result.err.count("\n") == 1
+
+
+def test_help_shows_brackets_and_one_unbroken_example(shell):
+    told = shell("info", "--help").out
+    assert "[plant's time unit]" in told
+    told = shell("certify", "--help").out
+    example = "  Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5"
+    assert any(line.startswith(example) for line in told.splitlines())

@@ -10,6 +10,8 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design._files import to_json, write_text
+from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture
@@ -29,7 +31,7 @@ def worst_case(
 
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
-    retained = sd.split_modes(sd.read_plant(plant_file), settings.decay_rate or 0.0).retained
+    retained = sd.split_modes(reading.plant(plant_file), settings.decay_rate or 0.0).retained
     if not retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
         return
@@ -62,8 +64,8 @@ def pareto(
 
     Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
     """
-    plant = sd.read_plant(plant_file)
-    requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
+    plant = reading.plant(plant_file)
+    requirement = reading.requirement(requirement_file)
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     folder = settings.folder()
@@ -99,8 +101,8 @@ def losses(
 
     Example: sampling-design losses examples/plants/oscillator.toml examples/requirements/oscillator.toml
     """
-    plant = sd.read_plant(plant_file)
-    requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
+    plant = reading.plant(plant_file)
+    requirement = reading.requirement(requirement_file)
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     with settings.progress("losses") as progress:
@@ -141,7 +143,7 @@ def survive(
 
     Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json -o out
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("survive") as progress:
         result = sd.survival(

@@ -12,6 +12,7 @@ import typer
 import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._record import short
+from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.design.problem.posing import default_window
 from sampling_design.errors import ArgumentError
@@ -30,7 +31,7 @@ def info(
 
     Example: sampling-design info examples/plants/satellite.toml
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     tables: list[Any] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
     data: dict[str, Any] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
@@ -52,7 +53,7 @@ def window_length(settings: Settings, split: Any, given: float | None) -> float:
 
 def schedule_for(settings: Settings, plant: Any, path: Path) -> Any:
     """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
-    schedule = sd.read_schedule(path)
+    schedule = reading.schedule(path)
     if schedule.time_unit in (None, plant.time_unit):
         return schedule
     settings.notice(f"{path}: times in {schedule.time_unit} are converted to {plant.time_unit}.")
@@ -101,13 +102,13 @@ def design(
 
     Example: sampling-design design examples/plants/satellite.toml examples/requirements/satellite.toml -o out
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
     flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate)
     flags["scaled"] = scaled
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
-    requirement = sd.Requirement() if requirement_file is None else sd.read_requirement(requirement_file)
+    requirement = reading.requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
         rng = np.random.default_rng(settings.seed)
@@ -157,7 +158,7 @@ def sigma(
 
     Example: sampling-design sigma examples/plants/satellite.toml out/schedule.csv --window 5554
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:

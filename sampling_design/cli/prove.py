@@ -13,6 +13,7 @@ from sampling_design._checks import positive
 from sampling_design._files import write_text
 from sampling_design.certificates.detectability.best_rate import BUDGET
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
@@ -66,7 +67,7 @@ def certify(
 
     Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5 -o out
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
     families = {k: v for k, v in given.items() if v is not None}
     if detectability:
@@ -109,7 +110,7 @@ def _detectability(
 
 def sampling_certificate(path: Path, plant: Any) -> SampledCertificate:
     """The certificate of a file, if it is about samples of this plant."""
-    certificate = sd.load_certificate(path, plant)
+    certificate = reading.certificate(path, plant)
     if isinstance(certificate, sd.DetectabilityCertificate):
         raise ArgumentError(
             f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
@@ -175,8 +176,8 @@ def verify(
 
     Example: sampling-design verify out/certificate.json --rigorous
     """
-    plant = None if plant_file is None else sd.read_plant(plant_file)
-    certificate = sd.load_certificate(certificate_file, plant)
+    plant = None if plant_file is None else reading.plant(plant_file)
+    certificate = reading.certificate(certificate_file, plant)
     verdict = certificate.verify(rigorous=rigorous, budget=settings.budget)
     folder = settings.folder()
     if folder is not None:

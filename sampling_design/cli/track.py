@@ -15,6 +15,7 @@ import sampling_design as sd
 from sampling_design._checks import freeze
 from sampling_design._files import write_text
 from sampling_design._record import short
+from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
@@ -56,10 +57,10 @@ def estimate(
 
     Example: sampling-design estimate examples/plants/satellite.toml examples/data/satellite.csv -o out
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
-    record = sd.read_measurements(measurement_file, plant, origin=None if schedule is None else schedule.origin)
+    record = reading.measurements(measurement_file, plant, None if schedule is None else schedule.origin)
     if not np.isfinite(record.y).any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
     start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
@@ -245,7 +246,7 @@ def validate(
 
     Example: sampling-design validate examples/plants/satellite.toml out/schedule.csv -o out
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     certificate = _certified(settings, plant, schedule, certificate_file, eta, bounds)
@@ -290,9 +291,9 @@ def log(
 
     Example: sampling-design log examples/plants/satellite.toml out/schedule.csv examples/data/satellite.csv
     """
-    plant = sd.read_plant(plant_file)
+    plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
-    record = sd.read_measurements(measurement_file, plant, origin=schedule.origin)
+    record = reading.measurements(measurement_file, plant, schedule.origin)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     length = window_length(settings, split, window)
     taken = np.isfinite(record.y)

@@ -92,12 +92,12 @@ def test_a_folder_that_is_full_is_one_sentence(shell):
 
 
 def test_a_defect_is_told_apart_from_a_no(shell, monkeypatch):
-    import sampling_design as sd
+    from sampling_design.cli import reading
 
     def broken(*_, **__):
         raise AttributeError("no such thing\nat all")
 
-    monkeypatch.setattr(sd, "read_plant", broken)
+    monkeypatch.setattr(reading, "plant", broken)
     result = shell("info", OSCILLATOR)
     assert result.code == 70
     assert result.err.splitlines()[-1].startswith("sampling-design: a defect of this program, please report it")
@@ -105,12 +105,12 @@ def test_a_defect_is_told_apart_from_a_no(shell, monkeypatch):
 
 
 def test_memory_and_numbers_of_processes(shell, monkeypatch):
-    import sampling_design as sd
+    from sampling_design.cli import reading
 
     def greedy(*_, **__):
         raise MemoryError("Unable to allocate 60 GiB")
 
-    monkeypatch.setattr(sd, "read_plant", greedy)
+    monkeypatch.setattr(reading, "plant", greedy)
     result = shell("info", OSCILLATOR)
     assert (result.code, "needs more memory than there is (Unable to allocate 60 GiB)" in result.err) == (3, True)
 

@@ -1,0 +1,78 @@
+"""Files as arguments: read by their rooms, and where one is of another kind than its place says, that is said."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import sampling_design as sd
+from sampling_design._files import from_json, from_toml, read_text
+from sampling_design.errors import FileFormatError, SamplingDesignError
+
+T = TypeVar("T")
+_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate)")
+_KEYS = {
+    "plant": {"matrices", "states", "outputs"},
+    "requirement": {"window", "period", "spacing", "samples", "target_sigma", "forbidden", "fixed", "cost_limit"},
+    "certificate": {"P1", "P2", "lam", "claim"},
+    "schedule": {"times", "gaps"},
+}
+"""Keys that tell a file which does not name its own kind."""
+
+
+def plant(path: Path) -> Any:
+    """The plant of a file."""
+    return _read("plant", sd.read_plant, path)
+
+
+def schedule(path: Path) -> Any:
+    """The schedule of a file."""
+    return _read("schedule", sd.read_schedule, path)
+
+
+def requirement(path: Path | None) -> Any:
+    """The requirement of a file, or the one of no file: all defaults."""
+    return sd.Requirement() if path is None else _read("requirement", sd.read_requirement, path)
+
+
+def measurements(path: Path, about: Any, origin: str | None) -> Any:
+    """The measurements of a file."""
+    return _read("measurement", lambda where: sd.read_measurements(where, about, origin=origin), path)
+
+
+def certificate(path: Path, about: Any) -> Any:
+    """The certificate of a file."""
+    return _read("certificate", lambda where: sd.load_certificate(where, about), path)
+
+
+def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
+    try:
+        return reader(path)
+    except SamplingDesignError:
+        found = kind_of(path)
+        if found not in (kind, ""):
+            where = str(path)
+            raise FileFormatError(
+                f"{where}: is a {found} file, expected a {kind} file. Are the arguments in their order?", where
+            ) from None
+        raise
+
+
+def kind_of(path: Path) -> str:
+    """What a file seems to be: plant, schedule, requirement, certificate, measurement, or "" where that is open."""
+    try:
+        text = read_text(path)
+    except SamplingDesignError:
+        return ""
+    named = _FORMAT.search(text)
+    if named:
+        return named[1]
+    try:
+        keys = set(from_json(text, "") if text.lstrip().startswith("{") else from_toml(text, ""))
+    except SamplingDesignError:
+        first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+        cells = {cell.strip() for cell in re.split("[,;\t]", first)}
+        return "measurement" if len(cells) > 1 and cells & {"time", "date"} else ""
+    return next((kind for kind, known in _KEYS.items() if keys & known), "")

@@ -145,6 +145,8 @@ def from_json(text: str, where: str) -> dict[str, Any]:
         raise FileFormatError(
             f"{where}: is not valid JSON at line {error.lineno} ({error.msg}). Was the file cut off?", where
         ) from None
+    except (RecursionError, ValueError):
+        raise _unreasonable(where) from None
     if not isinstance(data, dict):
         raise FileFormatError(f"{where}: must hold one JSON object, got {type(data).__name__}.", where)
     return data
@@ -162,3 +164,9 @@ def from_toml(text: str, where: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None
+    except (RecursionError, ValueError):
+        raise _unreasonable(where) from None
+
+
+def _unreasonable(where: str) -> FileFormatError:
+    return FileFormatError(f"{where}: is nested too deeply, or holds a number of thousands of digits.", where)

@@ -137,3 +137,17 @@ def test_spreadsheet_files_are_read_as_they_come(tmp_path):
     assert sd.read_schedule(tmp_path / "s.csv").times.tolist() == [0.5, 1.5]
     (tmp_path / "t.csv").write_text("time;what\n0,5;a\n1,5;b\n")
     assert sd.import_time_stamps(tmp_path / "t.csv", "s").times.tolist() == [0.5, 1.5]
+
+
+@pytest.mark.parametrize("reader", [_files.from_json, _files.from_toml])
+@pytest.mark.parametrize("text", ['{{"a": {0}}}', "a = {0}"])
+def test_what_no_one_means_is_one_sentence(reader, text):
+    if (reader is _files.from_json) == text.startswith("{"):
+        for value in ("[" * 100_000, "9" * 5000):
+            with pytest.raises(
+                FileFormatError, match=r"is nested too deeply, or holds a number of thousands of digits"
+            ):
+                reader(text.format(value), "f")
+    else:
+        with pytest.raises(FileFormatError, match="is not valid"):
+            reader(text.format("1"), "f")

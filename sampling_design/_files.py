@@ -145,6 +145,8 @@ def from_json(text: str, where: str) -> dict[str, Any]:
         raise FileFormatError(
             f"{where}: is not valid JSON at line {error.lineno} ({error.msg}). Was the file cut off?", where
         ) from None
+    except FileFormatError:
+        raise
     except (RecursionError, ValueError):
         raise _unreasonable(where) from None
     if not isinstance(data, dict):

@@ -5,11 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import sampling_design as sd
 from sampling_design._files import from_json, from_toml, read_text
 from sampling_design.errors import FileFormatError, SamplingDesignError
+
+if TYPE_CHECKING:
+    from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+    from sampling_design.certificates.exact.certificate import SampledCertificate
+    from sampling_design.design.problem.requirement import Requirement
+    from sampling_design.estimators.measurements import Measurements
+    from sampling_design.plants.plant import Plant
+    from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
 _FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate)")
@@ -22,27 +30,27 @@ _KEYS = {
 """Keys that tell a file which does not name its own kind."""
 
 
-def plant(path: Path) -> Any:
+def plant(path: Path) -> Plant:
     """The plant of a file."""
     return _read("plant", sd.read_plant, path)
 
 
-def schedule(path: Path) -> Any:
+def schedule(path: Path) -> AnySchedule:
     """The schedule of a file."""
     return _read("schedule", sd.read_schedule, path)
 
 
-def requirement(path: Path | None) -> Any:
+def requirement(path: Path | None) -> Requirement:
     """The requirement of a file, or the one of no file: all defaults."""
     return sd.Requirement() if path is None else _read("requirement", sd.read_requirement, path)
 
 
-def measurements(path: Path, about: Any, origin: str | None) -> Any:
+def measurements(path: Path, about: Plant, origin: str | None) -> Measurements:
     """The measurements of a file."""
     return _read("measurement", lambda where: sd.read_measurements(where, about, origin=origin), path)
 
 
-def certificate(path: Path, about: Any) -> Any:
+def certificate(path: Path, about: Plant | None) -> SampledCertificate | DetectabilityCertificate:
     """The certificate of a file."""
     return _read("certificate", lambda where: sd.load_certificate(where, about), path)
 

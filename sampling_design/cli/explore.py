@@ -10,7 +10,6 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design._files import to_json, write_text
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate

@@ -14,7 +14,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._units import time_factor
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, first_bound
+from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, unfolded
@@ -49,6 +49,7 @@ MOST_TRIED = 100
 
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent already
+_PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
 
@@ -84,8 +85,8 @@ def design_schedule(
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
-        Relaxations, search and branching stop then; the proof of sigma is completed, the bound holds but is
-        wider, and `status` says "budget".
+        Relaxations, search and branching stop then; what is there is proven, within half as much time again. The
+        bound holds but is wider, and `status` says "budget".
     progress : callable, optional
         Called with the fraction done and a message.
 
@@ -221,7 +222,7 @@ def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: floa
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
     problem = pose(plant, requirement, samples)
     left = deadline - time.perf_counter()
-    seconds = max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None
+    seconds = max(left / 3, 0.0) if np.isfinite(left) else None
     placed = (relax_costly if problem.is_costly else relax_placed)(problem, seconds=seconds)
     return Sized(problem, placed, first_bound(problem, placed, deadline), (placed.record,))
 
@@ -257,13 +258,17 @@ class _Run:
         best: ScheduleDesign | None = None
         refused: InfeasibleRequirementError | SolverError | None = None
         bounds: dict[int, UpperBound] = {}
+        sized: Sized | None = None
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
             self.say(low, f"bounding {samples} samples per period")
+            if best is not None and sized is not None and time.perf_counter() > self.began + self.seconds:
+                problem = pose(self.designed, self.requirement, samples)
+                bounds[samples] = quick_bound(problem, sized.relaxation)
+                continue
             sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
             bounds[samples] = sized.bound
-            beaten = best is not None and sized.bound.value <= best.sigma
-            if beaten or (best is not None and time.perf_counter() > self.began + self.seconds):
+            if best is not None and sized.bound.value <= best.sigma:
                 continue
             try:
                 found = self.searched(sized, low + 0.15 * (high - low), high)
@@ -356,7 +361,9 @@ class _Run:
             time_unit=self.plant.time_unit,
             output_names=self.plant.outputs.names,
         )
-        return schedule, prove(self.split, schedule, self.requirement, self.rtol)
+        late = self.began + self.seconds - time.perf_counter()
+        seconds = max(late, _PROOF * self.seconds + _LEAST_SECONDS) / 2 if np.isfinite(late) else None
+        return schedule, prove(self.split, schedule, self.requirement, self.rtol, budget=seconds)
 
     def fewest(self) -> ScheduleDesign:
         """The fewest samples whose proven sigma reaches the target; counts whose bound falls short are skipped."""
@@ -374,6 +381,8 @@ class _Run:
                     break
                 ruled_out, too_few = samples, error.nearest  # not enough to see the state at all: go on
                 continue
+            if time.perf_counter() > self.began + self.seconds:
+                break
             if sized.bound.value < target:
                 if ruled_out == samples - 1:
                     ruled_out = samples
@@ -387,6 +396,9 @@ class _Run:
             best = found if best is None or found.sigma > best.sigma else best
         if best is None and last is not None:
             best = self.searched(last, 0.5, 1.0)
+        if best is not None and time.perf_counter() > self.began + self.seconds:
+            note = f"the budget ran out before every count was tried; {target:g} is not reached yet"
+            return best if best.sigma >= target else replace(best, status="budget", notes=(*best.notes, note))
         raise _out_of_reach(target, high, best, too_few)
 
     def limits(self) -> tuple[int, int]:

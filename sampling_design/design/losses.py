@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.design.design import bounded
-from sampling_design.design.problem.posing import repeated
+from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
@@ -84,7 +85,12 @@ class SampleLosses(Record):
 
 @door
 def sample_losses(
-    design: ScheduleDesign, *, every_lap: bool = False, rtol: float = 0.001, progress: Progress | None = None
+    design: ScheduleDesign,
+    *,
+    every_lap: bool = False,
+    rtol: float = 0.001,
+    budget: float | None = None,
+    progress: Progress | None = None,
 ) -> SampleLosses:
     """Prove sigma over all window positions after each single loss of a sample, and what no re-planning exceeds.
 
@@ -96,6 +102,8 @@ def sample_losses(
         then keeps the sample of the others).
     rtol : float
         As for `window_sigma`.
+    budget : float, optional [seconds]
+        What is not proven by then keeps the bounds it has: `lower` may be 0, `bound` that of the multipliers so far.
     progress : callable, optional
         Called with the fraction done and a message.
 
@@ -107,8 +115,8 @@ def sample_losses(
     -----
     *Claim.* `lower` is proven as in `window_sigma`. `bound` holds for every schedule that meets the
     requirement with one sample fewer, a fixed time that is lost being free of its duty; where a sample is
-    missed once, over the laps that a window can touch, plus one, as one long period. No schedule of one
-    sample fewer exceeds what the whole count can reach, so `bound` is never above `design.upper_bound`.
+    missed once, over the laps that a window can touch, plus one, as one long period. Where a sample is lost in
+    every lap and there is always room for one more, `bound` is never above `design.upper_bound`.
 
     Raises
     ------
@@ -118,21 +126,26 @@ def sample_losses(
     if not isinstance(design, ScheduleDesign) or design.schedule is None:
         raise ArgumentError("`design` must be a ScheduleDesign with a schedule; there is no sample to lose.")
     _checks.positive("rtol", rtol)
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    began, count = time.perf_counter(), len(design.schedule)
     proofs: list[WindowSigma | None] = []
-    for i in range(len(design.schedule)):
+    for i in range(count):
         rest = _without(design, i, every_lap)
-        proofs.append(
-            None if rest is None else stated(prove(design.split, rest, design.requirement, rtol), design.requirement)
-        )
+        left = max(began + 0.7 * seconds - time.perf_counter(), 0.0) / (count - i)
+        share = left if np.isfinite(left) else None
+        asked = design.requirement
+        proofs.append(None if rest is None else stated(prove(design.split, rest, asked, rtol, budget=share), asked))
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
-    bound = np.maximum(_bounds(design, every_lap), lower)  # a bound may round to just below a tight proof
+    bound = np.maximum(
+        _bounds(design, every_lap, began + seconds), lower
+    )  # a bound may round to just below a tight proof
     lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
     return SampleLosses(design.schedule.times, design.sigma, lower, upper, bound, every_lap)
 
 
-def _bounds(design: ScheduleDesign, every_lap: bool) -> Array:
+def _bounds(design: ScheduleDesign, every_lap: bool, deadline: float) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
@@ -144,10 +157,13 @@ def _bounds(design: ScheduleDesign, every_lap: bool) -> Array:
         fixed = (requirement.fixed + schedule.period * np.arange(laps)[:, None]).ravel()
         asked = repeated(requirement, laps).replace(fixed=fixed if key is None else fixed[fixed != key])
         try:
-            known[key] = bounded(plant, asked, laps * len(schedule) - 1).bound.value
+            sized = bounded(plant, asked, laps * len(schedule) - 1, deadline)
+            whole = pose(plant, asked, laps * len(schedule), check=False)
+            roomy = key is None and laps == 1 and whole.always_has_room  # else fewer may see more than the design
+            known[key] = min(sized.bound.value, design.upper_bound) if roomy else sized.bound.value
         except InfeasibleRequirementError:  # too few measurements for the states, or none left
             known[key] = 0.0
-    return np.minimum([known[key] for key in keys], design.upper_bound)
+    return np.array([known[key] for key in keys])
 
 
 def _laps(design: ScheduleDesign) -> int:

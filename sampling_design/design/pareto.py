@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ from sampling_design.plants.plant import Plant
 
 Progress = Callable[[float, str], None]
 FORMAT = "sampling-design/pareto/1"
+NO_TIME = "not designed: the budget ran out"
+_LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a count is not begun
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ def pareto(
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    budget: float | None = None,
     **options: Any,
 ) -> ParetoFront:
     """Design a schedule for every count of samples per period.
@@ -105,8 +109,11 @@ def pareto(
         A JSON file that is written after every count; what it holds already is not designed again.
     progress : callable, optional
         Called with the fraction done and a message.
+    budget : float, optional [seconds]
+        For all counts together, each of which gets its share of what is left; counts that time was not left for say
+        so, and are not written to `resume`.
     **options
-        As for `design_schedule` (starts, branches, rtol, budget).
+        As for `design_schedule` (starts, branches, rtol).
 
     Returns
     -------
@@ -122,24 +129,41 @@ def pareto(
     wanted = sorted({_checks.whole("counts", c, 1) for c in counts})
     if not wanted:
         raise ArgumentError("`counts` must hold at least one number of samples.")
-    key = _key(plant, requirement, options)
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    key = _key(plant, requirement, options if budget is None else {**options, "budget": budget})
     known = {} if resume is None else _load(resume, key)
     todo = [c for c in wanted if c not in known]
     check_workers(workers)
-    jobs = [(plant, requirement, count, options) for count in todo]
+    stop = time.time() + seconds
+    rounds = [_rest(place, len(todo), workers) for place in range(len(todo))]
+    jobs = [(plant, requirement, c, options, stop, seconds, left) for c, left in zip(todo, rounds, strict=True)]
     for done, point in enumerate(mapped(_point, jobs, workers, ordered=False)):
         known[point.samples] = point
         if resume is not None:
-            rows = [asdict(known[c]) for c in sorted(known)]
+            rows = [asdict(known[c]) for c in sorted(known) if known[c].obstacle != NO_TIME]
             write_text(resume, to_json({"format": FORMAT, "key": key, "points": rows}))
         if progress:
             progress((done + 1) / len(jobs), f"{point.samples} samples: sigma {point.sigma:.6g}")
     return ParetoFront(tuple(known[c] for c in wanted))
 
 
-def _point(job: tuple[Plant, Requirement, int, dict[str, Any]]) -> ParetoPoint:
-    """One count; an impossible one is a point that says why."""
-    plant, requirement, count, options = job
+def _rest(place: int, jobs: int, workers: Workers) -> float:
+    """How many rounds of jobs are left from this one on."""
+    if workers is None:
+        return float(jobs - place)
+    known = workers if isinstance(workers, int) and workers > 0 else getattr(workers, "_max_workers", None)
+    hands = int(known) if isinstance(known, int) else os.cpu_count() or 1
+    return max(1.0, (jobs - place) / hands)
+
+
+def _point(job: tuple[Plant, Requirement, int, dict[str, Any], float, float, float]) -> ParetoPoint:
+    """One count, in its share of the time that is left; an impossible one is a point that says why."""
+    plant, requirement, count, options, stop, seconds, rounds = job
+    left = stop - time.time()
+    if left < _LEAST_SHARE * seconds / rounds:
+        return ParetoPoint(count, 0.0, 0.0, (), NO_TIME)
+    if np.isfinite(seconds):
+        options = {**options, "budget": left / rounds}
     asked = requirement.replace(samples=count, target_sigma=None)
     try:
         design = design_schedule(plant, asked, rng=np.random.default_rng(count), **options)

@@ -259,9 +259,10 @@ def prove(
     requirement: Requirement,
     rtol: float,
     progress: Progress | None = None,
+    budget: float | None = None,
 ) -> WindowSigma:
     """Sigma of the retained part over all real window positions."""
-    return window_sigma(split.retained, schedule, float(requirement.window or 0), rtol, progress=progress)
+    return window_sigma(split.retained, schedule, float(requirement.window or 0), rtol, budget, progress)
 
 
 def _cost(requirement: Requirement, name: str) -> float:

@@ -57,12 +57,15 @@ def narrowed(
     if steps < problem.samples or priced or not zoned(problem) or bound.value <= target * (1 + rtol):
         return bound
     sides = (bound.parts[0].side,) if bound.method == "zones" else SIDES
-    roots = [root for side in sides if (root := _box(problem, origin_zones(problem, side), side)) is not None]
+    roots: list[_Box] = []
+    for side in sides:
+        root = _box(problem, origin_zones(problem, side), side) if time.perf_counter() <= deadline else None
+        roots += [] if root is None else [root]
     if not roots or time.perf_counter() > deadline:
         return bound
     tree = _Tree(problem, target * (1 + rtol), min(roots))
     if turn(problem) == 0:
-        tree.split_by_lateness()
+        tree.split_by_lateness(deadline)
     else:
         tree.add(tree.root.part.zones, tree.root)
     for step in range(steps):
@@ -92,12 +95,14 @@ class _Tree:
         """The bound of all parts."""
         return max(part.value for part in self.parts)
 
-    def split_by_lateness(self) -> None:
+    def split_by_lateness(self, deadline: float = np.inf) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = self.root.part.zones, self.root.part.side == "late"
         mean = self.problem.period / self.problem.samples
         for index in range(1, len(rest)):
             cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
+            if time.perf_counter() > deadline:
+                break
             if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:
                 below, above = halves(rest, index, cut)
                 self.add(above if late else below, self.root)

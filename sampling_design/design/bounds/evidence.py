@@ -170,14 +170,23 @@ def _part(
     return replace(bare, value=bare.value_for(problem))
 
 
-def placed_part(problem: DesignProblem, found: Relaxation) -> BoundPart:
+def quick_bound(problem: DesignProblem, found: Relaxation) -> UpperBound:
+    """A bound of all schedules from multipliers made for another count of samples: one look, no relaxation."""
+    part = _part(problem, "placed", found.starts, found.Z)
+    return UpperBound(part.value, (part,))
+
+
+def placed_part(problem: DesignProblem, found: Relaxation, deadline: float = np.inf) -> BoundPart:
     """Bound from the relaxation over sample times, its multipliers as they are or spread out in time."""
+    first = _part(problem, "placed", found.starts, found.Z)
+    if time.perf_counter() > deadline:
+        return first
     step = problem.period / found.starts.size
     shifts = np.arange(_SPREAD) * (step / _SPREAD)
     spread = np.concatenate([found.starts + shift for shift in shifts])
     carried = [E @ found.Z @ E.T for E in expm_batch(problem.rows.A, shifts)]  # the same states, seen from later starts
     parts = [
-        _part(problem, "placed", found.starts, found.Z),
+        first,
         _part(problem, "placed", spread, np.concatenate([found.Z] * _SPREAD)),
         _part(problem, "placed", spread, np.concatenate(carried)),
     ]
@@ -250,11 +259,12 @@ def alone_part(problem: DesignProblem) -> BoundPart:
 
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
     """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
-    parts = [placed_part(problem, placed)]
+    parts = [placed_part(problem, placed, deadline)]
     if problem.samples == 1:
         parts.append(alone_part(problem))
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
-        roots = [zone_part(problem, origin_zones(problem, side), side) for side in SIDES]
-        parts += [root[0] for root in roots if root is not None]
+        for side in SIDES:
+            root = zone_part(problem, origin_zones(problem, side), side) if time.perf_counter() <= deadline else None
+            parts += [] if root is None else [root[0]]
     best = min(parts, key=lambda p: p.value)
     return UpperBound(best.value, (best,))

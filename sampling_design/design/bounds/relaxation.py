@@ -19,7 +19,6 @@ Array = npt.NDArray[np.floating[Any]]
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
 
-_TELLING = 48  # windows at most that are posed beside the regular ones
 _JUST_BEFORE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 
@@ -68,10 +67,19 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
     Cut short after `seconds`; multipliers of any quality prove a bound.
     """
     times, mask, starts, linear = relaxation_grid(problem, points)
+    if seconds is not None and seconds <= 0:
+        return unsolved(problem, times, starts)
     grams = grams_at(problem, times, starts, mask)
     constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
     spare = float(problem.samples - problem.fixed.size)
     return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+
+
+def unsolved(problem: DesignProblem, times: Array, starts: Array) -> Relaxation:
+    """Equal weights, and multipliers that ask for nothing: what there is where there is no time for a solver."""
+    n = problem.plant.n_states
+    Z, _ = feasible_multipliers(problem, [np.zeros((n, n))] * starts.size)
+    return Relaxation(times, np.ones(times.size), starts, Z, np.inf, SolverRecord("none", status="budget"))
 
 
 def relaxation_grid(
@@ -105,7 +113,8 @@ def _telling_starts(problem: DesignProblem) -> Array:
     late = np.concatenate([problem.fixed, closed[:, 1]])
     early = np.concatenate([problem.fixed, closed[:, 0]]) - problem.window - before
     found = np.unique(np.mod(np.concatenate([late, early]), P))
-    return found[:: int(np.ceil(found.size / _TELLING))] if found.size else found
+    most = max(_start_count(problem) // 2, 4)
+    return found[:: int(np.ceil(found.size / most))] if found.size else found
 
 
 def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:

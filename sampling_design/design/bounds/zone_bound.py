@@ -29,6 +29,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.floating[Any]]
 
+_MOST_POINTS = 480  # however many cycles a window holds: cost grows with its square, and the bound is true with any
 _POINTS = 48  # grid times of one relaxation at least, spread over the zones
 _BETWEEN = 36  # window starts beside the zones' ends
 _REGULAR = 1e-12  # of its trace, added to a Gram matrix before it is divided by
@@ -98,7 +99,7 @@ def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[Array,
         else:
             joined.append([float(a), float(b)])
     total = max(sum(b - a for a, b in joined), TINY * problem.period)
-    wanted = max(_POINTS, least_points(problem))
+    wanted = int(np.clip(least_points(problem), _POINTS, _MOST_POINTS))
     counts = [max(3, int(np.ceil(wanted * (b - a) / total)) + 1) for a, b in joined]
     grid = [np.linspace(a, b, count) for (a, b), count in zip(joined, counts, strict=True)]
     step = max((b - a) / (count - 1) for (a, b), count in zip(joined, counts, strict=True))

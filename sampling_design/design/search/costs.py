@@ -14,7 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _conic
-from sampling_design.design.bounds.relaxation import Relaxation, feasible_multipliers, grams_at, relaxation_grid
+from sampling_design.design.bounds.relaxation import (
+    Relaxation,
+    feasible_multipliers,
+    grams_at,
+    relaxation_grid,
+    unsolved,
+)
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
@@ -34,6 +40,8 @@ _ROUNDS = 6
 def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxation:
     """Maximise t over weights of samples w and of their measurements u <= w with sum cost u within the limit."""
     grid, _, starts, crowd = relaxation_grid(problem)
+    if seconds is not None and seconds <= 0:
+        return unsolved(problem, grid, starts)
     times = np.concatenate([grid, problem.fixed])
     mask, costs = problem.mask(times), _costs(problem)
     grams = np.stack([grams_at(problem, times, starts, mask & only) for only in np.eye(costs.size, dtype=bool)], axis=2)

@@ -34,7 +34,7 @@ def refined(
     for _ in range(steps):
         if time.perf_counter() > deadline:
             break
-        move = _step(problem, times, sigma2, trust)
+        move = _step(problem, times, sigma2, trust, deadline)
         if move is None:
             return times, sigma2
         gained = False
@@ -65,7 +65,7 @@ def _with_fixed(problem: DesignProblem, times: Array) -> Array:
     return times
 
 
-def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float) -> Array | None:
+def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, deadline: float) -> Array | None:
     """The move within `trust` that maximises the least eigenvalue of the linearised windows."""
     rows = problem.rows
     where = positions(problem, times[None, :])
@@ -83,7 +83,9 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float) -> 
         blocks.append(("psd", np.hstack([-D, _conic.svec(roof[place])[:, None]]), _conic.svec(W[place]) / unit))
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-8, iterations=60)
+    left = max(deadline - time.perf_counter(), 0.0)
+    seconds = left if np.isfinite(left) else None
+    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-8, iterations=60, budget=seconds)
     if not _conic.usable(found.record) or not np.all(np.isfinite(found.x)):
         return None
     move = np.asarray(found.x[:-1] * trust)

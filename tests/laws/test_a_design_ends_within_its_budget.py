@@ -1,0 +1,66 @@
+"""Law: a budget binds: design, front and losses end within 1.5 times it plus 2 s, with a bound and a proof.
+
+Time is the process's own, so that a busy machine fails nothing.
+"""
+
+import time
+
+import numpy as np
+import pytest
+
+from sampling_design import Plant, Requirement, design_schedule, library, pareto, sample_losses
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+DAYLIGHT = np.array([0.0, *(24.0 * day + hour for day in range(30) for hour in (7.0, 19.0)), 720.0]).reshape(-1, 2)
+LARGE = {
+    "many cycles": (OSCILLATOR, {"window": 1000.0}),
+    "a hundred thousand cycles": (OSCILLATOR, {"window": 6e5, "samples": 8}),
+    "closed times": (
+        library.tidal_gauge(),
+        {"window": 720.0, "period": 720.0, "spacing": 5.0, "samples": 30, "forbidden": DAYLIGHT},
+    ),
+    "costs": (
+        OSCILLATOR,
+        {"window": 60.0, "samples": {"at_most": 20}, "outputs": {"y1": {"cost": 1.0}}, "cost_limit": 15},
+    ),
+    "a target": (OSCILLATOR, {"window": 60.0, "spacing": 0.5, "target_sigma": 6.0}),
+}
+THOROUGH = {"starts": 50, "branches": 500}
+
+
+def spent(function):
+    began = time.process_time()
+    result = function()
+    return result, time.process_time() - began
+
+
+@pytest.mark.parametrize("budget", [0.0, 1.0])
+@pytest.mark.parametrize("name", LARGE)
+def test_a_design_ends_in_time_with_what_it_has(name, budget):
+    plant, asked = LARGE[name]
+    design, seconds = spent(
+        lambda: design_schedule(plant, Requirement(**asked), budget=budget, starts=50, branches=500)
+    )
+    assert seconds <= 1.5 * budget + 2
+    assert 0 <= design.sigma <= design.upper_bound < np.inf
+    assert design.status in ("budget", "complete")
+
+
+def test_a_front_shares_its_budget_among_the_counts():
+    front, seconds = spent(
+        lambda: pareto(
+            OSCILLATOR, Requirement(window=60.0, spacing=0.5), range(4, 40), budget=2.0, starts=50, branches=500
+        )
+    )
+    assert seconds <= 1.5 * 2.0 + 2
+    assert [p.samples for p in front.points] == list(range(4, 40))
+    assert sum(p.sigma > 0 for p in front.points) >= 3
+
+
+def test_losses_end_in_time():
+    plant, asked = LARGE["closed times"]
+    design = design_schedule(plant, Requirement(**asked), budget=0.0)
+    losses, seconds = spent(lambda: sample_losses(design, budget=1.0))
+    assert seconds <= 1.5 * 1.0 + 2
+    assert np.all(losses.lower <= losses.bound)
+    assert np.all(np.isfinite(losses.bound))

@@ -110,6 +110,7 @@ _MOVED = {
 }
 _ROOMS = (
     "certificates",
+    "checkers",
     "cli",
     "design",
     "errors",

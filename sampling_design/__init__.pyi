@@ -1,5 +1,6 @@
 # Written from the table in __init__.py by `python -m tests.house.front_door`.
 from sampling_design import certificates as certificates
+from sampling_design import checkers as checkers
 from sampling_design import cli as cli
 from sampling_design import design as design
 from sampling_design import errors as errors

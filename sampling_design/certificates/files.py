@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,18 @@ from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
-from sampling_design.certificates.families.family_certificate import FamilyCertificate, parts_from_dict
-from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, FORMAT, digest
+from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.certificates.families.path_complete import Edge, GapGraph
+from sampling_design.checkers import grammar
+from sampling_design.checkers.strict import Altered, BadFile
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 _RATES = ("eta", "c_w", "c_y", "margin")
-_AROUND = ("format", "claim", "plant", "tool", "solver", "digest")
-_SAMPLED = (*_AROUND, "times", *MATRICES, *NUMBERS, "witness")
-KEYS = {CLAIM: _SAMPLED, FAMILY_CLAIM: (*_SAMPLED, "graph"), DETECTABILITY_CLAIM: (*_AROUND, "P", *_RATES, "method")}
-"""What a file of each claim holds, no more and no less."""
 
 
 def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
@@ -65,9 +63,10 @@ def load_certificate(
     Raises
     ------
     FileFormatError
-        If the file is missing, cut off, of another format, or holds data that are no certificate.
+        If the file is missing, cut off, of another format, holds data that are no certificate, or its digest does
+        not fit (some byte was altered).
     CertificateError
-        If the digest does not fit (some byte was altered), or it certifies another plant.
+        If it certifies another plant.
     """
     where = os.fspath(path)
     data = _files.from_json(_files.read_text(where), where)
@@ -89,38 +88,41 @@ def certificate_from_dict(
     Raises
     ------
     ArgumentError
-        If a key is missing or unknown, or a value is not what it should be.
-    CertificateError
+        If a key is missing or unknown, or a value is not exactly what it should be.
+    FileFormatError
         If the digest does not fit.
     """
-    if data.get("format") != FORMAT:
-        raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a certificate file?")
-    claim = data.get("claim")
-    if not isinstance(claim, str) or claim not in KEYS:
-        raise ArgumentError(f"`claim` must be {', '.join(map(repr, KEYS))} here, got {claim!r}.")
-    _checks.known_keys("the certificate", data, KEYS[claim])
-    missing = [key for key in KEYS[claim] if key not in data]
-    if missing:
-        raise ArgumentError(f"`{missing[0]}` is missing in the certificate. Was the file cut off?")
-    if data["digest"] != digest(data):
-        raise CertificateError(
-            f"{where}: the digest does not fit the content: something was altered after it was written.", path=where
-        )
-    return READERS[claim](data, plant_from_dict(data["plant"], where))
+    try:
+        found = grammar.certificate(data)
+    except BadFile as error:
+        sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
+        if isinstance(error, Altered):
+            sentence = f"{where}: {sentence}"
+            raise FileFormatError(sentence, where) from None
+        raise ArgumentError(sentence) from None
+    plant = plant_from_dict(data["plant"], where)
+    if isinstance(found, grammar.OfFamily):
+        return _of_family(data, plant, found)
+    return _sampled(data, plant) if isinstance(found, grammar.Sampled) else _detectable(data, plant)
 
 
 def _sampled(data: dict[str, Any], plant: Plant) -> Certificate:
     return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
-def _of_family(data: dict[str, Any], plant: Plant) -> FamilyCertificate:
+def _of_family(data: dict[str, Any], plant: Plant, found: grammar.OfFamily) -> FamilyCertificate:
+    edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in found.graph.edges]
+    # words as they were written: whole numbers and others
+    graph = GapGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
     values = _values(data)
-    return FamilyCertificate(plant, **values, **parts_from_dict(data, values["P2"]))
+    n = plant.n_states
+    P = [_checks.definite("P2", values["P2"], n), *(_checks.definite("graph.P", M, n) for M in found.graph.P[1:])]
+    return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 
 def _detectable(data: dict[str, Any], plant: Plant) -> DetectabilityCertificate:
     values = {key: data[key] for key in ("P", *_RATES, "method")}
-    solver = None if data["solver"] is None else _solver(data["solver"])
+    solver = None if data["solver"] is None else SolverRecord(**data["solver"])
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
 
 
@@ -131,20 +133,5 @@ def _values(data: dict[str, Any]) -> dict[str, Any]:
         **{key: data[key] if data[key] else np.zeros((0, 0)) for key in MATRICES},
         **{key: data[key] for key in NUMBERS},
         "witness": None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
-        "solver": _solver(data["solver"]),
+        "solver": SolverRecord(**data["solver"]),
     }
-
-
-READERS: dict[str, Callable[[dict[str, Any], Plant], Certificate | FamilyCertificate | DetectabilityCertificate]] = {
-    CLAIM: _sampled,
-    FAMILY_CLAIM: _of_family,
-    DETECTABILITY_CLAIM: _detectable,
-}
-"""Claim of a file and how the record behind it is made from plain data whose keys and digest are right."""
-
-
-def _solver(data: Any) -> SolverRecord:
-    if not isinstance(data, dict):
-        raise ArgumentError(f"`solver` must be a table, got {type(data).__name__}.")
-    _checks.known_keys("`solver`", data, SolverRecord.__dataclass_fields__)
-    return SolverRecord(**data)

@@ -1,13 +1,9 @@
 """The file of a detectability certificate: written, read, refused, and judged by its independent checker."""
 
-import ast
 import copy
 import dataclasses
 import json
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,13 +20,13 @@ from sampling_design import (
     named_plant,
     survival,
 )
-from sampling_design.certificates import checker, dissipation_checker
-from sampling_design.certificates.dissipation_checker import INEQUALITY, Refused
 from sampling_design.certificates.form import seal
+from sampling_design.checkers import check, detectability, grammar
+from sampling_design.checkers.detectability import INEQUALITY
+from sampling_design.checkers.outcome import Refused
 from sampling_design.errors import CertificateError, FileFormatError
 from tests.oracles import dissipation as oracle
 
-PATH = Path(dissipation_checker.__file__)
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], time_unit="h", name="Doppelintegrator µ")
 TILTED = Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4], [1.0, 0.2]], G=[[1.0], [0.4]])
@@ -101,7 +97,7 @@ def test_any_altered_byte_is_refused(old, tmp_path):
     with pytest.raises((CertificateError, FileFormatError), match=r"the digest does not fit the content|occurs twice"):
         load_certificate(path)
     if old != '"version": ':
-        assert dissipation_checker.check(json.loads(path.read_text()))["inequality"] == "digest"
+        assert check(json.loads(path.read_text()))["inequality"] == "digest"
 
 
 @pytest.mark.parametrize("part", [0.02, 0.3, 0.7, 0.99])
@@ -197,7 +193,7 @@ def test_checker_agrees_with_eigenvalues_at_50_digits_on_200_mutations():
         expected = oracle.holds(data)
         if expected is None:
             continue
-        found = dissipation_checker.check(redigested(data))
+        found = check(redigested(data))
         assert found["passed"] is expected, (field, found)
         assert (found["amount"] > 0) is expected, (field, found)
         counts[expected] += 1
@@ -221,7 +217,7 @@ def test_numbers_that_are_right_keep_every_trajectory_below_the_bound(k):
 def test_one_percent_too_much_is_refused_along_a_direction_in_which_a_trajectory_breaks_the_bound(k):
     data = stated(k)
     data["eta"] *= 1.01 if k not in (2, 4) else 3.0  # constants of a proof, or without w, have room
-    found = dissipation_checker.check(redigested(data))
+    found = check(redigested(data))
     assert (found["passed"], found["inequality"]) == (False, INEQUALITY)
     assert found["reason"].startswith(f"{INEQUALITY} fails by")
     A, C, G, P, eta, c_w, c_y, margin = oracle.parts(data)
@@ -249,7 +245,7 @@ def test_just_feasible_passes_and_just_infeasible_does_not(k, key):
     for off, expected in ((-1e-9, True), (1e-9, False)):
         tried = redigested({**data, key: data[key] * (1 + worse * (good + off))})
         assert oracle.holds(tried) is expected
-        assert dissipation_checker.check(tried)["passed"] is expected
+        assert check(tried)["passed"] is expected
         assert rigorously(tried).verdict == ("proven" if expected else "refuted")
 
 
@@ -306,23 +302,23 @@ def test_sizes_beyond_floats_are_decided_in_rational_numbers():
 def test_an_indefinite_P_is_refused_with_its_direction():
     data = stated(0)
     data["P"] = [[1.0, 2.0], [2.0, 1.0]]
-    found = dissipation_checker.check(redigested(data))
+    found = check(redigested(data))
     assert found["inequality"] == "P > 0"
     assert found["amount"] == pytest.approx(-1.0)
     assert np.abs(found["direction"]) == pytest.approx([np.sqrt(0.5)] * 2)
     data["P"] = [[1.0, 0.0], [0.0, 0.0]]
-    found = dissipation_checker.check(redigested(data))
+    found = check(redigested(data))
     assert (found["inequality"], found["amount"], found["direction"]) == ("P > 0", 0.0, [0.0, 1.0])
 
 
 @pytest.mark.parametrize(
     ("change", "inequality"),
     [
-        (lambda d: d.update(claim="assumption-7"), "claim"),
-        (lambda d: d.update(eta=0.0), "eta > 0"),
-        (lambda d: d.update(c_w=-1.0), "c_w > 0"),
-        (lambda d: d.update(c_y=0), "c_y > 0"),
-        (lambda d: d.update(margin=-1e-9), "margin > 0"),
+        (lambda d: d.update(claim="assumption-7"), "form"),
+        (lambda d: d.update(eta=0.0), "form"),
+        (lambda d: d.update(c_w=-1.0), "form"),
+        (lambda d: d.update(c_y=0), "form"),
+        (lambda d: d.update(margin=-1e-9), "form"),
         (lambda d: d.update(P=[[1.0, 0.5], [0.0, 1.0]]), "P symmetric"),
         (lambda d: d.update(P=[[1.0]]), "form"),
         (lambda d: d.update(eta="much"), "form"),
@@ -335,7 +331,7 @@ def test_an_indefinite_P_is_refused_with_its_direction():
 def test_malformed_data_are_refused_with_the_right_word(change, inequality):
     data = stated(0)
     change(data)
-    found = dissipation_checker.check(redigested(data))
+    found = check(redigested(data))
     assert (found["passed"], found["inequality"]) == (False, inequality)
     assert found["reason"]
 
@@ -343,9 +339,7 @@ def test_malformed_data_are_refused_with_the_right_word(change, inequality):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d["plant"]["matrices"]["A"][0].__setitem__(0, np.inf), "A is not finite"),
         (lambda d: d.update(P=[[1.0, 0.5], [0.0, 1.0]]), "P is not symmetric"),
-        (lambda d: d.update(eta=-1.0), "eta must be positive, got -1.0"),
         (lambda d: d.update(P=[[1.0, 2.0], [2.0, 1.0]]), r"P > 0 fails by 1, an eigenvalue .* \(rounding below"),
         (lambda d: d.update(c_y=1e-80), r"fails by .* \(in rational numbers\), along \["),
     ],
@@ -354,15 +348,15 @@ def test_each_proof_stops_at_the_first_thing_that_is_wrong(change, words):
     data = stated(0)
     change(data)
     with pytest.raises(Refused, match=words):
-        dissipation_checker.detectability(data)
+        detectability.prove(grammar.certificate(redigested(data)))
 
 
 def test_digest_and_claim_come_first():
     data = stated(0)
-    assert "something was altered" in dissipation_checker.check({**data, "eta": 0.1})["reason"]
-    assert "no proof is known here" in dissipation_checker.check(redigested({**data, "claim": "guess"}))["reason"]
-    assert dissipation_checker.check({**data, "eta": np.nan})["inequality"] == "form"
-    assert dissipation_checker.check([])["inequality"] == "form"
+    assert "something was altered" in check({**data, "eta": 0.1})["reason"]
+    assert "`claim` must be" in check(redigested({**data, "claim": "guess"}))["reason"]
+    assert check({**data, "eta": np.nan})["inequality"] == "form"
+    assert check([])["inequality"] == "form"
 
 
 def test_no_states_leave_nothing_to_prove(tmp_path):
@@ -373,34 +367,10 @@ def test_no_states_leave_nothing_to_prove(tmp_path):
     assert back.verify(rigorous=True).verdict == "proven"
 
 
-def test_the_checker_imports_numpy_and_the_standard_library_only():
-    modules = set()
-    for node in ast.walk(ast.parse(PATH.read_text())):
-        if isinstance(node, ast.Import):
-            modules |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            modules.add((node.module or "").split(".")[0])
-    assert modules == {"fractions", "hashlib", "json", "numpy", "sys", "types", "typing"}
-    assert PATH.read_text().count("\n") < 300
-
-
-@pytest.mark.parametrize("file", [PATH, Path(checker.__file__)], ids=lambda path: path.stem)
-def test_both_checkers_run_alone_on_it(file, tmp_path):
-    """A copy of the files outside of the package, in a process without the package's folder."""
-    for path in (PATH, Path(checker.__file__)):
-        (tmp_path / path.name).write_text(path.read_text())
-    text = json.dumps(stated(0))
-    for given, status, word in ((text, 0, "P > 0 and"), (text.replace('"eta": ', '"eta": 1'), 1, "altered")):
-        done = subprocess.run(
-            [sys.executable, "-I", tmp_path / file.name], input=given, capture_output=True, text=True, cwd=tmp_path
-        )
-        assert (done.returncode, word in done.stdout, done.stderr) == (status, True, "")
-
-
 def test_the_verdict_shows_what_was_found():
     wrong = dataclasses.replace(certificates()[0], eta=2 * certificates()[0].eta).verify()
     assert [label for label, _ in wrong._rows()] == ["passed", "inequality", "direction", "slack", "reason"]
-    assert wrong.explain().startswith("Refused: [[A'P + PA")
+    assert wrong.explain().startswith("Refuted: [[A'P + PA")
     assert json.loads(json.dumps(wrong.to_dict()))["direction"] == wrong.direction
 
 
@@ -432,4 +402,4 @@ def test_wrong_arguments_are_refused():
 def test_a_certificate_about_samples_is_not_taken_for_one(tmp_path):
     path = certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4).save(tmp_path / "certificate.json")
     assert not isinstance(load_certificate(path), DetectabilityCertificate)
-    assert dissipation_checker.check(json.loads(path.read_text()))["inequality"] == "claim"
+    assert check(json.loads(path.read_text()))["passed"]

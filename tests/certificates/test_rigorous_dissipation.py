@@ -101,10 +101,10 @@ def test_an_altered_file_is_refused_by_its_digest():
 @pytest.mark.parametrize(
     ("change", "inequality", "verdict"),
     [
-        ({"eta": 0.0}, "eta > 0", "refuted"),
-        ({"c_w": -1.0}, "c_w > 0", "refuted"),
+        ({"eta": 0.0}, "form", "refuted"),
+        ({"c_w": -1.0}, "form", "refuted"),
         ({"c_y": float("1e999")}, "form", "refuted"),
-        ({"margin": -0.1}, "margin >= 0", "refuted"),
+        ({"margin": -0.1}, "form", "refuted"),
         ({"P": [[1.0, 2.0], [2.0, 1.0]]}, "P > 0", "refuted"),
         ({"P": [[1.0, 1.0], [1.0, 1.0]]}, "P > 0", "undecided"),
         ({"P": [[1.0, 0.0], [0.0, 0.0]]}, "P > 0", "undecided"),

@@ -23,9 +23,9 @@ from sampling_design._ball_flow import Clock
 from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.certificates.rigorous.ball_problem import Unproven, Weights
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.certificates.rigorous.family_balls import Intervals, check_times
-from sampling_design.certificates.rigorous.family_cover import FileGraph, Lap, covers
-from tests.certificates.test_checker import redigested
+from sampling_design.certificates.rigorous.family_balls import Intervals
+from sampling_design.checkers.cover import covers
+from tests.checkers.test_sampled import redigested
 from tests.oracles import riccati as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -157,14 +157,14 @@ def test_words_that_take_a_longer_gap_for_granted_are_refused():
 @pytest.mark.parametrize(
     ("path", "value", "inequality"),
     [
-        (["lam_samples"], 1.0, "lam <= lam_samples"),
-        (["witness"], {"t": 1.0, "start": 0.0, "direction": [1.0, 0.0], "ratio": 1.0}, "witness"),
-        (["times", "time_unit"], "h", "times"),
-        (["graph", "words"], [[]], "graph"),
-        (["graph", "edges"], [[0, 0, 0.0, 1.5, [1]]], "graph"),
-        (["graph", "edges"], [[0, 1, 1.5, 0.0, [1]]], "graph"),
+        (["lam_samples"], 1.0, "form"),
+        (["witness"], {"t": 1.0, "start": 0.0, "direction": [1.0, 0.0], "ratio": 1.0}, "form"),
+        (["times", "time_unit"], "h", "form"),
+        (["graph", "words"], [[]], "form"),
+        (["graph", "edges"], [[0, 0, 0.0, 1.5, [1]]], "form"),
+        (["graph", "edges"], [[0, 1, 1.5, 0.0, [1]]], "form"),
         (["graph", "edges"], [[0, 1]], "form"),
-        (["times", "kind"], "whenever", "claim"),
+        (["times", "kind"], "whenever", "form"),
     ],
 )
 def test_malformed_families_are_refused_with_the_right_word(path, value, inequality, made):
@@ -185,7 +185,7 @@ def test_a_nominal_schedule_must_be_one(key, value, made):
     data = json.loads(json.dumps(made("jitter").to_dict()))
     data["times"]["schedule"][key] = value
     found = verify_rigorously(redigested(data))
-    assert (found.verdict, found.inequality) == ("refuted", "times")
+    assert (found.verdict, found.inequality) == ("refuted", "form")
 
 
 def test_coverage_by_closed_intervals():
@@ -198,44 +198,6 @@ def test_coverage_by_closed_intervals():
     assert not covers([(F(1, 10**20), F(2))], F(0), F(2))
     assert not covers([], F(0), F(0))
     assert not covers([(F(3), F(4))], F(0), F(2))
-
-
-@pytest.mark.parametrize(
-    ("edges", "message"),
-    [
-        ([[0, 0, 0.0, 1.5, [1]]], r"\[0, 0, 0.0, 1.5, \[1\]\] is no edge"),
-        ([[0, 1, 1.5, 0.0, [1]]], "the edge from node 0 to 1 has no interval of times"),
-    ],
-)
-def test_what_is_no_edge_is_named(edges, message):
-    with pytest.raises(Unproven, match=message):
-        FileGraph.read({"words": [[], []], "edges": edges}, 1)
-
-
-def test_what_does_not_belong_together_is_named(made):
-    data = made("oscillator, gap range").to_dict()
-    graph = FileGraph.read(data["graph"], 1)
-    for change, matrices, message in [
-        ({}, 5, "the graph must have one matrix per word"),
-        ({"lam_samples": 1.0}, len(graph.words), "a family holds windows from samples to any first gap"),
-        ({"witness": {}}, len(graph.words), "a family certificate has no witness"),
-        ({"times": data["times"] | {"time_unit": "h"}}, len(graph.words), "the family is in h, the plant in s"),
-        (
-            {"times": data["times"] | {"longest": 9.0}},
-            len(graph.words),
-            "the graph does not hold the family: at node 0",
-        ),
-    ]:
-        with pytest.raises(Unproven, match=message):
-            check_times(data | change, graph, matrices)
-
-
-def test_a_nominal_schedule_that_is_none_is_named(made):
-    schedule = made("jitter").to_dict()["times"]["schedule"]
-    with pytest.raises(Unproven, match="the nominal schedule must have positive gaps and one column per output"):
-        Lap.read(schedule | {"first": 7.0}, 1)
-    with pytest.raises(Unproven, match="the columns of the nominal schedule must be the plant's outputs"):
-        Lap.read(schedule | {"output_names": ["y"]}, 1)
 
 
 def test_an_interval_that_is_exactly_tight_is_undecided(made):

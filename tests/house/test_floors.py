@@ -7,6 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "sampling_design"
 FLOORS = {
+    "checkers": 0,
     "plants": 1,
     "schedules": 1,
     "observability": 2,
@@ -48,6 +49,8 @@ def imports(path: Path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
+            if path.parent.name == "checkers" and node.level == 1:
+                continue  # a folder that is copied out of the house names only itself
             assert node.level == 0, f"{path}: relative imports hide the floor"
             if node.module == "sampling_design":
                 yield from (f"sampling_design.{alias.name}" for alias in node.names)

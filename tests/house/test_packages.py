@@ -11,7 +11,7 @@ def test_a_whole_wheel_has_no_fault():
     assert faults(wanted(PACKAGE) | ABOUT, PACKAGE) == []
 
 
-@pytest.mark.parametrize("name", ["py.typed", "__init__.pyi", "certificates/checker.py", "plants/README.md"])
+@pytest.mark.parametrize("name", ["py.typed", "__init__.pyi", "checkers/check.py", "plants/README.md"])
 def test_a_wheel_that_lacks_a_file_is_found_out(name):
     assert faults(wanted(PACKAGE) - {f"sampling_design/{name}"}, PACKAGE) == [f"lacks sampling_design/{name}"]
 

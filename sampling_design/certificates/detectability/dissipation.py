@@ -14,7 +14,8 @@ from sampling_design import _checks
 from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
-from sampling_design.certificates.form.verdict import Verification, verdict_of
+from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.rigorous.judge import judged
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.plants.plant import Plant
@@ -120,7 +121,7 @@ class DetectabilityCertificate(Record):
         )
 
     def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
-        """Prove P > 0 and the inequality anew from the data alone, by `dissipation_checker.py`.
+        """Prove P > 0 and the inequality anew from the data alone, by `checkers/detectability.py`.
 
             [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
 
@@ -142,11 +143,7 @@ class DetectabilityCertificate(Record):
         MissingExtraError
             If `rigorous` is asked for and python-flint is not installed.
         """
-        if rigorous:
-            from sampling_design.certificates.rigorous.decide import verify_rigorously
-
-            return verify_rigorously(self.to_dict(), budget)
-        return verdict_of(self.to_dict())
+        return judged(self.to_dict(), rigorous, budget)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path."""

@@ -20,7 +20,8 @@ from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
 from sampling_design.certificates.form.seal import CLAIM, RESOLUTION, sealed, write_certificate
-from sampling_design.certificates.form.verdict import Verification, verdict_of
+from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.rigorous.judge import judged
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
@@ -150,31 +151,28 @@ class SampledCertificate(Record, ABC):
         return horizon_of(self, theorem, length)
 
     def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
-        """Prove the inequalities anew from the data alone, by `checker.py`, which shares no code with this room.
+        """Prove the inequalities anew from the data alone, by the room `checkers`, which shares no code with this one.
+
+        What its floats can neither prove nor disprove is handed to ball arithmetic, if that is installed.
 
         Parameters
         ----------
         rigorous : bool
-            Decide in ball arithmetic instead (extra `rigorous`): "proven" is then a theorem about the stated doubles.
+            Decide in ball arithmetic at once (extra `rigorous`): "proven" is then a theorem about the stated doubles.
         budget : float [seconds]
             For the rigorous verdict, "undecided" when it runs out.
 
         Returns
         -------
         Verification
-            With `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it.
 
         Raises
         ------
         MissingExtraError
             If `rigorous` is asked for and python-flint is not installed.
         """
-        data = self.to_dict()
-        if rigorous:
-            from sampling_design.certificates.rigorous.decide import verify_rigorously
-
-            return verify_rigorously(data, budget)
-        return verdict_of(data)
+        return judged(self.to_dict(), rigorous, budget)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path."""

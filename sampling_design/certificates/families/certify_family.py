@@ -281,7 +281,7 @@ def certify_family(
     *Assumptions.* As for `certify`. *Claim.* Holds for every schedule of the family, every real window start and
     every later time; lam is an upper bound on the family's supremum. *Method.* Semidefinite programs on a grid of gaps
     with a stated margin, bisection on lam, a search on eta; the continuum between the grid points is proven by
-    stepping along it, and every gap where that fails joins the grid. `family_checker.py` proves the result again by
+    stepping along it, and every gap where that fails joins the grid. `checkers` proves the result again by
     another route. *Numerical aspects.* Posed in coordinates where the nominal schedule keeps the identity.
 
     References

@@ -12,12 +12,12 @@ from sampling_design import _checks
 from sampling_design._record import short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
-from sampling_design.certificates.families.path_complete import GapGraph, graph_from_dict
+from sampling_design.certificates.families.path_complete import GapGraph
 from sampling_design.certificates.form.seal import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.family_files import family_from_dict, family_to_dict
+from sampling_design.schedules.family_files import family_to_dict
 
 Array = npt.NDArray[np.float64]
 
@@ -96,9 +96,3 @@ class FamilyCertificate(SampledCertificate):
             f"1/{short(self.lam)} of the prior weight P2, so that a window longer than {short(self.horizon().minimum)} "
             "contracts."
         )
-
-
-def parts_from_dict(data: dict[str, Any], P2: Array) -> dict[str, Any]:
-    """Return the arguments of a FamilyCertificate that a file of claim "family" adds: family, graph and matrices."""
-    graph, P = graph_from_dict(data["graph"], _checks.definite("P2", P2, len(P2)))
-    return {"family": family_from_dict(data["times"]), "graph": graph, "P": P}

@@ -18,9 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design._record import Plain
-from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
 Word = tuple[Any, ...]
@@ -87,37 +85,3 @@ def unrolled(graph: GapGraph, layers: int) -> GapGraph:
             if edge.source
         ]
     return GapGraph(words, tuple(edges))
-
-
-def graph_from_dict(data: Any, P2: Array) -> tuple[GapGraph, Array]:
-    """Return the graph and its matrices (P2 first) in plain data.
-
-    Raises
-    ------
-    ArgumentError
-        If a key is missing or unknown, an edge leads nowhere, or a matrix is not positive definite.
-    """
-    if not isinstance(data, dict):
-        raise ArgumentError(f"`graph` must be a table with words, edges and P, got {type(data).__name__}.")
-    _checks.known_keys("`graph`", data, ("words", "edges", "P"))
-    missing = [key for key in ("words", "edges", "P") if key not in data]
-    if missing:
-        raise ArgumentError(f"`{missing[0]}` is missing in `graph`. Was the file cut off?")
-    words = tuple(tuple(word) for word in data["words"])
-    if len(data["P"]) != len(words) - 1:
-        raise ArgumentError(f"`graph.P` must hold {len(words) - 1} matrices, one per word, got {len(data['P'])}.")
-    P = np.stack([P2, *(_checks.definite("graph.P", matrix, len(P2)) for matrix in data["P"])])
-    return GapGraph(words, tuple(_edge(item, len(words)) for item in data["edges"])), P
-
-
-def _edge(item: Any, count: int) -> Edge:
-    try:
-        source, target, low, high, outputs = item
-        edge = Edge(int(source), int(target), float(low), float(high), tuple(bool(on) for on in outputs))
-    except (TypeError, ValueError):
-        raise ArgumentError(
-            f"`graph.edges` must be lists [source, target, low, high, outputs], got {item!r}."
-        ) from None
-    if not (0 <= edge.source < count and 0 < edge.target < count and 0 <= edge.low <= edge.high < np.inf):
-        raise ArgumentError(f"`graph.edges` must join words in a time 0 <= low <= high, got {item!r}.")
-    return edge

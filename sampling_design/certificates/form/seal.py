@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from pathlib import Path
 from typing import Any, Protocol
 
 from sampling_design import __version__, _files
 from sampling_design._record import Plain
+from sampling_design.checkers.grammar import FORMAT, digest
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
 
-FORMAT = "sampling-design/certificate/1"
 CLAIM = "assumption-7"
 FAMILY_CLAIM = "family"
 DETECTABILITY_CLAIM = "detectability"
@@ -29,13 +27,6 @@ class Recorded(Protocol):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-
-
-def digest(data: dict[str, Any]) -> str:
-    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
-    rest = {key: value for key, value in data.items() if key != "digest"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> dict[str, Any]:

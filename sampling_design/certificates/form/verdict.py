@@ -1,16 +1,12 @@
-"""The verdict on a certificate, and which independent checker gives it."""
+"""The verdict on a certificate, given by the independent checkers (room `checkers`) from its plain data alone."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from typing import Any
 
 from sampling_design._record import Plain, Record, short
-from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM
-
-CHECKERS = {CLAIM: "checker", FAMILY_CLAIM: "family_checker", DETECTABILITY_CLAIM: "dissipation_checker"}
-"""Claim of a certificate file and the module of this room that proves it, from plain data alone."""
+from sampling_design.checkers import check
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,6 +28,9 @@ class Verification(Record):
         One sentence.
     direction : list of float or None
         Along which it fails, if that is known: of unit length; states, then disturbances.
+    verdict : str
+        "proven"; "refuted": some inequality fails; "undecided": neither, it is tight or as near to failing as rounding;
+        "bad file": the data are no certificate.
     """
 
     passed: bool
@@ -41,6 +40,7 @@ class Verification(Record):
     amount: float
     reason: str
     direction: list[float] | None = None
+    verdict: str = "undecided"
 
     def __bool__(self) -> bool:
         return self.passed
@@ -61,10 +61,9 @@ class Verification(Record):
 
     def explain(self) -> str:
         """Say the verdict."""
-        return ("Proven: " if self.passed else "Refused: ") + self.reason
+        return f"{self.verdict.capitalize()}: {self.reason}"
 
 
 def verdict_of(data: dict[str, Any]) -> Verification:
-    """Run the independent checker on the plain data of a certificate."""
-    module = import_module(f"sampling_design.certificates.{CHECKERS[data['claim']]}")
-    return Verification(**module.check(data))
+    """Return the verdict of the independent checker on the plain data of a certificate."""
+    return Verification(**check(data))

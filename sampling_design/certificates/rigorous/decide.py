@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
-from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, RESOLUTION, digest
+from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
@@ -28,8 +28,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
 from sampling_design.certificates.rigorous.ball_proof import Windows
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
-from sampling_design.certificates.rigorous.family_cover import COVERED
 from sampling_design.certificates.rigorous.refutation import refute
+from sampling_design.checkers.grammar import certificate
+from sampling_design.checkers.strict import Altered, BadFile
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
@@ -53,7 +54,6 @@ class RigorousVerification(Verification):
     seconds : float
     """
 
-    verdict: str = UNDECIDED
     bits: int = BITS
     seconds: float = 0.0
 
@@ -114,13 +114,12 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
 
 
 def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
-    with reading():
-        if data["digest"] != digest(data):
-            raise Unproven(REFUTED, "digest", "the digest does not fit the content: something was altered")
-        claim = (data["claim"], None if data["claim"] == DETECTABILITY_CLAIM else data["times"]["kind"])
-    if claim not in CLAIMS:
-        raise Unproven(UNDECIDED, "claim", f"no proof in balls is known for {claim[0]!r} on times {claim[1]!r}")
-    inequality, subject, slack = CLAIMS[claim](data, clock)
+    try:
+        certificate(data)
+    except BadFile as error:
+        word = "digest" if isinstance(error, Altered) else "form"
+        raise Unproven(REFUTED, word, f"the data are no certificate: {error}") from None
+    inequality, subject, slack = CLAIMS[data["claim"]](data, clock)
     reason = f"{inequality} for {subject}, slack {slack:.3g}"
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
@@ -229,9 +228,8 @@ def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     return family(data, targets(data), clock)
 
 
-CLAIMS: dict[tuple[str, str | None], Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
-    (CLAIM, "periodic"): assumption_7,
-    (CLAIM, "finite"): assumption_7,
-    **{("family", kind): of_family for kind in COVERED},
-    (DETECTABILITY_CLAIM, None): detectability,
+CLAIMS: dict[str, Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
+    CLAIM: assumption_7,
+    FAMILY_CLAIM: of_family,
+    DETECTABILITY_CLAIM: detectability,
 }

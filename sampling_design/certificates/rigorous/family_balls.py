@@ -35,7 +35,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
     positive_definite,
     reading,
 )
-from sampling_design.certificates.rigorous.family_cover import COVERED, FileGraph
+from sampling_design.checkers.cover import judge
+from sampling_design.checkers.grammar import OfFamily, certificate
+from sampling_design.checkers.outcome import Refused
 
 Pattern = tuple[bool, ...]
 
@@ -100,11 +102,16 @@ def _ball(time: Fraction) -> Ball:
 
 def family(data: dict[str, Any], stated: list[tuple[Matrix, str, bool]], clock: Clock) -> tuple[str, str, float]:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
+    c = certificate(data)
+    assert isinstance(c, OfFamily)
+    graph = c.graph
+    try:
+        judge(c.family, graph)
+    except Refused as error:
+        raise Unproven(REFUTED, error.inequality, error.reason) from None
     with reading():
         weights = Weights(data)
-        graph = FileGraph.read(data["graph"], weights.p)
-        P = [weights.P2, *(symmetric(np.reshape(node, (weights.n, weights.n))) for node in data["graph"]["P"])]
-        check_times(data, graph, len(P))
+    P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
         positive_definite(f"P_{u}", node)
     slack = 1.0
@@ -113,27 +120,11 @@ def family(data: dict[str, Any], stated: list[tuple[Matrix, str, bool]], clock: 
         into = Intervals(weights, P[v], patterns, f"Phi_h(P_u) + C'R~C >= P_{v}", clock)
         for edge in graph.edges:
             if edge.target == v:
-                into.prove(P[edge.source], edge.outputs, edge.low, edge.high)
+                into.prove(P[edge.source], edge.outputs, Fraction(edge.low), Fraction(edge.high))
         slack = min(slack, 1.0 - into.reached)
     for target, name, _ in stated:
         along = Intervals(weights, target, [], name, clock)
         for u, node in enumerate(P):
-            along.prove(node, None, Fraction(0), graph.top(u))
+            along.prove(node, None, Fraction(0), Fraction(graph.top(u)))
         slack = min(slack, 1.0 - along.reached)
     return " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)", SUBJECT, slack
-
-
-def check_times(data: dict[str, Any], graph: FileGraph, matrices: int) -> None:
-    """Raise Unproven unless graph, matrices, units and lambdas belong together and the graph holds the family."""
-    times = data["times"]
-    units = {times.get("time_unit"), times.get("schedule", {}).get("time_unit")} - {None}
-    if units - {data["plant"]["time_unit"]}:
-        raise Unproven(REFUTED, "times", f"the family is in {units.pop()}, the plant in {data['plant']['time_unit']}")
-    if matrices != len(graph.words):
-        raise Unproven(REFUTED, "graph", "the graph must have one matrix per word")
-    if float(data["lam_samples"]) < float(data["lam"]):
-        reason = "a family holds windows from samples to any first gap: lam_samples is at least lam"
-        raise Unproven(REFUTED, "lam <= lam_samples", reason)
-    if data["witness"] is not None:
-        raise Unproven(REFUTED, "witness", "a family certificate has no witness")
-    COVERED[times["kind"]](graph, times)

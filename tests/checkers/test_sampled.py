@@ -3,8 +3,11 @@
 import ast
 import copy
 import json
+import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +16,29 @@ import pytest
 from sampling_design import (
     Certificate,
     GapRange,
+    Jitter,
+    LostSamples,
     PeriodicSchedule,
     Plant,
     Schedule,
+    SpacedWindows,
     certify,
     certify_detectability,
     certify_family,
 )
-from sampling_design.certificates import checker
+from sampling_design import checkers as checker
 from sampling_design.certificates.form import seal
+from sampling_design.checkers import grammar, outcome, sampled
 from tests.oracles import riccati as oracle
 
-PATH = Path(checker.__file__)
+ROOM = Path(checker.__file__).parent
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+FAMILIES = [
+    GapRange(0.9, 1.1),
+    SpacedWindows(3.0, 2, 1.0),
+    LostSamples(PeriodicSchedule([1.0]), 1, 3),
+    Jitter(PeriodicSchedule([1.0, 1.5]), 0.1),
+]
 TILTED = Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4], [1.0, 0.2]], G=[[1.0], [0.4]])
 
 
@@ -137,18 +150,19 @@ def test_any_altered_byte_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "inequality"),
     [
-        (lambda d: d.update(claim="detectability"), "claim"),
-        (lambda d: d["times"].update(kind="gap-range"), "claim"),
-        (lambda d: d.update(eta=0.0), "eta > 0"),
-        (lambda d: d.update(lam=-1.0), "lam > 0"),
+        (lambda d: d.update(claim="detectability"), "form"),
+        (lambda d: d["times"].update(kind="gap-range"), "form"),
+        (lambda d: d.update(eta=0.0), "form"),
+        (lambda d: d.update(lam=-1.0), "form"),
         (lambda d: d.update(R=[[-1.0]]), "R > 0"),
         (lambda d: d.update(P2=[[1.0, 0.0], [0.0, -1.0]]), "P2 > 0"),
         (lambda d: d.update(P1=[[1.0, 0.5], [0.0, 1.0]]), "P1 symmetric"),
         (lambda d: d.update(Qw=[[1.0, 0.0], [0.0, 0.0]]), "Qw > 0"),
-        (lambda d: d["times"].update(gaps=[0.0, 1.0]), "times"),
-        (lambda d: d["times"].update(first=9.0), "times"),
-        (lambda d: d["times"].update(outputs=[[0], [1]]), "times"),
-        (lambda d: d["witness"].update(start=-1.0), "witness"),
+        (lambda d: d["times"].update(gaps=[0.0, 1.0]), "form"),
+        (lambda d: d["times"].update(first=9.0), "form"),
+        (lambda d: d["times"].update(outputs=[[0], [1]]), "form"),
+        (lambda d: d["witness"].update(start=-1.0), "form"),
+        (lambda d: d["witness"].update(start=1e3), "witness"),
         (lambda d: d["witness"].update(ratio=1e3), "witness"),
         (lambda d: d.update(P1=[[1.0]]), "form"),
         (lambda d: d.pop("witness"), "form"),
@@ -168,39 +182,46 @@ def test_malformed_data_are_refused_with_the_right_word(change, inequality):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(R=[[np.nan]]), "is not symmetric and finite"),
-        (lambda d: d.update(P2=[[1.0, 0.0], [0.0, -1.0]]), "is not positive definite: least eigenvalue -1"),
-        (lambda d: d.update(eta=-1.0), "must be positive, got -1.0"),
-        (lambda d: d["times"].update(gaps=[-1.0, 1.0]), "times must increase strictly, the first within the period"),
+        (lambda d: d.update(P2=[[1.0, 2.0], [2.0, 1.0]]), "is not positive definite: least eigenvalue -1"),
+        (lambda d: d.update(P2=[[1.0, 1.0], [1.0, 1.0]]), "is not positive definite: least eigenvalue"),
+        (lambda d: d.update(P2=[[1.0, 0.1], [0.0, 1.0]]), "is not symmetric and finite"),
         (lambda d: d.update(Qw=[[1.0, 0.0], [0.0, 0.0]]), "Qw is singular in a direction that drives the plant"),
-        (lambda d: d["witness"].update(t=-1.0), "the witness must have 0 <= start <= t within the schedule"),
+        (lambda d: d.update(Qw=[[1.0, 2.0], [2.0, 1.0]]), "Qw is not positive semidefinite"),
+        (lambda d: d["witness"].update(start=1e3), "the witness must have 0 <= start <= t within the schedule"),
         (lambda d: d["witness"].update(ratio=1e3), "the witness reaches"),
         (lambda d: d.update(P1=[[9.0, 0.0], [0.0, 9.0]]), "could not be decided|fails by"),
+        (lambda d: d.update(P2=[[1e-290, 0.0], [0.0, 1.0]], Qw=[[1e290, 0.0], [0.0, 1.0]]), "too large or too small"),
+        (lambda d: d.update(Qw=[[5e-324, 0.0], [0.0, 1.0]]), "is beyond the range of doubles"),
     ],
 )
 def test_each_proof_stops_at_the_first_thing_that_is_wrong(change, words):
     data = certificates()[0].to_dict()
     change(data)
-    with pytest.raises(checker.Refused, match=words):
-        checker.assumption_7(data)
+    with pytest.raises(outcome.Refused, match=words):
+        sampled.prove(grammar.certificate(redigested(data)))
 
 
 def test_digest_and_claim_come_first():
     data = certificates()[0].to_dict()
     assert "something was altered" in checker.check({**data, "lam": 2.0})["reason"]
     other = checker.check(redigested({**data, "claim": "guess"}))
-    assert other["reason"].startswith("no proof is known for the claim")
+    assert (other["verdict"], "`claim` must be" in other["reason"]) == ("bad file", True)
+
+
+def tight_one():
+    """x' = -x/4 at rate 1/2: the discounted information stands still between samples."""
+    still = Plant([[-0.25]], [[1.0]], G=[[0.0]])
+    return Certificate.from_matrices(
+        still, PeriodicSchedule([1.0]), P1=[[1.0]], P2=[[1.0]], Qw=[[1.0]], R=[[2.0]], Qv=[[2.0]], eta=0.5, lam=1.0
+    )
 
 
 def test_what_can_not_be_decided_is_refused():
-    """P1 = P2 with a plant that stands still: the inequality is tight along the whole gap."""
-    still = Plant([[0.0]], [[1.0]], G=[[0.0]])
-    made = Certificate.from_matrices(
-        still, PeriodicSchedule([1.0]), P1=[[1.0]], P2=[[1.0]], Qw=[[1.0]], R=[[2.0]], Qv=[[2.0]], eta=1e-12, lam=1.0
-    )
-    verdict = made.verify()
-    assert not verdict.passed
-    assert "could not be decided: it is tight or nearly so" in verdict.reason or "fails by" in verdict.reason
+    """P1 = P2 with information that stands still: the inequality is tight along the whole gap, in balls too."""
+    assert tight_one().verify().verdict == "undecided"
+    found = checker.check(tight_one().to_dict())
+    assert found["verdict"] == "undecided"
+    assert "could not be decided: it is tight or nearly so" in found["reason"]
 
 
 def test_an_aliased_schedule_is_never_proven():
@@ -239,36 +260,106 @@ def test_stiff_plants_are_proven(rate):
     assert 1 < made.lam < 50
 
 
-def test_checker_imports_the_standard_library_and_numpy_only():
+def test_the_room_imports_the_standard_library_numpy_and_itself():
     modules = set()
-    for node in ast.walk(ast.parse(PATH.read_text())):
-        if isinstance(node, ast.Import):
-            modules |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            modules.add((node.module or "").split(".")[0])
-    assert modules == {"hashlib", "json", "numpy", "runpy", "sys", "types", "typing"}
-    assert PATH.read_text().count("\n") < 300
+    for path in ROOM.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                modules.add((node.module or "").split(".")[0])
+    assert modules - set(sys.stdlib_module_names) == {"numpy"}
 
 
-def test_checker_runs_alone(tmp_path):
-    path = certificates()[0].save(tmp_path / "certificate.json")
-    code = f"import runpy, sys; sys.argv = ['checker']; runpy.run_path({str(PATH)!r}, run_name='__main__')"
-    for text, status in ((path.read_text(), 0), (path.read_text().replace('"eta": 0.4', '"eta": 0.5'), 1)):
-        done = subprocess.run([sys.executable, "-c", code], input=text, capture_output=True, text=True)
-        assert done.returncode == status
-        assert done.stdout.strip()
+@pytest.fixture
+def copied(tmp_path):
+    """The folder, alone in an empty directory."""
+    shutil.copytree(ROOM, tmp_path / "alone" / "checkers", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path / "alone"
 
 
-def test_one_command_takes_the_files_of_every_claim(tmp_path):
+def bare(arguments, folder, text=""):
+    """Run the bare interpreter: no path of the house, no module of it in reach."""
+    return subprocess.run(
+        [sys.executable, "-I", "-c", BARE, *map(str, arguments)], input=text, capture_output=True, text=True, cwd=folder
+    )
+
+
+BARE = """
+import runpy, sys
+class Nothing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("sampling_design", "scipy", "flint"):
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Nothing())
+_, how, what, *sys.argv[1:] = sys.argv
+sys.path.insert(0, ".")
+if how == "-m":
+    runpy.run_module(what, run_name="__main__", alter_sys=True)
+else:
+    runpy.run_path(what, run_name="__main__")
+"""
+
+
+def test_the_copied_folder_takes_the_files_of_every_claim(tmp_path, copied):
     made = {
-        "family": certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2),
         "detectability": certify_detectability(OSCILLATOR),
         "assumption-7": certificates()[0],
+        **{f"family {k}": certify_family(OSCILLATOR, family, eta=0.2) for k, family in enumerate(FAMILIES)},
     }
     for claim, certificate in made.items():
-        text = certificate.save(tmp_path / "certificate.json").read_text()
-        done = subprocess.run([sys.executable, PATH], input=text, capture_output=True, text=True)
-        assert (done.returncode, done.stdout.strip()) == (0, certificate.verify().reason), claim
-    for text in ("[1]", "{}", '{"claim": ["family"]}'):
-        done = subprocess.run([sys.executable, PATH], input=text, capture_output=True, text=True)
-        assert (done.returncode, "no certificate" in done.stdout) == (1, True)
+        path = certificate.save(tmp_path / "certificate.json")
+        runs = [bare(["-m", "checkers", path], copied)]
+        if claim == "family 0":
+            runs.append(bare(["file", "checkers/check.py"], copied, path.read_text()))
+        for done in runs:
+            assert (done.returncode, done.stdout.strip(), done.stderr) == (0, certificate.verify().reason, ""), claim
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[1]", "must hold one JSON object, got list"),
+        ("{}", "`format` must be 'sampling-design/certificate/1', got None"),
+        ('{"format": "sampling-design/certificate/1", "claim": ["family"]}', "`claim` must be"),
+        ('{"eta": 1e999}', "which is not a finite double"),
+        ('{"eta": 1e-999}', "which is too small for a double"),
+        ('{"eta": NaN}', "holds NaN, which is not allowed"),
+        ('{"eta": ' + "9" * 5000 + "}", "a whole number beyond 2^53"),
+        ("[" * 100000, "is nested more than 20 levels deep"),
+        ('{"a":' * 30000, "is nested more than 20 levels deep"),
+        ('{"a": 1, "a": 1}', "key 'a' occurs twice"),
+        ('{"a": "\\ud800"}', "which is not Unicode"),
+        ("", "is not valid JSON at line 1"),
+        ('{"a": ', "Was the file cut off?"),
+    ],
+)
+def test_a_bad_file_is_one_sentence_and_exit_code_2(text, words, copied):
+    done = bare(["-m", "checkers"], copied, text)
+    assert (done.returncode, words in done.stdout, done.stderr) == (2, True, ""), done
+    assert done.stdout.count("\n") == 1
+
+
+def test_no_and_perhaps_have_exit_codes_of_their_own(tmp_path, copied):
+    data = certificates()[0].to_dict()
+    data["P1"] = (1.5 * np.array(data["P1"])).tolist()
+    done = bare(["-m", "checkers"], copied, json.dumps(redigested(data)))
+    assert (done.returncode, "fails by" in done.stdout) == (1, True)
+    done = bare(["-m", "checkers"], copied, json.dumps({**data, "eta": 0.1}))
+    assert (done.returncode, "something was altered" in done.stdout) == (2, True)
+    tight = json.dumps(tight_one().to_dict())
+    done = bare(["-m", "checkers"], copied, tight)
+    assert (done.returncode, "could not be decided" in done.stdout) == (3, True)
+    done = bare(["-m", "checkers", tmp_path / "none.json"], copied)
+    assert (done.returncode, "cannot be read (No such file or directory)" in done.stdout) == (2, True)
+    done = bare(["-m", "checkers", tmp_path], copied)
+    assert (done.returncode, "cannot be read" in done.stdout) == (2, True)
+    done = bare(["-m", "checkers", "--help"], copied)
+    assert (done.returncode, "Exit code 0: proven" in done.stdout) == (0, True)
+
+
+def test_an_interrupt_is_130(copied):
+    with subprocess.Popen([sys.executable, "-m", "checkers"], cwd=copied, stdin=subprocess.PIPE) as process:
+        time.sleep(1.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 130

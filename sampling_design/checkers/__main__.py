@@ -1,0 +1,5 @@
+"""`python -m checkers certificate.json`."""
+
+from .check import run
+
+run()

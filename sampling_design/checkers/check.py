@@ -1,0 +1,96 @@
+"""The command, and the one door for plain data: `verdict(data)`.
+
+    python -m checkers certificate.json          from the folder that holds this one
+    python checkers/check.py < certificate.json  from anywhere
+
+One sentence on standard output. Exit code 0: proven; 1: the mathematics says no; 2: bad file; 3: undecided (tight, or
+as near to failing as rounding); 130: interrupted.
+"""
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+if not __package__:  # run as a file: its folder is the package
+    here = Path(__file__).resolve().parent
+    sys.path[:] = [str(here.parent), *(entry for entry in sys.path if Path(entry or ".").resolve() != here)]
+    __package__ = here.name
+    __import__(__package__)
+
+
+def verdict(data: Mapping[str, Any]) -> Any:
+    """Return the `Verdict` on the plain data of a certificate file of any claim."""
+    import numpy as np
+
+    from . import detectability, families, sampled
+    from .grammar import OfFamily, Sampled, certificate
+    from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
+    from .strict import Altered, BadFile
+
+    try:
+        c = certificate(data)
+        with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
+            if isinstance(c, Sampled):
+                inequality, slack = sampled.prove(c)
+                reason = f"{inequality} for every real window start and every later t, slack {slack:.3g}"
+            elif isinstance(c, OfFamily):
+                inequality, slack = families.prove(c)
+                subject = "for every schedule of the family, every real window start and every later t"
+                reason = f"{inequality} {subject}, slack {slack:.3g}"
+            else:
+                how, slack = detectability.prove(c)
+                inequality = detectability.INEQUALITY
+                reason = f"P > 0 and {inequality}, {how}"
+    except Altered as error:
+        return Verdict(BAD_FILE, "digest", str(error))
+    except BadFile as error:
+        return Verdict(BAD_FILE, "form", f"the data are no certificate: {error}")
+    except Refused as error:
+        return refused(error)
+    except (np.linalg.LinAlgError, OverflowError) as error:
+        return Verdict(UNDECIDED, "range", f"these numbers are beyond the range of doubles ({error})")
+    return Verdict(PROVEN, inequality, reason, slack)
+
+
+def check(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the verdict as plain data."""
+    return dict(verdict(data).to_dict())
+
+
+def main(arguments: list[str]) -> int:
+    """Check the file that is named, or standard input; print one sentence and return the exit code."""
+    from .strict import BadFile, decoded, from_json
+
+    try:
+        if len(arguments) > 1 or arguments[:1] in (["-h"], ["--help"]):
+            print(__doc__.strip())
+            return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
+        content = Path(arguments[0]).read_bytes() if arguments else sys.stdin.buffer.read()
+        found = verdict(from_json(decoded(content)))
+    except BadFile as error:
+        print(f"the data are no certificate: the file {error}".replace("the file `", "`"))
+        return 2
+    except OSError as error:
+        print(f"{arguments[0]}: cannot be read ({error.strerror})")
+        return 2
+    print(found.reason)
+    return int(found.exit_code)
+
+
+def run() -> None:
+    """Run the command: 130 if it is interrupted, no complaint if nobody reads its output."""
+    try:
+        status = main(sys.argv[1:])
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        status = 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 2
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,140 @@
+"""Does the graph of a family certificate hold the whole family? Derived in rational numbers; the file is only compared.
+
+A word is what a node takes for granted about the schedule since the window's start. At the start that is nothing; along
+each edge this module derives it anew from the family's parameters and the word before, and the file may say no more.
+At every node each gap that the family allows there must have an edge, which measures what the family measures.
+"""
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+from .grammar import Family, GapRange, Graph, Jitter, Laps, LostSamples, SpacedWindows
+from .outcome import Refused
+
+Word = tuple[Fraction, ...]
+
+
+def need(condition: bool, u: int, what: str) -> None:
+    """Refused if a schedule could leave the graph at node u, or an edge there is none of the family's."""
+    if not condition:
+        raise Refused("graph", f"the graph does not hold the family: at node {u}, {what}")
+
+
+def covers(parts: list[tuple[Fraction, Fraction]], low: Fraction, high: Fraction) -> bool:
+    """Whether closed intervals together cover [low, high]."""
+    reached = None
+    for a, b in sorted(parts):
+        if a > (low if reached is None else reached):
+            break
+        if b >= low:
+            reached = b if reached is None else max(reached, b)
+    return reached is not None and reached >= high
+
+
+def exact(word: tuple[float, ...]) -> Word:
+    """The numbers of the file, without rounding."""
+    return tuple(map(Fraction, word))
+
+
+def implied(claimed: Word, derived: Word) -> bool:
+    """Whether lower bounds that a word claims follow from those that were derived."""
+    known = derived + (Fraction(0),) * len(claimed)
+    return all(x <= y for x, y in zip(claimed, known, strict=False))
+
+
+def gaps(graph: Graph, least: Fraction, most: Callable[[Word], Fraction]) -> None:
+    """Words are lower bounds of the last gaps, newest first."""
+    words = [exact(word) for word in graph.words]
+    for u, word in enumerate(words):
+        low, high, parts = least if u else Fraction(0), most(word), []
+        for edge in graph.leaving(u):
+            known = implied(words[edge.target], (Fraction(edge.low), *word))
+            need(known, u, f"node {edge.target} takes longer gaps for granted than there were")
+            need(all(edge.outputs), u, f"the edge to node {edge.target} does not measure every output")
+            parts.append((Fraction(edge.low), Fraction(edge.high)))
+        # a gap that only rounding allowed may leave no room for another one: no schedule comes here
+        need((u > 0 and high < low) or covers(parts, low, high), u, f"gaps from {float(low):g} to {float(high):g}")
+
+
+def gap_range(family: GapRange, graph: Graph) -> None:
+    """From the start every gap up to the longest has an edge, elsewhere every gap of the range."""
+    longest = Fraction(family.longest)
+    gaps(graph, Fraction(family.shortest), lambda word: longest)
+
+
+def spaced_windows(family: SpacedWindows, graph: Graph) -> None:
+    """Any k gaps in a row sum to at most T: of those that hold the next one, i are known, k - 1 - i are to come."""
+    T, k, spacing = Fraction(family.window), family.count, Fraction(family.spacing)
+
+    def most(word: Word) -> Fraction:
+        return min(T - sum(word[:i]) - (k - 1 - i) * spacing for i in range(min(len(word), k - 1) + 1))
+
+    gaps(graph, spacing, most)
+
+
+def phases(lap: Laps, word: Word, u: int) -> list[int]:
+    """Which samples of the nominal lap may come next at a node."""
+    need(bool(word) or not u, u, "the word does not begin with a sample of the lap")
+    return [(int(word[0]) + 1) % lap.gaps.size] if u else list(range(lap.gaps.size))
+
+
+def patterns(lap: Laps) -> list[tuple[bool, ...]]:
+    """What each sample of the nominal lap measures."""
+    return [tuple(map(bool, row)) for row in lap.seen]
+
+
+def lost_samples(family: LostSamples, graph: Graph) -> None:
+    """Words are the phase and which of the last samples were lost (1), newest first; less than that may be said."""
+    lap, words = family.nominal, [exact(word) for word in graph.words]
+    lengths, reach, seen = [Fraction(g) for g in lap.gaps], [Fraction(r) for r in lap.reach], patterns(lap)
+    lost = tuple([False] * lap.seen.shape[1])
+    for u, word in enumerate(words):
+        bits, moves = word[1:], dict[tuple[int, bool], list[tuple[Fraction, Fraction]]]()
+        for j in phases(lap, word, u):
+            moves[j, False] = []
+            if sum(bits[: family.of - 1]) < family.most:
+                moves[j, True] = []
+        for edge in graph.leaving(u):
+            bit = edge.outputs == lost
+            phase, *claimed = words[edge.target] or (Fraction(-1),)
+            j = int(phase)
+            fits = j == phase and (j, bit) in moves and (bit or edge.outputs == seen[j])
+            fits = fits and implied(tuple(claimed), (Fraction(bit), *bits))
+            need(fits, u, f"the edge to node {edge.target} is no sample of the lap, taken or lost, that may follow")
+            moves[j, bit].append((Fraction(edge.low), Fraction(edge.high)))
+        for (j, bit), parts in moves.items():
+            low, high = (lengths[j], lengths[j]) if u else (Fraction(0), reach[j])
+            need(covers(parts, low, high), u, f"sample {j} of the lap, {'lost' if bit else 'taken'}")
+
+
+def jitter(family: Jitter, graph: Graph) -> None:
+    """Words are the phase and the ends of the last deviation from the nominal time."""
+    lap, radius, words = family.nominal, Fraction(family.radius), [exact(word) for word in graph.words]
+    lengths, reach, seen = [Fraction(g) for g in lap.gaps], [Fraction(r) for r in lap.reach], patterns(lap)
+    for u, word in enumerate(words):
+        need(len(word) == 3 or not u, u, "the word is no sample of the lap and the ends of its deviation")
+        cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(lap, word, u)}
+        for edge in graph.leaving(u):
+            phase, a, b = (words[edge.target] + (Fraction(-1),) * 3)[:3]
+            j, what = int(phase), f"the edge to node {edge.target} is no sample of the lap that may follow"
+            need(j == phase and j in cells and a <= b and edge.outputs == seen[j], u, what)
+            low, high = (
+                (lengths[j] + a - word[2], lengths[j] + b - word[1]) if u else (Fraction(0), reach[j] + radius + b)
+            )
+            wide = edge.low <= max(low, Fraction(0)) and high <= edge.high
+            need(wide, u, f"the edge to node {edge.target} leaves out gaps of that deviation")
+            cells[j].append((a, b))
+        for j, parts in cells.items():
+            need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the lap")
+
+
+def judge(family: Family, graph: Graph) -> None:
+    """Refused unless every schedule of the family, from every window start, is a path in the graph."""
+    kinds: dict[type, Callable[[Any, Graph], None]] = {
+        GapRange: gap_range,
+        SpacedWindows: spaced_windows,
+        LostSamples: lost_samples,
+        Jitter: jitter,
+    }
+    kinds[type(family)](family, graph)

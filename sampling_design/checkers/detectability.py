@@ -1,0 +1,131 @@
+"""Claim "detectability": one inequality about a plant, without samples.
+
+It proves, for the very doubles in the file, P > 0 and N > 0,
+
+    N = [[c_y C'C - A'P - PA - (1 + margin) eta P, -PG], [-G'P, c_w I]],
+
+so that d/dt x'Px <= -eta x'Px + c_w |w|^2 + c_y |Cx|^2 along x' = Ax + Gw.
+1. Each row and column is divided by the root of the size of its diagonal's terms: eigenvalues are relative to them.
+2. The least eigenvalue is found in floats, with a bound of all rounding: of the entries, and of the eigenvalues.
+3. Where the bound leaves the sign open, L D L' in rational numbers decides, without any rounding.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from .grammar import Detectability
+from .numbers import EPS, symmetric
+from .outcome import Refused
+from .strict import Array
+
+EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
+PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
+INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
+
+
+@dataclass(frozen=True)
+class Inequality:
+    """The numbers of the inequality, as doubles or as fractions (arrays of objects)."""
+
+    A: Any
+    C: Any
+    G: Any
+    P: Any
+    eta: Any
+    c_w: Any
+    c_y: Any
+    margin: Any
+
+
+def prove(c: Detectability) -> tuple[str, float]:
+    """Prove P > 0 and the dissipation inequality; return how, and the relative slack of the latter."""
+    found = 1.0, "no states"
+    floats = numbers(c)
+    for name in ("P > 0", INEQUALITY) if c.plant.n else ():
+        found = in_floats(name, floats) or in_rationals(name, rational(c))
+    return found[1], found[0]
+
+
+def forms(name: str, c: Inequality) -> tuple[Any, Any]:
+    """The matrix that must be positive definite, and the sizes of its terms, summed."""
+    A, C, G, P = (abs(X) for X in (c.A, c.C, c.G, c.P))
+    if name == "P > 0":
+        return c.P, P
+    rate = (1 + c.margin) * c.eta
+    return negative(c.A, c.C, c.G, c.P, c.c_y, c.c_w, rate, -1), negative(A, C, G, P, c.c_y, c.c_w, rate, 1)
+
+
+def negative(A: Any, C: Any, G: Any, P: Any, c_y: Any, c_w: Any, rate: Any, sign: int) -> Any:
+    """N for sign = -1; for sign = 1 and the sizes of all numbers, the sum of the sizes of its terms."""
+    drift, off = A.T @ P, sign * (P @ G)
+    corner = c_y * (C.T @ C) + sign * (drift + drift.T + rate * P)
+    return np.block([[corner, off], [off.T, np.diag([c_w] * G.shape[1])]])
+
+
+def numbers(c: Detectability) -> Inequality:
+    """The numbers as doubles; P is the symmetric part."""
+    symmetric("P", c.P, np.sqrt(np.abs(np.diag(c.P))))
+    return Inequality(c.plant.A, c.plant.C, c.plant.G, c.P / 2 + c.P.T / 2, c.eta, c.c_w, c.c_y, c.margin)
+
+
+def rational(c: Detectability) -> Inequality:
+    """The same numbers without rounding."""
+
+    def exact(X: Array) -> Any:
+        return np.array([Fraction(x) for x in X.ravel().tolist()], dtype=object).reshape(X.shape)
+
+    P = exact(c.P)
+    rates = (Fraction(rate) for rate in (c.eta, c.c_w, c.c_y, c.margin))
+    return Inequality(exact(c.plant.A), exact(c.plant.C), exact(c.plant.G), (P + P.T) / 2, *rates)
+
+
+def in_floats(name: str, c: Inequality) -> tuple[float, str] | None:
+    """The slack if floats prove the inequality, Refused if they disprove it, None if rounding leaves it open."""
+    numbers = np.abs(np.concatenate([*(X.ravel() for X in (c.A, c.C, c.G, c.P)), [c.eta, c.c_w, c.c_y, 1 + c.margin]]))
+    if np.any((numbers != 0) & ((numbers < PLAIN[0]) | (numbers > PLAIN[1]))) or np.any(np.diag(c.P) == 0):
+        return None
+    N, terms = forms(name, c)
+    size = np.sqrt(np.diag(terms))
+    M = N / size / size[:, None]
+    values, vectors = np.linalg.eigh(M)
+    # each at most EPS/2: P = (P + P')/2, sums of n or p products, c_y, rate, four terms, the division by sizes
+    roundings = len(c.A) + len(c.C) + 12
+    bound = EPS * (roundings * np.linalg.norm(terms / size / size[:, None]) + EIGENVALUES * len(M) * np.linalg.norm(M))
+    how = f"rounding below {bound:.1g}"
+    if values[0] < -bound:
+        raise failure(name, float(values[0]), vectors[:, 0] / size, how)
+    return (float(values[0]), f"by {values[0]:.3g} of the size of its terms ({how})") if values[0] > bound else None
+
+
+def in_rationals(name: str, e: Inequality) -> tuple[float, str]:
+    """The same without rounding; a proven inequality is nearer to tight than floats can tell."""
+    N, terms = forms(name, e)
+    x, value = downhill(N)
+    if x is None:
+        return 0.0, "by less of the size of its terms than floats can tell (proven in rational numbers)"
+    size = np.diag(terms) @ (x * x)
+    raise failure(name, float(value / size) if size else 0.0, (x / max(abs(x))).astype(float), "in rational numbers")
+
+
+def downhill(N: Any) -> tuple[Any, Any]:
+    """x with x'Nx <= 0 and this value, from the first pivot of L D L' that is not positive; None, None if N > 0."""
+    n = len(N)
+    N, X = N[::-1, ::-1].copy(), np.array([[Fraction(i == j) for j in range(n)] for i in range(n)])  # w comes first
+    for k in range(n):
+        if N[k, k] <= 0:
+            return X[k, ::-1], N[k, k]
+        factor = N[k + 1 :, k] / N[k, k]
+        N[k + 1 :] -= np.outer(factor, N[k])
+        X[k + 1 :] -= np.outer(factor, X[k])
+    return None, None
+
+
+def failure(name: str, amount: float, direction: Any, how: str) -> Refused:
+    """What to say of an inequality that fails by `amount` along `direction`."""
+    along = (direction / np.linalg.norm(direction)).tolist()
+    shown = ", ".join(f"{x:.3g}" for x in along[:8]) + (", ..." if len(along) > 8 else "")
+    reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms ({how}), along [{shown}]"
+    return Refused(name, reason, amount, direction=along)

@@ -1,0 +1,257 @@
+"""The recursion of Y = Pi^-1 in coordinates where a target is I, with a bound on all rounding: the claim is Y <= I.
+
+    Y' = A Y + Y A' + eta Y + G Qw^-1 G',    at a sample  Y+ = Y - Y C'(C Y C' + V)^-1 C Y,    V = R^-1 + Qv^-1
+
+The recursion is monotone, so rounding is paid by making Y larger: each step bounds what it may have lost entry by entry
+(a stiff direction must not spoil the others), and adds a diagonal matrix that is at least as large. With any gain K the
+sample's Joseph form (I-KC) Y (I-KC)' + K V K' is no smaller than Y+, so that the gain needs no error bound. Beside Y
+runs a band E, Y - E <= true Y <= Y: an inequality fails only where Y - E exceeds I. "wrong" bounds the sizes of the
+errors of a matrix, entry by entry.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .numbers import EPS, Problem
+from .outcome import Undecided
+from .strict import Array, Mask
+
+Index = npt.NDArray[np.intp]
+
+
+def turned(M: Array) -> Array:
+    """Transpose of each matrix of a stack."""
+    return np.swapaxes(M, -1, -2)
+
+
+def size(M: Array) -> Array:
+    """Frobenius norm of each matrix of a stack."""
+    return np.asarray(np.sqrt(np.einsum("...ij,...ij->...", M, M)))
+
+
+def dominating(wrong: Array) -> Array:
+    """A diagonal matrix D with M <= D for every symmetric M whose entries are at most `wrong` (a symmetric stack).
+
+    With any e > 0 the sums over j of wrong_ij e_i/e_j do; e is near the roots of the diagonal.
+    """
+    top = np.maximum(wrong.max(axis=(-2, -1), initial=0.0), 1e-300)[..., None]
+    diagonal = np.einsum("...ii->...i", wrong)
+    e = np.sqrt(np.maximum(np.maximum(diagonal, wrong.max(axis=-1, initial=0.0) ** 2 / top), 1e-30 * top))
+    return np.asarray(((wrong / e[..., None, :]).sum(axis=-1) * e)[..., None] * np.eye(wrong.shape[-1]) * (1 + 1e-9))
+
+
+def largest(U: Array, limit: float = 0.0) -> Array:
+    """An upper bound of the largest eigenvalue of each matrix: exact to rounding unless it is below `limit` already."""
+    n = U.shape[-1]
+    mean = np.trace(U, axis1=-2, axis2=-1) / n
+    spread = np.maximum(np.einsum("...ij,...ij->...", U, U) / n - mean**2, 0.0)
+    bound = np.asarray(mean + np.sqrt((n - 1) * spread))
+    close = ~(bound < limit)
+    bound[close] = np.linalg.eigvalsh(U[close])[..., -1]
+    return np.asarray(bound + 4 * n * EPS * size(U))
+
+
+def least(U: Array) -> Array:
+    """A lower bound of the least eigenvalue of each matrix."""
+    return np.asarray(np.linalg.eigvalsh(U)[..., 0] - 4 * U.shape[-1] * EPS * size(U))
+
+
+def risen(X: Array) -> Array:
+    """e^X - I of a stack of matrices of norm at most 1, by the (8, 8) Pade approximant (right to 1e-18)."""
+    term = bottom = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
+    odd = np.zeros(X.shape)
+    for k in range(1, 9):
+        term = term @ X * ((9 - k) / (k * (17 - k)))
+        bottom, odd = bottom + (-1) ** k * term, odd + (2 * term if k % 2 else 0.0)
+    return np.asarray(np.linalg.solve(bottom, odd), dtype=np.float64)
+
+
+@dataclass
+class Flows:
+    """F and W of Y -> F Y F' + W for a stack of durations, and bounds on their entries' errors."""
+
+    F: Array
+    W: Array
+    wrong_F: Array
+    wrong_W: Array
+
+    def __getitem__(self, index: Any) -> "Flows":
+        return Flows(self.F[index], self.W[index], self.wrong_F[index], self.wrong_W[index])
+
+
+class Frame:
+    """Plant and weights in coordinates where `target` is I, for samples that measure the `patterns` of outputs."""
+
+    def __init__(self, problem: Problem, target: Array, inequality: str, patterns: Mask) -> None:
+        self.problem, self.inequality, self.n, self.I = problem, inequality, problem.n, np.eye(problem.n)
+        try:
+            self.L = L = np.linalg.cholesky(target)
+        except np.linalg.LinAlgError:
+            raise self.undecided("its left side is nearly singular") from None
+        self.inverse = inverse = np.linalg.inv(L)
+        n, l, i = self.n, np.abs(L), np.abs(inverse)
+        # L L' is the target but for this, in the coordinates where the target is I
+        self.one = 1 - (n + 6) * EPS * float(size(i @ l @ l.T @ i.T))
+        self.A = L.T @ np.linalg.solve(L, problem.A.T).T + problem.eta / 2 * self.I
+        self.wrong_A = (4 * n + 8) * EPS * (l.T @ np.abs(problem.A) @ i.T @ l.T @ i.T) + EPS * problem.eta * self.I
+        self.S = L.T @ problem.S @ L
+        self.wrong_S = (2 * n + 6) * EPS * (l.T @ np.abs(problem.S) @ l)
+        self.start, self.start_band = (part[0] for part in self.inverse_of(problem.P2[None]))
+        self.rows, self.wrong_rows, self.loose = self.whitened(patterns)
+        self.square, self.bend = self.A @ self.A, self.A @ self.S + self.S @ self.A.T
+        self.sizes, wrong = np.abs(self.A), self.wrong_A + 2 * n * EPS * np.abs(self.A)
+        self.wrong, self.wrong_square = wrong, wrong @ self.sizes + self.sizes @ wrong
+        self.wrong_bend = 2 * float(size(wrong @ np.abs(self.S) + self.sizes @ self.wrong_S))
+        self.growth, self.skew = self.rates()
+        self.known: dict[float, tuple[Array, Array, Array, Array]] = {}
+        doubts = (self.wrong_A, self.wrong_S, self.start_band, self.wrong_rows, self.loose)
+        if not (self.one > 0.5 and all(np.isfinite(doubt).all() for doubt in doubts)):
+            raise self.undecided("its coordinates are too ill-conditioned for doubles")
+
+    def undecided(self, why: str) -> Undecided:
+        """What to raise where floats can say neither yes nor no."""
+        return Undecided(self.inequality, f"{self.inequality} could not be decided: {why}")
+
+    def inverse_of(self, P: Array) -> tuple[Array, Array]:
+        """Y = L' P^-1 L of a stack of P, from above, and its band."""
+        l, inverse = np.abs(self.L), np.abs(np.linalg.inv(P))
+        lost = dominating(8 * self.n * EPS * (l.T @ inverse @ np.abs(P) @ inverse @ l))
+        Y = self.L.T @ np.linalg.solve(P, np.broadcast_to(self.L, P.shape))
+        return (Y + turned(Y)) / 2 + lost, 2 * lost
+
+    def whitened(self, patterns: Mask) -> tuple[Array, Array, Array]:
+        """C in units where V = I for each pattern (unused rows 0); bounds of the rows' errors; of V, relative."""
+        problem, l, i = self.problem, np.abs(self.L), np.abs(self.inverse)
+        rows, lost = (np.zeros((len(patterns), problem.C.shape[0], self.n)) for _ in range(2))
+        loose = np.zeros(len(patterns))
+        for k, seen in enumerate(patterns):
+            m = int(seen.sum())
+            if not m:
+                continue
+            V = problem.V[np.ix_(seen, seen)]
+            try:
+                root = np.linalg.cholesky(V)
+            except np.linalg.LinAlgError:
+                raise self.undecided("R and Qv are nearly singular") from None
+            r, back = np.abs(root), np.abs(np.linalg.inv(root))
+            wrong = (m + 4) * EPS * float(size(back @ r @ r.T @ back.T))  # root root' is V but for this
+            rows[k, :m] = np.linalg.solve(root, np.linalg.solve(self.L, problem.C[seen].T).T) / np.sqrt(1 + wrong)
+            lost[k, :m] = (4 * self.n + 4 * m + 8) * EPS * (back @ r @ back @ np.abs(problem.C[seen]) @ i.T @ l.T @ i.T)
+            loose[k] = 2 * wrong + 2 * problem.loose * float(np.linalg.norm(back)) ** 2
+        return rows, lost, loose
+
+    def rates(self) -> tuple[tuple[float, float], float]:
+        """alpha, mu >= 0 and k with |e^{As}| <= min(k e^{alpha s}, e^{mu s})."""
+        lost = float(size(self.wrong_A) + 8 * self.n * EPS * size(self.A))
+        mu = max(float(np.linalg.eigvalsh(self.A + self.A.T)[-1]) / 2 + lost, 0.0)
+        poles, modes = np.linalg.eig(self.A)
+        skew = float(np.linalg.cond(modes))
+        if not skew < 1e12:
+            return (mu, mu), 1.0
+        # A = modes diag(poles) modes^-1 + a remainder, which moves the rate by k times its norm at most
+        remainder = np.linalg.solve(modes, self.A @ modes) - np.diag(poles)
+        moved = float(np.linalg.norm(remainder)) + skew * lost
+        return (max(float(poles.real.max()) + moved, 0.0), mu), skew * (1 + 1e-3)
+
+    # --- between samples ---
+
+    def flow(self, durations: Any) -> Flows:
+        """The flows of these durations; one that came before is remembered."""
+        asked, which = np.unique(np.ravel(durations), return_inverse=True)
+        if new := [h for h in asked.tolist() if h not in self.known]:
+            found = self.doubled(np.array(new))
+            parts = (found.F, found.W, found.wrong_F, found.wrong_W)
+            self.known.update(zip(new, zip(*parts, strict=True), strict=True))
+        columns = list(zip(*[self.known[h] for h in asked.tolist()], strict=True)) or [(), (), (), ()]
+        return Flows(*(np.reshape(part, (-1, self.n, self.n)) for part in columns))[which]
+
+    def doubled(self, h: Array) -> Flows:
+        """F and W by the exponential of Van Loan's block on a short step, then doubling.
+
+        D = F - I is doubled, D <- 2 D + D D, which keeps the slow modes of a stiff plant right.
+        """
+        n, norm = self.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
+        doublings = np.maximum(0, np.ceil(np.log2(np.maximum(2 * h * norm, 1e-300)))).astype(int)
+        scale = np.fmax(np.linalg.norm(self.S, 1), 1e-300) / norm
+        step = np.ldexp(h, -doublings)[:, None, None]
+        X = np.block([[-self.A, self.S / scale], [0 * self.A, self.A.T]]) * step
+        E, D = risen(X), risen(self.A.T * step)
+        # a column of either, which is a row of D, is right to rounding relative to its size
+        row, column = (64 * n * EPS * np.sqrt(np.einsum("kij,kij->kj", M, M)) for M in (D, E[:, :, n:]))
+        D = turned(D).copy()
+        W = scale * (E[:, :n, n:] + D @ E[:, :n, n:])
+        x = step * self.sizes
+        more, short = self.I + x + x @ x, step * self.wrong
+        wrong_D = row[:, :, None] + more @ short @ more
+        source = self.wrong_S + short @ np.abs(self.S) + np.abs(self.S) @ turned(short)
+        wrong_W = 2 * scale * (column[:, None, :] + column[:, :, None]) + step * (more @ source @ turned(more))
+        for s in range(int(doublings.max(initial=0))):
+            k = doublings > s
+            d, F = np.abs(D[k]), self.I + D[k]
+            wrong_W[k] = self.doubt(np.abs(W[k]), wrong_W[k], F, wrong_D[k])
+            wrong_D[k] = (
+                np.abs(F) @ wrong_D[k] + wrong_D[k] @ (np.abs(F) + wrong_D[k]) + EPS * ((n + 2) * d @ d + 3 * d)
+            )
+            W[k], D[k] = W[k] + F @ W[k] @ turned(F), 2 * D[k] + D[k] @ D[k]
+        F = self.I + D
+        return Flows(F, (W + turned(W)) / 2, wrong_D + EPS * np.abs(F), wrong_W)
+
+    def doubt(self, w: Array, wrong: Array, F: Array, wrong_F: Array) -> Array:
+        """Error bounds of W + F W F'."""
+        f = np.abs(F) + wrong_F
+        both = wrong_F @ w @ turned(f)
+        return wrong + f @ wrong @ turned(f) + both + turned(both) + (2 * self.n + 4) * EPS * (w + f @ w @ turned(f))
+
+    def along(self, Y: Array, flows: Flows) -> tuple[Array, Array]:
+        """F Y F' + W from above, and what was added to make it so."""
+        f, y = np.abs(flows.F) + flows.wrong_F, np.abs(Y)
+        both = flows.wrong_F @ y @ turned(f)
+        wrong = both + turned(both) + (2 * self.n + 4) * EPS * (f @ y @ turned(f) + np.abs(flows.W))
+        wrong = wrong + (flows.wrong_W + turned(flows.wrong_W)) / 2
+        lost = dominating((wrong + turned(wrong)) / 2)
+        return flows.F @ Y @ turned(flows.F) + flows.W + lost, lost
+
+    def moved(self, Y: Array, durations: Any) -> Array:
+        """Y after each duration, from above."""
+        return self.along(Y, self.flow(durations))[0]
+
+    def curvature(self, Y: Array, step: Array) -> Array:
+        """A bound of (d^2/8) |Y''| over the step d that begins at Y."""
+        second = self.square @ Y + 2 * self.A @ Y @ self.A.T + Y @ self.square.T + self.bend
+        y = np.abs(Y)
+        lost = 2 * size(self.wrong_square @ y) + 4 * size(self.wrong @ y @ self.sizes.T) + self.wrong_bend
+        rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
+        flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
+        return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
+
+    # --- at samples ---
+
+    def gain(self, Y: Array, at: Any) -> Array:
+        """Nearly the best gain of a sample."""
+        C = self.rows[at]
+        return turned(np.linalg.solve(np.eye(C.shape[-2]) + C @ Y @ turned(C), C @ Y))
+
+    def after(self, Y: Array, at: Any, K: Array) -> tuple[Array, Array, Array]:
+        """Y after sample `at` with gain K, from above; I - KC; and what was added."""
+        C, k, y = self.rows[at], np.abs(K), np.abs(Y)
+        left, p = self.I - K @ C, C.shape[-2]
+        wrong_left = k @ self.wrong_rows[at] + (p + 2) * EPS * (k @ np.abs(C) + self.I)
+        both = wrong_left @ y @ turned(np.abs(left) + wrong_left)
+        sizes = np.abs(left) @ y @ turned(np.abs(left)) + k @ turned(k)
+        lost = dominating(both + turned(both) + (2 * self.n + p + 4) * EPS * sizes)
+        return left @ Y @ turned(left) + K @ turned(K) + lost, left, lost
+
+    def band_after(self, E: Array, Y: Array, at: Any, K: Array, left: Array, lost: Array) -> Array:
+        """The band after that sample: the gain's distance from the best one and the looseness of V enter here."""
+        C = self.rows[at]
+        M = np.eye(C.shape[-2]) + C @ Y @ turned(C)
+        short = 16 * (self.n + C.shape[-2]) * EPS * size(M) * size(K)  # residual of the gain's equation, M >= I
+        more = size(K) ** 2 * self.loose[at] + short**2
+        # the gain is that of Y, not of the true Y: of second order in E
+        twice = 1 + size(E) * size(C) ** 2
+        return np.asarray(
+            twice[..., None, None] * (left @ E @ turned(left)) + 2 * lost + more[..., None, None] * self.I
+        )

@@ -1,0 +1,471 @@
+"""The grammar of certificate files: every key, type, unit and size, as frozen records. Nothing is proven here.
+
+Sizes come from the plant: n states, p outputs, q disturbances. What a family's graph claims is only given its shape
+here; `cover.py` derives it from the family's own parameters and compares.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .strict import (
+    Altered,
+    Array,
+    BadFile,
+    Mask,
+    Reader,
+    anything,
+    bit,
+    count,
+    list_of,
+    matrix,
+    nonnegative,
+    number,
+    or_nothing,
+    positive,
+    refuse,
+    table,
+    text,
+    word,
+)
+
+FORMAT = "sampling-design/certificate/1"
+PLANT_FORMAT = "sampling-design/plant/1"
+TIME_UNITS = ("ms", "s", "min", "h", "d", "wk")
+METHODS = ("riccati", "lmi", "proof", "given")
+time_unit = word(*TIME_UNITS)
+
+
+# --- plants, schedules, families: also the grammar of their own files ------------------------------------------------
+
+SIGNALS = table({"names": list_of(text)}, {"units": list_of(text), "scales": list_of(positive)})
+PLANT = table(
+    {"format": word(PLANT_FORMAT), "matrices": table({"A": matrix(), "C": matrix()}, dict.fromkeys("BDG", matrix()))},
+    {
+        "name": text,
+        "time_unit": time_unit,
+        **dict.fromkeys(("states", "outputs", "inputs", "disturbances"), SIGNALS),
+        "source": table({}, {"citation": text}),
+    },
+)
+_details: dict[str, Reader] = {
+    "outputs": or_nothing(list_of(list_of(bit))),
+    "time_unit": or_nothing(time_unit),
+    "origin": or_nothing(text),
+    "output_names": or_nothing(list_of(text)),
+}
+FINITE = table({"kind": word("finite"), "times": list_of(nonnegative)}, _details)
+PERIODIC = table(
+    {"kind": word("periodic")},
+    {
+        "gaps": list_of(positive),
+        "first": or_nothing(nonnegative),
+        "times": list_of(nonnegative),
+        "period": positive,
+        **_details,
+    },
+)
+
+
+def schedule(value: Any, place: str) -> dict[str, Any]:
+    """The table of a schedule of either kind."""
+    kinds = {"finite": FINITE, "periodic": PERIODIC}
+    return dict(_of_kind(value, place, kinds, "a schedule"))
+
+
+_unit: dict[str, Reader] = {"time_unit": or_nothing(time_unit)}
+FAMILIES: dict[str, Reader] = {
+    "gap-range": table({"kind": text, "shortest": positive, "longest": positive}, _unit),
+    "spaced-windows": table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit),
+    "lost-samples": table({"kind": text, "schedule": schedule, "most": count, "of": count}),
+    "jitter": table({"kind": text, "schedule": schedule, "radius": nonnegative}),
+}
+
+
+def family(value: Any, place: str) -> dict[str, Any]:
+    """The table of a family of any kind."""
+    return dict(_of_kind(value, place, FAMILIES, "a family"))
+
+
+def _of_kind(value: Any, place: str, kinds: Mapping[str, Reader], what: str) -> Any:
+    if not isinstance(value, Mapping):
+        raise refuse(place or what, f"must be a table of keys and values, got a {type(value).__name__}")
+    kind = value.get("kind")
+    if not isinstance(kind, str) or kind not in kinds:
+        which = f"{place}.kind" if place else "kind"
+        known = ", ".join(kinds)
+        raise refuse(which, f"of {what} must be one of {known}, got {kind!r}")
+    return kinds[kind](value, place)
+
+
+# --- certificates ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Plant:
+    """x' = Ax + Gw, y = Cx."""
+
+    A: Array
+    C: Array
+    G: Array
+    time_unit: str
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights and numbers of Assumption 7."""
+
+    P1: Array
+    P2: Array
+    Qw: Array
+    R: Array
+    Qv: Array
+    eta: float
+    lam: float
+    lam_samples: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class Laps:
+    """When and what a schedule measures: gaps before each sample, the first time, measured outputs (samples, p)."""
+
+    periodic: bool
+    gaps: Array
+    first: float
+    seen: Mask
+    stated: Array  # the numbers of the file: gaps of a periodic schedule, times of a finite one
+
+    @property
+    def period(self) -> float:
+        """Sum of the gaps."""
+        return float(self.gaps.sum())
+
+    @property
+    def times(self) -> Array:
+        """Of the first lap."""
+        return self.first + np.concatenate([[0.0], np.cumsum(self.gaps[1:])]) if self.periodic else self.stated
+
+    @property
+    def reach(self) -> Array:
+        """How long before each sample a window may start with that sample next."""
+        return np.maximum(self.gaps, np.where(np.arange(self.gaps.size) == 0, self.first, 0.0))
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Where lambda is attained."""
+
+    t: float
+    start: float
+    direction: Array
+    ratio: float
+
+
+@dataclass(frozen=True)
+class GapRange:
+    """Gaps between two bounds."""
+
+    shortest: float
+    longest: float
+
+
+@dataclass(frozen=True)
+class SpacedWindows:
+    """At least `count` samples in every window, `spacing` apart."""
+
+    window: float
+    count: int
+    spacing: float
+
+
+@dataclass(frozen=True)
+class LostSamples:
+    """At most `most` of any `of` samples in a row are lost."""
+
+    nominal: Laps
+    most: int
+    of: int
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Every sample at most `radius` early or late."""
+
+    nominal: Laps
+    radius: float
+
+
+Family = GapRange | SpacedWindows | LostSamples | Jitter
+
+
+@dataclass(frozen=True)
+class Edge:
+    """From node `source` to node `target` in a time within [low, high]; `outputs` are measured at its end."""
+
+    source: int
+    target: int
+    low: float
+    high: float
+    outputs: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Words (what a node remembers), edges, and a matrix for each word, P2 first."""
+
+    words: tuple[tuple[float, ...], ...]
+    edges: tuple[Edge, ...]
+    P: tuple[Array, ...]
+
+    def leaving(self, u: int) -> list[Edge]:
+        """Edges that leave node u."""
+        return [edge for edge in self.edges if edge.source == u]
+
+    def top(self, u: int) -> float:
+        """Longest time that may pass at node u."""
+        return max((edge.high for edge in self.leaving(u)), default=0.0)
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A file of claim "assumption-7": one schedule."""
+
+    plant: Plant
+    weights: Weights
+    laps: Laps
+    witness: Witness | None
+
+
+@dataclass(frozen=True)
+class OfFamily:
+    """A file of claim "family"."""
+
+    plant: Plant
+    weights: Weights
+    family: Family
+    graph: Graph
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """A file of claim "detectability": A'P + PA + (1 + margin) eta P - c_y C'C etc., no schedule."""
+
+    plant: Plant
+    P: Array
+    eta: float
+    c_w: float
+    c_y: float
+    margin: float
+
+
+_around: dict[str, Reader] = {
+    "format": word(FORMAT),
+    "claim": text,
+    "plant": PLANT,
+    "tool": table({"name": text, "version": text}),
+    "digest": text,
+}
+_solver = table(
+    {"name": text, "version": text, "status": text, "iterations": count, "seconds": nonnegative, "details": anything}
+)
+_rates: dict[str, Reader] = {"eta": positive, "margin": nonnegative}
+_numbers: dict[str, Reader] = {**_rates, "lam": positive, "lam_samples": positive}
+_witness = table({"t": nonnegative, "start": nonnegative, "direction": list_of(number), "ratio": positive})
+_matrices = dict.fromkeys(("P1", "P2", "Qw", "R", "Qv"), matrix())
+_graph = table({"words": list_of(list_of(number)), "edges": list_of(list_of(anything, 5)), "P": list_of(matrix())})
+_sampled = {**_around, **_matrices, **_numbers, "times": anything, "witness": or_nothing(_witness), "solver": _solver}
+CLAIMS: dict[str, Reader] = {
+    "assumption-7": table(_sampled, whole="the certificate"),
+    "family": table({**_sampled, "graph": _graph}, whole="the certificate"),
+    "detectability": table(
+        {
+            **_around,
+            **_rates,
+            **{"P": matrix(), "c_w": positive, "c_y": positive, "method": word(*METHODS)},
+            "solver": or_nothing(_solver),
+        },
+        whole="the certificate",
+    ),
+}
+"""What a file of each claim holds, no more and no less."""
+
+
+def digest(data: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
+    rest = {key: value for key, value in data.items() if key != "digest"}
+    canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
+
+
+def certificate(data: Mapping[str, Any]) -> Sampled | OfFamily | Detectability:
+    """Return the certificate in the plain data of a file, or raise BadFile."""
+    if not isinstance(data, Mapping):
+        raise refuse("", f"must hold one table, got {type(data).__name__}")
+    if data.get("format") != FORMAT:
+        raise refuse("format", f"must be {FORMAT!r}, got {data.get('format')!r:.60}. Is this a certificate file?")
+    claim = data.get("claim")
+    if not isinstance(claim, str) or claim not in CLAIMS:
+        known = ", ".join(map(repr, CLAIMS))
+        raise BadFile(f"`claim` must be {known} here, got {claim!r:.60}")
+    read = CLAIMS[claim](data, "")
+    if data["digest"] != digest(data):
+        raise Altered("the digest does not fit the content: something was altered after it was written")
+    plant = plant_of(read["plant"])
+    if claim == "detectability":
+        numbers = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
+        return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
+    weights = weights_of(read, plant)
+    if claim == "assumption-7":
+        return Sampled(plant, weights, laps_of(read["times"], plant), witness_of(read["witness"], plant.n))
+    return of_family(read, plant, weights)
+
+
+def plant_of(read: dict[str, Any]) -> Plant:
+    """The plant, its matrices of sizes that fit."""
+    m = read["matrices"]
+    if "time_unit" not in read:
+        raise refuse("plant.time_unit", "is missing")
+    n, p = len(m["A"]), len(m["C"])
+    A, C, G = sized(m["A"], "plant.matrices.A", n), m["C"], m.get("G", np.eye(n))
+    if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
+        raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
+    return Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
+
+
+def sized(M: Array, place: str, size: int) -> Array:
+    """The matrix, if it is of that size."""
+    if M.shape != (size, size) and (M.size or size):
+        raise refuse(place, f"must have shape {(size, size)}, got {M.shape}")
+    return M.reshape(size, size)
+
+
+def weights_of(read: dict[str, Any], plant: Plant) -> Weights:
+    """Weights of the sizes of the plant."""
+    n, p, q = plant.n, len(plant.C), plant.G.shape[1]
+    sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
+    values: dict[str, Any] = {key: sized(read[key], key, size) for key, size in sizes.items()}
+    return Weights(**values, **{key: read[key] for key in _numbers})
+
+
+def witness_of(read: dict[str, Any] | None, n: int) -> Witness | None:
+    """The witness, its direction of the plant's size."""
+    if read is None:
+        return None
+    if len(read["direction"]) != n or not any(read["direction"]):
+        raise refuse("witness.direction", f"must have {n} entries, not all zero")
+    return Witness(**{**read, "direction": np.array(read["direction"])})
+
+
+def laps_of(value: Any, plant: Plant, place: str = "times") -> Laps:
+    """One schedule of a certificate: in the plant's unit, one column per output."""
+    mask = or_nothing(list_of(list_of(bit, len(plant.C))))
+    shapes = {
+        "periodic": table({"kind": text, "gaps": list_of(positive), "first": nonnegative, "outputs": mask}),
+        "finite": table({"kind": text, "times": list_of(nonnegative), "outputs": mask}),
+    }
+    return laps(_of_kind(value, place, shapes, "a schedule"), plant, place)
+
+
+def laps(read: dict[str, Any], plant: Plant, place: str) -> Laps:
+    """The schedule in a table that was read, its times judged."""
+    periodic = read["kind"] == "periodic"
+    stated = np.array(read["gaps" if periodic else "times"], dtype=np.float64)
+    if not stated.size:
+        raise refuse(place, "must hold at least one sample")
+    gaps = stated if periodic else np.diff(stated, prepend=0.0)
+    first = float(gaps[0]) if read.get("first") is None else read["first"]
+    if not (np.all(gaps[not periodic :] > 0) and first <= gaps.sum() < np.inf):
+        raise refuse(place, "must increase strictly, the first sample within the period")
+    rows = read.get("outputs")
+    seen = np.ones((gaps.size, len(plant.C)), bool) if rows is None else np.array(rows, bool)
+    if seen.shape != (gaps.size, len(plant.C)) or not seen.any(axis=1).all():
+        rows = f"{gaps.size} rows of {len(plant.C)} numbers"
+        raise refuse(f"{place}.outputs", f"must have {rows} 0 or 1, each row with a 1")
+    return Laps(periodic, gaps, float(first), seen, stated)
+
+
+# --- families --------------------------------------------------------------------------------------------------------
+
+
+def of_family(read: dict[str, Any], plant: Plant, weights: Weights) -> OfFamily:
+    """A file of claim "family"; its graph has its shape only."""
+    if read["witness"] is not None:
+        raise refuse("witness", "must be null: a family certificate has no witness")
+    if weights.lam_samples < weights.lam:
+        what = "must be at least `lam`: a family holds windows from samples to any first gap"
+        raise refuse("lam_samples", what)
+    return OfFamily(plant, weights, family_of(read["times"], plant), graph_of(read["graph"], plant, weights))
+
+
+def family_of(value: Any, plant: Plant) -> Family:
+    """The family, in the plant's unit, its parameters judged."""
+    read = family(value, "times")
+    kind, nominal = read["kind"], read.get("schedule")
+    for place, unit in (("times", read.get("time_unit")), ("times.schedule", (nominal or {}).get("time_unit"))):
+        if unit is not None and unit != plant.time_unit:
+            raise refuse(f"{place}.time_unit", f"must be the plant's, {plant.time_unit!r}, got {unit!r}")
+    if kind == "gap-range":
+        if read["shortest"] > read["longest"]:
+            raise refuse("times.longest", "must be at least `times.shortest`")
+        return GapRange(read["shortest"], read["longest"])
+    if kind == "spaced-windows":
+        T, k, spacing = read["window"], read["count"], read["spacing"]
+        if k < 1 or k * spacing > T * (1 + 1e-9):
+            raise refuse("times", "must have room for an endless schedule: count >= 1, count * spacing <= window")
+        return SpacedWindows(T, k, spacing)
+    path = nominal_of(read["schedule"], plant)
+    if kind == "jitter":
+        if 2 * read["radius"] >= path.gaps.min():
+            raise refuse("times.radius", "must be less than half of the least gap")
+        return Jitter(path, read["radius"])
+    if not read["most"] < read["of"]:
+        raise refuse("times.most", "must be less than `times.of`")
+    return LostSamples(path, read["most"], read["of"])
+
+
+def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
+    """The nominal schedule of a family: periodic, with gaps, and columns that are the plant's outputs."""
+    place = "times.schedule"
+    if read["kind"] != "periodic" or "gaps" not in read:
+        raise refuse(place, "must be periodic and have `gaps`")
+    if read.get("output_names") is not None:
+        raise refuse(f"{place}.output_names", "must be left out: the columns are the plant's outputs, without names")
+    found = laps(read, plant, place)
+    room = 1e-9 * found.period
+    times, period = read.get("times"), read.get("period", found.period)
+    if (times is not None and len(times) != len(found.times)) or abs(period - found.period) > room:
+        raise refuse(place, "must have times and period that do not contradict its gaps")
+    if times is not None and np.abs(found.times - times).max() > room:
+        raise refuse(place, "must have times that do not contradict its gaps")
+    return found
+
+
+def graph_of(read: dict[str, Any], plant: Plant, weights: Weights) -> Graph:
+    """Words, edges and matrices of sizes that fit each other."""
+    words = tuple(tuple(entries) for entries in read["words"])
+    if len(words) != len(read["P"]) + 1 or words[0] != ():
+        raise refuse("graph", "must have an empty word for the window's start, and one matrix per word after it")
+    P = [sized(M, f"graph.P[{k}]", plant.n) for k, M in enumerate(read["P"])]
+    edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(read["edges"])]
+    return Graph(words, tuple(edges), (weights.P2, *P))
+
+
+def edge_of(value: Any, place: str, nodes: int, p: int) -> Edge:
+    """One edge [source, target, low, high, outputs]."""
+    readers: tuple[Reader, ...] = (count, count, nonnegative, nonnegative, list_of(bit, p))
+    source, target, low, high, outputs = (
+        read(item, f"{place}[{k}]") for k, (read, item) in enumerate(zip(readers, value, strict=True))
+    )
+    if not (source < nodes and 0 < target < nodes and low <= high):
+        raise refuse(place, f"must join two of {nodes} nodes, not back to the start, in a time low <= high")
+    return Edge(source, target, low, high, tuple(outputs))

@@ -1,0 +1,69 @@
+"""How a check ends."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+PROVEN, REFUTED, UNDECIDED, BAD_FILE = "proven", "refuted", "undecided", "bad file"
+EXIT_CODES = {PROVEN: 0, REFUTED: 1, BAD_FILE: 2, UNDECIDED: 3}
+
+
+class Refused(Exception):
+    """The first inequality that fails: its name, one sentence and, where known, amount, time, window, direction."""
+
+    verdict = REFUTED
+
+    def __init__(
+        self,
+        inequality: str,
+        reason: str,
+        amount: float = 0.0,
+        time: float | None = None,
+        start: float | None = None,
+        direction: list[float] | None = None,
+    ) -> None:
+        super().__init__(reason)
+        self.inequality, self.reason, self.amount = inequality, reason, amount
+        self.time, self.start, self.direction = time, start, direction
+
+
+class Undecided(Refused):
+    """What these floats can neither prove nor disprove: it is tight, or rounding is as large as what is left."""
+
+    verdict = UNDECIDED
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on one file.
+
+    `amount` is the least slack found, relative (negative: how far the inequality is violated); `time` and `start` say
+    when it fails in which window, `direction` along which states and disturbances, each where that is known.
+    """
+
+    verdict: str
+    inequality: str
+    reason: str
+    amount: float = 0.0
+    time: float | None = None
+    start: float | None = None
+    direction: list[float] | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the certificate is proven."""
+        return self.verdict == PROVEN
+
+    @property
+    def exit_code(self) -> int:
+        """0 proven, 1 the mathematics says no, 2 bad file, 3 undecided."""
+        return EXIT_CODES[self.verdict]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"passed": self.passed, **asdict(self)}
+
+
+def refused(error: Refused) -> Verdict:
+    """The verdict that an exception carries."""
+    where = error.amount, error.time, error.start, error.direction
+    return Verdict(error.verdict, error.inequality, error.reason, *where)

@@ -1,0 +1,216 @@
+"""Claim "assumption-7": the weights hold on one schedule, for every real window start and every later time.
+
+It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the coordinates of `frame.py`:
+1. Between samples Y'' = F Y''(0) F': on a step of length d, Y <= chord + (d^2/8) sup|Y''| I. So it is along the starts.
+2. With one window's gains, Y of another start is at most affine in its first value: two ends cover a cell of starts.
+3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
+"""
+
+import numpy as np
+
+from .frame import Frame, Index, largest, least, size, turned
+from .grammar import Laps, Sampled, Witness
+from .numbers import EPS, Problem, problem
+from .outcome import Refused, Undecided
+from .strict import Array, Mask
+
+RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
+REPLAY = 1e-6  # what a witness may miss of its ratio
+CELLS = 4  # start cells per gap at first
+ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
+MAX_OPEN = 100_000  # open cells or steps at once
+LAPS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
+INFLATION = 1e-2  # noise added per gap, where the target is I, to find the family B_i; then less and less
+
+Target = tuple[Array, str]
+
+
+def targets(numbers: Problem, margin: float, P1: Array, lam: float) -> list[Target]:
+    """What every window must stay above: (1 + margin) P1 and P2/lam, the latter to within the resolution."""
+    return [
+        ((1 + margin) * P1, "(1 + margin) P1 <= Pi(t)"),
+        ((1 - RESOLUTION) * numbers.P2 / lam, "(1 - 1e-3) P2 <= lam Pi(t)"),
+    ]
+
+
+def prove(c: Sampled) -> tuple[str, float]:
+    """Prove P1 and lam over all real starts, lam_samples over sample starts, and the witness; return the slack."""
+    numbers, w = problem(c.plant, c.weights), c.weights
+    stated = targets(numbers, w.margin, numbers.P1, w.lam)
+    inequality = " and ".join(name for _, name in stated)
+    if not numbers.n:
+        return inequality, 1.0
+    for k in (0, 1):  # a target that lies below the other is proven with it
+        if len(stated) == 2 and least(stated[1 - k][0] - stated[k][0]) >= 0:
+            stated.pop(k)
+    slack = min(Windows(numbers, c.laps, target, name).prove() for target, name in stated)
+    name = "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts"
+    Windows(numbers, c.laps, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name).prove(samples=True)
+    if c.witness is not None:
+        Windows(numbers, c.laps, numbers.P2, "witness").attained(c.witness)
+    return inequality, slack
+
+
+class Windows(Frame):
+    """Proof of Y <= I along one schedule, for one target."""
+
+    def __init__(self, numbers: Problem, laps: Laps, target: Array, inequality: str) -> None:
+        super().__init__(numbers, target, inequality, laps.seen)
+        self.laps, self.N, self.gaps, self.times, self.reach = laps, laps.gaps.size, laps.gaps, laps.times, laps.reach
+        self.longer = self.gaps * (1 + 4 * EPS)  # a difference of two times is rounded
+        self.lap, self.reached = self.flow(self.gaps), 0.0
+
+    def stretch(self, U: Array, duration: Array) -> Mask:
+        """For each U: is F U F' + W <= I proven all along `duration`? Halves the time steps that are not yet."""
+        good, owner, step = np.ones(len(U), bool), np.arange(len(U)), np.array(duration, float)
+        left = largest(U, 0.5)
+        good[~(left <= self.one)] = False
+        for _ in range(ROUNDS):
+            kept = good[owner]
+            U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
+            if not owner.size or owner.size > MAX_OPEN:
+                break
+            right = largest(self.moved(U, step), 0.5)
+            bound = np.maximum(left, right) + self.curvature(U, step)
+            self.reached = max(self.reached, bound[bound <= self.one].max(initial=0.0))
+            good[owner[~(right <= self.one)]] = False
+            kept = ~(bound <= self.one)
+            U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
+            U = np.concatenate([U, self.moved(U, step / 2)])
+            middle = largest(U[len(left) :], 0.5)
+            good[owner[~(middle <= self.one)]] = False
+            owner, step, left = np.tile(owner, 2), np.tile(step / 2, 2), np.append(left, middle)
+        good[owner] = False
+        return good
+
+    def prove(self, samples: bool = False) -> float:
+        """Prove Y <= I from all real starts (or from sample starts only) to all later times; return the slack."""
+        laps, Y, E = self.laps, self.start[None], self.start_band[None]
+        last = np.array([self.reach.argmax()])
+        if not (before := self.stretch(Y, self.reach[last])[0]):
+            self.violated(Y, E, self.reach[last], self.times[last] - self.reach[last], np.zeros(1))
+        family, index = self.family(), np.repeat(np.arange(self.N), CELLS)
+        low, high = (self.reach[index] * ((np.arange(index.size) % CELLS + k) / CELLS) for k in (0, 1))
+        if samples:
+            index = np.append(np.arange(self.N), 0)
+            low = high = np.append(self.gaps, laps.first)
+        for _ in range(ROUNDS if before else 0):
+            left = ~self.windows(index, high, low, family)
+            if not left.any():
+                return float(self.one - self.reached)
+            if samples or index.size > MAX_OPEN or (family is None and laps.periodic):  # without B_i no lap closes
+                break
+            index, low, high = np.tile(index[left], 2), low[left], high[left]
+            low, high = np.append(low, (low + high) / 2), np.append((low + high) / 2, high)
+        raise self.undecided("it is tight or nearly so")
+
+    def windows(self, index: Index, high: Array, low: Array, family: Array | None) -> Mask:
+        """For each cell of starts: is Y <= I proven from sample `index` on? Refused if the start `high` violates it."""
+        m, flows = index.size, self.flow(np.concatenate([high, low]))
+        (Y, other), lost = np.split(self.along(self.start, flows)[0], 2), self.along(self.start, flows)[1][:m]
+        E = flows.F[:m] @ self.start_band @ turned(flows.F[:m]) + 2 * lost
+        rest = self.curvature(other, high - low)[:, None, None] * self.I
+        U, at, good, alive = np.stack([Y + rest, other + rest]), index, high >= low, np.arange(m)
+        start, since = self.times[index] - high, high.copy()
+        for _ in range((LAPS if family is not None else LAPS // 10) * self.N):
+            K = self.gain(Y, at)
+            U, (Y, left, lost), before = self.after(U, at, K)[0], self.after(Y, at, K), Y
+            E = self.band_after(E, before, at, K, left, lost)
+            going = np.ones(at.size, bool) if self.laps.periodic else at + 1 < self.N
+            if family is not None:
+                going &= least(family[at] - U).min(axis=0) < 0
+            Y, E, U, alive, since = Y[going], E[going], U[:, going], alive[going], since[going]
+            at = (at[going] + 1) % self.N
+            both = U.reshape(-1, self.n, self.n)
+            closed = self.stretch(both, np.tile(self.longer[at], 2)).reshape(2, -1).all(axis=0)
+            open_ones = ~closed
+            if open_ones.any():
+                begun = start[alive[open_ones]]
+                self.violated(Y[open_ones], E[open_ones], self.gaps[at[open_ones]], begun, since[open_ones])
+                good[alive[open_ones]] = False
+            if not closed.any():
+                return good
+            at, alive, since = at[closed], alive[closed], since[closed] + self.gaps[at[closed]]
+            flows = self.lap[at]
+            U, (Y, lost) = self.along(U[:, closed], flows)[0], self.along(Y[closed], flows)
+            E = flows.F @ E[closed] @ turned(flows.F) + 2 * lost
+        good[alive] = False
+        return good
+
+    def violated(self, Y: Array, E: Array, duration: Array, start: Array, since: Array) -> None:
+        """Refused if some true Y exceeds I along `duration`, which begins `since` after its window's start."""
+        flows = self.flow(np.outer(duration, np.arange(33) / 32))
+        moved, lost = self.along(np.repeat(Y, 33, axis=0), flows)
+        values = np.linalg.eigvalsh(moved)[:, -1]
+        band = size(flows.F @ np.repeat(E, 33, axis=0) @ turned(flows.F) + 2 * lost) + 8 * self.n * EPS * size(moved)
+        sure = np.where(values - band > 2 - self.one, values, 0.0).reshape(-1, 33)
+        if not np.any(sure > 1):
+            return
+        row, column = divmod(int(np.argmax(sure)), 33)
+        begin = float(start[row] + (self.laps.period if start[row] < 0 and self.laps.periodic else 0.0))
+        time = float(begin + since[row] + duration[row] * column / 32)
+        amount, where = float(1 / sure.max() - 1), f"at time {time:.6g} in the window from {begin:.6g}"
+        reason = f"{self.inequality} fails by {-amount:.3g} {where}"
+        raise Refused(self.inequality, reason, amount, time, begin)
+
+    def family(self) -> Array | None:
+        """B_i after each sample, which the recursion maps below itself and which stays below I; None if not found."""
+        N, after, worst, inflation = self.N, (np.arange(self.N) + 1) % self.N, np.float64(3.0), 10 * INFLATION
+        lap = self.lap
+        while inflation > 1e-12:
+            inflation *= min(0.1, 0.3 / worst)
+            Z, Y = np.zeros((N, self.n, self.n)), self.start
+            for _ in range(LAPS if self.laps.periodic else 1):
+                before = Y
+                for i in range(N):
+                    moved = lap.F[i] @ Y @ lap.F[i].T + lap.W[i] + inflation * self.I
+                    Z[i] = Y = self.after(moved, i, self.gain(moved, i))[0]
+                if np.linalg.norm(Y - before) <= inflation / 2:  # then one lap maps Z below itself
+                    break
+            worst = max(largest(Z).max(), largest(self.along(Z, lap[after])[0]).max())
+            for scale in (1 / worst) ** np.array([0.95, 0.8, 0.5, 0.2, 0.0]) if worst < 1 else ():
+                B = scale * Z
+                moved = self.along(B, lap[after])[0]
+                below = least(B[after] - self.after(moved, after, self.gain(moved, after))[0]) >= 0
+                closed = below & self.stretch(B, self.longer[after])
+                if closed[: None if self.laps.periodic else -1].all():
+                    return np.asarray(B)
+        return None
+
+    def attained(self, witness: Witness) -> None:
+        """Replay the witness: x'P2x / x'Pi(t)x at its start, time and direction must reach the stated ratio."""
+        laps, x = self.laps, self.L.T @ (witness.direction / self.problem.units)
+        now, t, stated = witness.start, witness.t, witness.ratio
+        if not now <= t < (100 * LAPS * laps.period if laps.periodic else self.times[-1] * (1 + 1e-9)):
+            raise Refused("witness", "the witness must have 0 <= start <= t within the schedule")
+        first = int(now / laps.period) if laps.periodic else 0
+        turns = np.arange(first, int(t / laps.period) + 2) if laps.periodic else np.zeros(1)
+        times, Y, E, near = (self.times + laps.period * turns[:, None]).ravel(), self.start, self.start_band, 1e-9 * t
+        for k in np.flatnonzero((times > now + near) & (times < t - near)):
+            Y, E = self.later(Y, E, times[k] - now)
+            K = self.gain(Y, k % self.N)
+            (Y, left, lost), before = self.after(Y, k % self.N, K), Y
+            E, now = self.band_after(E, before, k % self.N, K, left, lost), times[k]
+        Y, E = self.later(Y, E, t - now)
+        ratio, doubt = self.ratio(Y, E, x)
+        if not doubt < REPLAY / 2:
+            raise Undecided("witness", f"the witness reaches {ratio:.6g}, but rounding leaves {doubt:.1g} of it open")
+        if not ratio >= stated * (1 - REPLAY):
+            raise Refused("witness", f"the witness reaches {ratio:.6g}, not {stated:.6g}", ratio / stated - 1, t)
+
+    def later(self, Y: Array, E: Array, duration: float) -> tuple[Array, Array]:
+        """Y and its band after that time."""
+        flows = self.flow([duration])[0]
+        (Y, lost), F = self.along(Y, flows), flows.F
+        return Y, F @ E @ F.T + 2 * lost
+
+    def ratio(self, Y: Array, E: Array, x: Array) -> tuple[float, float]:
+        """x'x / x'Y^-1 x for the true Y within its band, and what rounding leaves open of it, relative."""
+        z = np.linalg.solve(Y, x)
+        rest = x - Y @ z
+        lowest = float(least(Y - E))
+        if not lowest > 0:
+            raise self.undecided("the information along the witness is beyond doubles")
+        wrong = float(z @ E @ z + np.abs(z @ rest) + 2 * rest @ rest / lowest)
+        wrong += 4 * self.n * EPS * float(np.abs(z) @ (np.abs(Y) @ np.abs(z) + np.abs(x)))
+        return float(x @ x / (x @ z)), wrong / float(x @ z)

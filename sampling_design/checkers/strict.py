@@ -1,0 +1,265 @@
+"""Strict reading: text to plain data, and plain data to values of one exact type each. Standard library and numpy only.
+
+A reader is a function of (value, place) that returns what the value means, or raises BadFile with one sentence that
+names the place. No reader guesses: a boolean or a text is no number, a number is finite, a key is known and there once.
+"""
+
+import difflib
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Reader = Callable[[Any, str], Any]
+
+MOST_BYTES = 100_000_000  # of one file; a family certificate of 400 nodes and 20 states has 5 million
+MOST_DEPTH = 20  # lists and tables inside each other; certificates have six levels
+MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
+
+
+class BadFile(Exception):
+    """Data that are not what the grammar of their file allows: one sentence that names the place."""
+
+
+class Altered(BadFile):
+    """Data whose digest does not fit them."""
+
+
+def refuse(place: str, what: str) -> BadFile:
+    """Return the sentence `place` `what` as an exception."""
+    return BadFile(f"`{place}` {what}" if place else what)
+
+
+def shown(value: Any) -> str:
+    """What came, in a few words."""
+    names = {bool: "a boolean", str: "a text", dict: "a table", list: "a list", tuple: "a list"}
+    if value is None:
+        return "nothing (null)"
+    kind = names.get(type(value), "")
+    # a long whole number has no text: the interpreter refuses to write it
+    text = "a whole number of many digits" if type(value) is int and abs(value) > MOST_WHOLE else f"{value!r}"
+    return f"{kind} {text[:40]}{'...' * (len(text) > 40)}".strip()
+
+
+# --- text ------------------------------------------------------------------------------------------------------------
+
+
+def decoded(content: bytes) -> str:
+    """Return the text of a file's bytes."""
+    if len(content) > MOST_BYTES:
+        raise refuse("", f"is too large: {len(content)} bytes, expected at most {MOST_BYTES}")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise refuse("", "is not a text file (not UTF-8)") from None
+
+
+def from_json(text: str) -> dict[str, Any]:
+    """Return the object in a JSON text: finite numbers, no key twice, no more than `MOST_DEPTH` levels."""
+    shallow(text)
+    try:
+        data = json.loads(text, object_pairs_hook=unique, parse_constant=no_constant, parse_float=real, parse_int=whole)
+    except json.JSONDecodeError as error:
+        line = f"line {error.lineno} ({error.msg})"
+        raise refuse("", f"is not valid JSON at {line}. Was the file cut off?") from None
+    if not isinstance(data, dict):
+        raise refuse("", f"must hold one JSON object, got {type(data).__name__}")
+    return data
+
+
+def shallow(text: str) -> None:
+    """Refuse more than `MOST_DEPTH` open brackets, texts between quotes left out."""
+    depth = 0
+    for bracket in re.findall(r"[][{}]", re.sub(r'"(?:[^"\\]|\\.)*"', "", text)):
+        depth += 1 if bracket in "[{" else -1
+        if depth > MOST_DEPTH:
+            raise refuse("", f"is nested more than {MOST_DEPTH} levels deep")
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A table whose keys occur once."""
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise refuse("", f"key {next(key for key in keys if keys.count(key) > 1)!r} occurs twice")
+    for word in (word for pair in pairs for word in pair if isinstance(word, str)):
+        if any("\ud800" <= letter <= "\udfff" for letter in word):
+            raise refuse("", f"holds the text {word!a}, which is not Unicode")
+    return result
+
+
+def no_constant(word: str) -> float:
+    """NaN and infinities."""
+    raise refuse("", f"holds {word}, which is not allowed")
+
+
+def real(word: str) -> float:
+    """The double nearest to a decimal number, unless that is infinite, or zero by underflow."""
+    value = float(word)
+    if not math.isfinite(value):
+        raise refuse("", f"holds {word[:40]}, which is not a finite double")
+    if value == 0 and re.search("[1-9]", re.split("[eE]", word)[0]):
+        raise refuse("", f"holds {word[:40]}, which is too small for a double")
+    return value
+
+
+def whole(word: str) -> int:
+    """A whole number that a double holds."""
+    if len(word) > 17 or abs(int(word)) > MOST_WHOLE:
+        raise refuse(
+            "", f"holds {word[:20]}{'...' * (len(word) > 20)}, a whole number beyond 2^53: write it with a point"
+        )
+    return int(word)
+
+
+# --- single values ---------------------------------------------------------------------------------------------------
+
+
+def number(value: Any, place: str) -> float:
+    """A finite number."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise refuse(place, f"must be a number, got {shown(value)}")
+    if isinstance(value, int) and abs(value) > MOST_WHOLE:
+        raise refuse(place, f"must be a number that a double holds, got {shown(value)}")
+    if not math.isfinite(value):
+        raise refuse(place, f"must be finite, got {value}")
+    return float(value)
+
+
+def positive(value: Any, place: str) -> float:
+    """A finite number > 0."""
+    found = number(value, place)
+    if found <= 0:
+        raise refuse(place, f"must be positive, got {found!r}")
+    return found
+
+
+def nonnegative(value: Any, place: str) -> float:
+    """A finite number >= 0."""
+    found = number(value, place)
+    if found < 0:
+        raise refuse(place, f"must not be negative, got {found!r}")
+    return found
+
+
+def count(value: Any, place: str) -> int:
+    """A whole number >= 0, written without a point."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 0 <= value <= MOST_WHOLE:
+        raise refuse(place, f"must be a whole number, got {shown(value)}")
+    return int(value)
+
+
+def bit(value: Any, place: str) -> bool:
+    """0 or 1, written as a number."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value not in (0, 1):
+        raise refuse(place, f"must be 1 (measured) or 0, got {shown(value)}")
+    return bool(value)
+
+
+def flag(value: Any, place: str) -> bool:
+    """true or false."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise refuse(place, f"must be true or false, got {shown(value)}")
+    return bool(value)
+
+
+def text(value: Any, place: str) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise refuse(place, f"must be a string, got {shown(value)}")
+    return str(value)
+
+
+def word(*known: str) -> Reader:
+    """Reader of one of these words."""
+
+    def read(value: Any, place: str) -> str:
+        if not isinstance(value, str) or value not in known:
+            expected = repr(known[0]) if len(known) == 1 else f"one of {', '.join(known)}"
+            sentence = f"must be {expected}, got {value!r:.60}"
+            raise refuse(place, sentence)
+        return str(value)
+
+    return read
+
+
+def anything(value: Any, place: str) -> Any:
+    """Plain data of any shape, numbers finite: provenance that decides nothing."""
+    if isinstance(value, dict):
+        return {text(key, place): anything(item, f"{place}.{key}") for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [anything(item, f"{place}[{k}]") for k, item in enumerate(value)]
+    if value is not None and not isinstance(value, (str, bool)):
+        number(value, place)
+    return value
+
+
+def or_nothing(read: Reader) -> Reader:
+    """Reader of null, or of what `read` reads."""
+    return lambda value, place: None if value is None else read(value, place)
+
+
+# --- lists, matrices, tables -----------------------------------------------------------------------------------------
+
+
+def list_of(read: Reader, length: int | None = None) -> Reader:
+    """Reader of a list whose items `read` reads, of that length if given."""
+
+    def read_list(value: Any, place: str) -> list[Any]:
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
+        if not isinstance(value, (list, tuple)):
+            raise refuse(place, f"must be a list, got {shown(value)}")
+        if length is not None and len(value) != length:
+            raise refuse(place, f"must have a length of {length}, got {len(value)}")
+        return [read(item, f"{place}[{k}]") for k, item in enumerate(value)]
+
+    return read_list
+
+
+def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
+    """Reader of a list of rows of finite numbers, all of one length; without rows it has the columns asked for."""
+
+    def read(value: Any, place: str) -> Array:
+        table = list_of(list_of(number))(value, place)
+        wide = columns if columns is not None else len(table[0]) if table else 0
+        if (rows is not None and len(table) != rows) or any(len(row) != wide for row in table):
+            widths = sorted({len(row) for row in table})
+            came = f"{len(table)} rows of {' or '.join(map(str, widths)) or 0} numbers"
+            raise refuse(place, f"must have {'all' if rows is None else rows} rows of {wide} numbers, got {came}")
+        return np.array(table, dtype=np.float64).reshape(len(table), wide)
+
+    return read
+
+
+def known_keys(value: Any, place: str, needed: Mapping[str, Any], optional: Mapping[str, Any], whole: str) -> None:
+    """Refuse what is no table, an unknown key (naming the nearest known one), or one that is missing."""
+    where = f"`{place}`" if place else whole
+    if not isinstance(value, Mapping):
+        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
+    for key in value:
+        if key not in needed and key not in optional:
+            near = difflib.get_close_matches(str(key), [*needed, *optional], n=1, cutoff=0.0)
+            raise refuse("", f"unknown key {str(key)[:60]!r} in {where}. Did you mean {near[0]!r}?")
+    for key in needed:
+        if key not in value:
+            raise refuse("", f"`{key}` is missing in {where}. Was the file cut off?")
+
+
+def table(
+    needed: Mapping[str, Reader], optional: Mapping[str, Reader] | None = None, whole: str = "the file"
+) -> Reader:
+    """Reader of a table with these keys, no more; optional ones may be left out; `whole` names one in no other."""
+    readers = {**needed, **(optional or {})}
+
+    def read(value: Any, place: str) -> dict[str, Any]:
+        known_keys(value, place, needed, optional or {}, whole)
+        return {key: readers[key](item, f"{place}.{key}" if place else key) for key, item in value.items()}
+
+    return read

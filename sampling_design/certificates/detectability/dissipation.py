@@ -15,7 +15,7 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification
-from sampling_design.certificates.rigorous.judge import judged
+from sampling_design.certificates.rigorous.decide.judge import judged
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.plants.plant import Plant

@@ -15,7 +15,6 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification
-from sampling_design.certificates.rigorous.decide.judge import judged
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.plants.plant import Plant
@@ -143,6 +142,8 @@ class DetectabilityCertificate(Record):
         MissingExtraError
             If `rigorous` is asked for and python-flint is not installed.
         """
+        from sampling_design.certificates.rigorous.decide import judged
+
         return judged(self.to_dict(), rigorous, budget)
 
     def save(self, path: str | os.PathLike[str]) -> Path:

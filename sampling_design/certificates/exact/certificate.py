@@ -21,7 +21,6 @@ from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
 from sampling_design.certificates.form.seal import CLAIM, RESOLUTION, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification
-from sampling_design.certificates.rigorous.decide.judge import judged
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
@@ -172,6 +171,8 @@ class SampledCertificate(Record, ABC):
         MissingExtraError
             If `rigorous` is asked for and python-flint is not installed.
         """
+        from sampling_design.certificates.rigorous.decide import judged
+
         return judged(self.to_dict(), rigorous, budget)
 
     def save(self, path: str | os.PathLike[str]) -> Path:

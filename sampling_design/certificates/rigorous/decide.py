@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
 from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
-from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.form.verdict import Verification, verdict_of
 from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
     REFUTED,
@@ -36,6 +37,8 @@ REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
 NEAR = 1e-9
 """Samples this close to the ends of the witness's window, relative to t, are the ends: limits from inside are meant."""
+HANDED_OVER = 10.0
+"""Most seconds that balls take for what was only asked of floats: what is tight stays undecided for ever."""
 PATIENCE = 6
 """Halvings of a cell of window starts after which a counterexample is looked for."""
 
@@ -63,6 +66,18 @@ class RigorousVerification(Verification):
     def explain(self) -> str:
         """Say the verdict."""
         return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
+
+
+def judged(data: dict[str, Any], rigorous: bool, budget: float) -> Verification:
+    """Return the verdict on the plain data of a certificate.
+
+    The checker says yes and no only beyond its bound of all rounding; what it leaves undecided goes to ball arithmetic,
+    if python-flint is installed, and so does everything if `rigorous`.
+    """
+    found = None if rigorous else verdict_of(data)
+    if found is not None and (found.verdict != "undecided" or find_spec("flint") is None):
+        return found
+    return verify_rigorously(data, budget if rigorous else min(budget, HANDED_OVER))
 
 
 def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVerification:

@@ -80,7 +80,7 @@ def random_pairs(
         stop = _stops(line, int(start), span)
         chi = rng.normal(size=(count, plant.n_states)) @ units[0].T
         size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1))
-        w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T)
+        w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T) / np.sqrt(span)
         v = _hiding(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
         looks.append(sides(line, certificate, int(start), stop, Pairs(chi, w, v)))
     return max(looks, key=lambda look: look.ratio)

@@ -24,6 +24,10 @@ KINDS = ("white", "steady", "held", "sine")
 """How a random disturbance moves: anew in each cell, never, once in a while, or at one frequency."""
 
 
+UNMOVED = 1e-12
+"""Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bounds:
     """Bounds on w(t), v and x(0) - prior: 0-d arrays bound the Euclidean norm, vectors each entry."""
@@ -149,8 +153,12 @@ def resonant_inputs(line: Timeline, bounds: Bounds) -> tuple[Inputs, tuple[str, 
         push = np.conj(row @ plant.G)
         for phase in (0.0, np.pi / 2) if value.imag > 0 else (0.0,):
             raw = np.real(np.exp(1j * (value.imag * middles + phase))[:, None] * push)
-            raw = np.where(np.abs(raw) > 1e-12 * np.abs(raw).max(initial=0.0), raw, 0.0)
-            wave = raw if bounds.w.ndim == 0 else raw * bounds.w  # boxes: each entry swings up to its own bound
+            if bounds.w.ndim == 0:
+                wave = np.where(np.abs(raw) > UNMOVED * np.abs(raw).max(initial=0.0), raw, 0.0)
+            else:  # boxes: each entry swings up to its own bound, if it moves the mode at all
+                moves = np.abs(push) * bounds.w
+                live = moves > UNMOVED * moves.max(initial=0.0)
+                wave = np.where(live, raw / np.where(live, np.abs(push), 1.0), 0.0) * bounds.w
             waves.append(scaled_to(bounds.w, wave))
             names.append(f"{short(value.imag, 4)} rad per {plant.time_unit}, phase {short(phase, 3)}")
     runs = len(waves)

@@ -27,6 +27,13 @@ class Ball:
     centre: Array
     shape: Array
 
+    def inverse(self) -> Array | None:
+        """Return the pseudo-inverse of the shape, None where its columns depend on each other, in any units."""
+        size = np.linalg.norm(self.shape, axis=0)
+        if not size.all() or np.linalg.matrix_rank(self.shape / size) < size.size:
+            return None
+        return np.asarray(np.linalg.pinv(self.shape / size) / size[:, None])
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ConvexSet(Record):
@@ -201,8 +208,9 @@ class ConvexSet(Record):
         """Return bounds on each entry, from all parts of the set (by linear programs where there are half-spaces)."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for ball in self.balls:
-            if np.linalg.matrix_rank(ball.shape) == self.dimension:
-                reach = ball.radius * np.linalg.norm(np.linalg.pinv(ball.shape), axis=1)
+            back = ball.inverse()
+            if back is not None:
+                reach = ball.radius * np.linalg.norm(back, axis=1)
                 lower, upper = np.maximum(lower, ball.centre - reach), np.minimum(upper, ball.centre + reach)
         if self.rows.shape[0]:
             lower, upper = _linear_extent(self.rows, self.offsets, lower, upper)
@@ -237,6 +245,12 @@ class ConvexSet(Record):
     def explain(self) -> str:
         """Say what bounds the set."""
         return f"A convex set in R^{self.dimension}: a box, {self.rows.shape[0]} half-spaces, {len(self.balls)} balls."
+
+
+def normed(matrix: Array) -> Array:
+    """Return a matrix with columns of norm 1 (zero columns stay)."""
+    size = np.linalg.norm(matrix, axis=0)
+    return np.asarray(matrix / np.where(size > 0, size, 1.0))
 
 
 def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:

@@ -16,18 +16,19 @@ import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet
+from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet, normed
+from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, Flow, FlowTable, discounted_length
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
-CELL = 0.1
+CELL = 0.05
 """Cells have |A|_2 times length at most this. The bounds are then loose by less than a thousandth for most plants and
 gaps, and by tenths at worst, over many fast time constants."""
 
-CELL_RANGE = (16, 2048)
+CELL_RANGE = (32, 2048)
 """Least and largest number of cells per gap, to within a factor of two: a cell's length is a power of two."""
 
 
@@ -45,10 +46,10 @@ class DisturbanceReach:
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
-        self._responses = Responses(self.plant)
+        self._responses = Responses(self.plant, self.weights.units)
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
-            if np.linalg.matrix_rank(self.plant.G) < self.plant.n_disturbances:
+            if np.linalg.matrix_rank(normed(self.plant.G / self.weights.units[:, None])) < self.plant.n_disturbances:
                 raise ArgumentError('`w_model` = "constant" needs a G of full column rank, so that w follows from d.')
         elif not bounded:
             raise ArgumentError(
@@ -73,8 +74,9 @@ class DisturbanceReach:
         """Least bound on |w|_Qw that a single ball gives."""
         half, best = np.linalg.cholesky(self.weights.w).T, np.inf
         for ball in self.w.balls:
-            if np.linalg.matrix_rank(ball.shape) == self.w.dimension:
-                gain = float(np.linalg.norm(half @ np.linalg.pinv(ball.shape), 2))
+            back = ball.inverse()
+            if back is not None:
+                gain = float(np.linalg.norm(half @ back, 2))
                 best = min(best, float(np.linalg.norm(half @ ball.centre)) + ball.radius * gain)
         return best
 
@@ -112,17 +114,24 @@ class _Cells:
 
 
 class Responses:
-    """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for."""
+    """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for.
 
-    def __init__(self, plant: Plant):
-        self.plant, self.size = plant, float(np.linalg.norm(plant.A, 2))
+    States count in `units`, so that norms of A mean something.
+    """
+
+    def __init__(self, plant: Plant, units: Array):
+        self.plant, self.units = plant, state_units(plant.A, units)
+        self.A, self.G = plant.A * self.units / self.units[:, None], plant.G / self.units[:, None]
+        self.size = float(np.linalg.norm(self.A, 2))
         self._grids: dict[float, _Cells] = {}
 
     def cell(self, gap: float) -> float:
         """Length of the cells for a gap."""
         longest, shortest = (gap / number for number in CELL_RANGE)
-        wanted = min(CELL / self.size, longest) if self.size > 0 else longest
-        return 2.0 ** math.floor(math.log2(max(wanted, shortest)))
+        if self.size == 0:
+            return 2.0 ** math.floor(math.log2(longest))
+        wanted = max(min(CELL / self.size, longest), shortest)
+        return 2.0 ** math.floor(math.log2(wanted * self.size) + 1e-9) / self.size
 
     def over(self, gap: float, length: float) -> _Cells:
         """Return the cells of a length that cover a gap; the last one may end beyond it."""
@@ -134,8 +143,8 @@ class Responses:
 
     def _grid(self, length: float, count: int) -> _Cells:
         """At least `count` cells, by doubling."""
-        (half,) = expm_batch(self.plant.A, [length / 2])
-        moved, power = (half @ self.plant.G)[:, None, :], half @ half
+        (half,) = expm_batch(self.A, [length / 2])
+        moved, power = (half @ self.G)[:, None, :], half @ half
         while moved.shape[1] < count:
             moved = np.concatenate([moved, np.tensordot(power, moved, 1)], axis=1)
             power = power @ power
@@ -160,7 +169,7 @@ def support_boxes(
     whiten = np.array([flow.whiten for flow in flows])
     for length in set(lengths):
         at = [k for k, own in enumerate(lengths) if own == length]
-        reach[at] = _absolute_integrals(responses, length, gaps[at], whiten[at]) @ half
+        reach[at] = _absolute_integrals(responses, length, gaps[at], whiten[at] * responses.units) @ half
     energy = float(half @ np.abs(weights.w) @ half) * discounted_length(weights.eta, gaps)
     reach = np.minimum(reach, np.sqrt(energy)[:, None])
     pushed = np.array([flow.integral for flow in flows]) @ (responses.plant.G @ middle)
@@ -174,7 +183,7 @@ def _absolute_integrals(responses: Responses, d: float, gaps: Array, whiten: Arr
     Over a cell with middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and d^2/4 |phi'(m)| more where phi may change
     sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of a cell only what lies within the gap counts.
     """
-    A, (n, count) = responses.plant.A, (whiten.shape[2], gaps.size)
+    A, (n, count) = responses.A, (whiten.shape[2], gaps.size)
     cells = responses.over(float(gaps.max()), d)
     K, q = cells.norms.shape
     first = whiten @ A

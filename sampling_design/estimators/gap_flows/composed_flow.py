@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import matrix_balance
 
 from sampling_design._linalg import SHORT, expm_batch, exponential_terms, gramian_terms, symmetrise
 
@@ -21,8 +22,18 @@ BASE = 64
 """Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
 
 
+def state_units(A: Array, units: Array | None = None) -> Array:
+    """Return units s of the states in which A is small: x = s x~, A~ = S^-1 A S, from some `units` that are given.
+
+    In states whose units differ by powers of ten a norm of A says nothing, and e^{Ah} loses the small entries.
+    """
+    first = np.ones(A.shape[0]) if units is None else np.asarray(units, dtype=np.float64)
+    _, (second, _) = matrix_balance(A * first / first[:, None], permute=False, separate=True)
+    return np.asarray(first * second)
+
+
 class ComposedFlow:
-    """F, E and W over gaps, for A, the intensity N of the noise and the rate eta >= 0.
+    """F, E and W over gaps, for A, the intensity N of the noise and the rate eta >= 0; `units` of the states, about.
 
     Notes
     -----
@@ -30,8 +41,11 @@ class ComposedFlow:
     remembered F is an exponential of its own: F is as exact as `expm_batch` makes it.
     """
 
-    def __init__(self, A: Array, noise: Array, eta: float):
+    def __init__(self, A: Array, noise: Array, eta: float, units: Array | None = None):
         n = A.shape[0]
+        s = state_units(A, units)
+        self._moved, self._spread = s[:, None] / s, s[:, None] * s
+        A, noise = A / self._moved, noise / self._spread
         shifted = A + (eta / 2) * np.eye(n)
         self._norm = max(float(np.linalg.norm(M, 1)) for M in (A, shifted, np.full((1, 1), 1e-300)))
         self._A, self._n, self._eta = A, n, eta
@@ -54,7 +68,8 @@ class ComposedFlow:
             flow = self._composed(flow, self._pieces(level, digits.astype(int)), passed)
             passed = passed + digits * unit
             level, unit = level + 1, unit * BASE
-        return flow[:, :, :n], flow[:, :, n : 2 * n], symmetrise(flow[:, :, 2 * n :])
+        F, E, W = flow[:, :, :n], flow[:, :, n : 2 * n], symmetrise(flow[:, :, 2 * n :])
+        return F * self._moved, E * self._moved, W * self._spread
 
     def _short(self, h: Array) -> Array:
         """Flows over gaps up to a unit."""

@@ -69,6 +69,11 @@ class Weights:
         return symmetrise(self.plant.G @ np.linalg.solve(self.w, self.plant.G.T))
 
     @cached_property
+    def units(self) -> Array:
+        """Units of the states: what each is uncertain by at the prior."""
+        return np.asarray(1 / np.sqrt(np.diag(self.prior)))
+
+    @cached_property
     def prior_factor(self) -> Array:
         """Lower triangular L with L L' = `prior`."""
         return np.asarray(np.linalg.cholesky(self.prior))

@@ -66,7 +66,7 @@ class FlowTable:
     def __init__(self, weights: Weights, constant_w: bool = False):
         self.weights, self.constant_w = weights, constant_w
         self._table: OrderedDict[float, Flow] = OrderedDict()
-        self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta)
+        self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta, weights.units)
 
     def __len__(self) -> int:
         return len(self._table)
@@ -90,8 +90,10 @@ class FlowTable:
             F, integral, W = self._flow.over(gaps)
         if self.constant_w:
             root = self._constant_root(integral, gaps)
-            whiten = np.linalg.pinv(root)
             W = root @ np.swapaxes(root, 1, 2)
+            size = np.sqrt(np.einsum("kii->ki", W))
+            unit = np.where(size > 0, size, 1.0)
+            whiten = np.linalg.pinv(root / unit[:, :, None]) / unit[:, None, :]
             information: list[Array | None] = [None] * len(gaps)
         else:
             root, whiten, information = _finite_roots(F, W)

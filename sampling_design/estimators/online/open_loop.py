@@ -75,7 +75,7 @@ class OpenLoopEstimator(OnlineEstimator):
         self.plant, self.weights, self.feedthrough = plant, weights, feedthrough
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift(self.table)
-        self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0)
+        self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0, weights.units)
         self._watch = None
         tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
         if schedule is not None:

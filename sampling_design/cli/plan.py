@@ -17,6 +17,8 @@ from sampling_design.cli.settings import Settings, record_table, save_picture, t
 from sampling_design.design.problem.posing import default_window
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.schedules.files import schedule_from_dict
+from sampling_design.schedules.time_stamps import parse_date
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
@@ -97,6 +99,10 @@ def design(
         str | None,
         typer.Option(metavar="DATE", help="Date of time 0 (ISO 8601): writes calendar.csv and schedule.ics too."),
     ] = None,
+    zone: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Time zone of --start and of calendar.csv, as Europe/Berlin; default UTC."),
+    ] = None,
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
 
@@ -116,26 +122,31 @@ def design(
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
         settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
-    _write_design(settings, result, start)
+    _write_design(settings, result, start, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
 
 
-def _write_design(settings: Settings, result: Any, start: str | None) -> None:
+def _write_design(settings: Settings, result: Any, start: str | None, zone: str | None) -> None:
     folder = settings.folder()
     if folder is None:
         return
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None:
-        _schedule_files(settings, result, folder, start)
+        _schedule_files(settings, result, folder, start, zone)
         settings.wrote(save_picture(result, folder / "design.png"))
 
 
-def _schedule_files(settings: Settings, result: Any, folder: Path, start: str | None) -> None:
-    settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
-    if start is not None:
-        settings.wrote(sd.write_calendar_csv(result.schedule, folder / "calendar.csv", start))
-        title = f"{result.plant.name or 'plant'}: sample"
-        settings.wrote(sd.write_ics(result.schedule, folder / "schedule.ics", start, summary=title))
+def _schedule_files(settings: Settings, result: Any, folder: Path, start: str | None, zone: str | None) -> None:
+    schedule = result.schedule
+    if start is None:
+        settings.wrote(sd.write_schedule(schedule, folder / "schedule.csv"))
+        return
+    zero = parse_date("--start", start, zone).isoformat()
+    dated = schedule_from_dict({**schedule.to_dict(), "origin": zero})
+    settings.wrote(sd.write_schedule(dated, folder / "schedule.csv"))
+    settings.wrote(sd.write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
+    title = f"{result.plant.name or 'plant'}: sample"
+    settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title))
 
 
 def _samples(result: Any) -> list[Any]:

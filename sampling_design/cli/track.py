@@ -61,6 +61,8 @@ def estimate(
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
     record = reading.measurements(measurement_file, plant, None if schedule is None else schedule.origin)
+    if schedule is not None:
+        _check_origins(record, schedule)
     if not np.isfinite(record.y).any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
     start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
@@ -80,7 +82,7 @@ def estimate(
 def _write(settings: Settings, data: dict[str, Any], found: Any, curve: Any, record: Any) -> None:
     folder = settings.folder()
     if folder is not None:
-        settings.wrote(sd.write_estimates(found, folder / "estimates.csv"))
+        settings.wrote(sd.write_estimates(found, folder / "estimates.csv", origin=record.origin))
         settings.write_json(folder / "estimates.json", data)
         settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record))
 
@@ -278,6 +280,20 @@ def _report(settings: Settings, report: Any) -> None:
     settings.show(report.to_dict(), record_table(report), findings, *report.skipped, report.explain())
 
 
+def _check_origins(record: sd.Measurements, schedule: sd.Schedule | sd.PeriodicSchedule) -> None:
+    """Refuse to lay dates over times that have none, or the other way round: nobody knows where they belong."""
+    if record.origin and schedule.origin is None:
+        raise ArgumentError(
+            "`MEASUREMENTS` hold dates and `SCHEDULE` does not say which date its time 0 is: "
+            "give it one (design --start DATE, or origin=DATE in the first line of the file)."
+        )
+    if schedule.origin is not None and not record.origin:
+        raise ArgumentError(
+            f"`SCHEDULE` has its time 0 at {schedule.origin} and `MEASUREMENTS` hold times without dates: "
+            "give the file a column `date`, or the schedule no origin."
+        )
+
+
 def log(
     settings: Settings,
     plant_file: PlantFile,
@@ -294,6 +310,7 @@ def log(
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
     record = reading.measurements(measurement_file, plant, schedule.origin)
+    _check_origins(record, schedule)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     length = window_length(settings, split, window)
     taken = np.isfinite(record.y)

@@ -7,7 +7,7 @@ import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +131,7 @@ def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str
         cell = dict(zip(header, cells, strict=True))
         table.add(k, clock.date(k, cell["date"]) if stamp == "date" else _number(where, k, "time", cell["time"]), cell)
     p, m = plant.n_outputs, plant.n_inputs
-    known = "" if clock.zero is None else clock.zero.isoformat()
+    known = "" if stamp == "time" or clock.zero is None else clock.zero.isoformat()
     return Measurements(
         plant,
         np.array(table.times),
@@ -263,27 +263,38 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
 
 
 @door
-def write_estimates(record: EstimateRecord, path: str | os.PathLike[str]) -> Path:
+def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, origin: str | None = None) -> Path:
     """Write estimates as CSV: time, status, certified, cost, then per state its value and its radius.
 
     Parameters
     ----------
     record : EstimateRecord
     path : path
+    origin : str, optional
+        Date (ISO 8601) of time 0, as `Measurements.origin`: then a column `date` comes first, to the microsecond.
 
     Returns
     -------
     Path
         The file, written whole or not at all. A radius or cost that is not known is an empty cell.
     """
-    header = ["time", "status", "certified", "cost"]
+    zero = _date("`origin`", 0, origin) if origin else None
+    header = [*(["date"] if zero else []), "time", "status", "certified", "cost"]
     header += [column for name in record.plant.states.names for column in (name, f"{name}_radius")]
     body = []
     for k in range(len(record)):
         pairs = [v for pair in zip(record.x[k], record.radii[k], strict=True) for v in pair]
         head = [repr(float(record.times[k])), record.status[k], str(int(record.certified[k])), _cell(record.cost[k])]
-        body.append([*head, *(_cell(v) for v in pairs)])
+        dated = [_dated(zero, float(record.times[k]), record.plant.time_unit)] if zero else []
+        body.append([*dated, *head, *(_cell(v) for v in pairs)])
     return _write_csv(path, header, body)
+
+
+def _dated(zero: datetime, t: float, unit: str) -> str:
+    try:
+        return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
+    except OverflowError:
+        raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None
 
 
 def _cell(value: float) -> str:

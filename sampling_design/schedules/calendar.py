@@ -16,7 +16,7 @@ from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.schedules.time_stamps import parse_date
+from sampling_design.schedules.time_stamps import parse_date, time_zone
 
 _FREQUENCIES = (("WEEKLY", 604800), ("DAILY", 86400), ("HOURLY", 3600), ("MINUTELY", 60), ("SECONDLY", 1))
 _FOLD = 75  # octets per line, RFC 5545 section 3.1
@@ -34,7 +34,12 @@ class CalendarEntry:
 
 @door
 def calendar(
-    schedule: AnySchedule, start: str | datetime | None = None, span: float | None = None
+    schedule: AnySchedule,
+    start: str | datetime | None = None,
+    span: float | None = None,
+    *,
+    zone: str | None = None,
+    raster: float | None = None,
 ) -> tuple[CalendarEntry, ...]:
     """Return the samples of a schedule as calendar dates.
 
@@ -43,10 +48,15 @@ def calendar(
     schedule : Schedule or PeriodicSchedule
         With its time unit.
     start : str or datetime, optional
-        Date of time 0 (ISO 8601; naive means UTC). Default: the schedule's origin.
+        Date of time 0 (ISO 8601; naive means in `zone`). Default: the schedule's origin.
     span : float, optional
         Samples in [0, span) [the schedule's time unit]. Default: all of a finite schedule, one period of
         a periodic one.
+    zone : str, optional
+        IANA name of the time zone in which dates are given. Default: the offset of `start`, UTC if it has none.
+    raster : float, optional
+        Dates are rounded to whole multiples of this [s] since the full minute in UTC. Default: whole seconds, and whole
+        microseconds where samples lie less than a second apart.
 
     Returns
     -------
@@ -60,8 +70,8 @@ def calendar(
 
     Notes
     -----
-    *Numerical aspects.* Dates are rounded to whole microseconds. A day has 86400 s: the dates keep the offset
-    of `start`, no clock change is applied.
+    A day has 86400 s: samples are as far apart as the schedule says, also across a change of the clocks, where a
+    `zone` changes its offset instead.
 
     Examples
     --------
@@ -70,15 +80,20 @@ def calendar(
     2026-01-05T00:00:00+00:00
     2026-01-05T16:00:00+00:00
     """
-    zero = _start(schedule, start)
+    zero = _start(schedule, start, zone)
+    place = zero.tzinfo if zone is None else time_zone(zone)
     unit = SECONDS[schedule.time_unit or ""]
     part = _part(schedule, span)
     names = _columns(part)
     mask = part.outputs
-    entries = []
+    grain = _grain(schedule, raster)
+    entries: list[CalendarEntry] = []
     for i, time in enumerate(part.times.tolist()):
         measured = names if mask is None else tuple(n for n, m in zip(names, mask[i], strict=True) if m)
-        entries.append(CalendarEntry(_date(zero, time * unit), time, measured))
+        date = _date(zero, time * unit, grain)
+        if entries and date <= entries[-1].date:
+            raise ArgumentError(f"`raster` = {raster!r} s puts two samples at {date.isoformat()}: give a finer one.")
+        entries.append(CalendarEntry(date.astimezone(place), time, measured))
     return tuple(entries)
 
 
@@ -88,12 +103,15 @@ def write_calendar_csv(
     path: str | os.PathLike[str],
     start: str | datetime | None = None,
     span: float | None = None,
+    *,
+    zone: str | None = None,
+    raster: float | None = None,
 ) -> Path:
-    """Write `calendar(schedule, start, span)` as CSV: date, time, and per output 1 or 0; return the path.
+    """Write `calendar(schedule, start, span, ...)` as CSV: date, time, and per output 1 or 0; return the path.
 
     Parameters
     ----------
-    schedule, start, span
+    schedule, start, span, zone, raster
         As for `calendar`.
     path : path
 
@@ -109,7 +127,7 @@ def write_calendar_csv(
     FileFormatError
         If the file cannot be written.
     """
-    entries = calendar(schedule, start, span)
+    entries = calendar(schedule, start, span, zone=zone, raster=raster)
     names = _columns(schedule)
     lines = [",".join(["date", "time", *(_quoted(n) for n in names)])]
     for entry in entries:
@@ -187,7 +205,7 @@ def write_ics(
     return write_text(path, "".join(_folded(line) + "\r\n" for line in lines))
 
 
-def _start(schedule: Any, start: str | datetime | None) -> datetime:
+def _start(schedule: Any, start: str | datetime | None, zone: str | None = None) -> datetime:
     if not isinstance(schedule, (Schedule, PeriodicSchedule)):
         raise ArgumentError(f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}.")
     if schedule.time_unit is None:
@@ -195,7 +213,16 @@ def _start(schedule: Any, start: str | datetime | None) -> datetime:
     date = schedule.origin if start is None else start
     if date is None:
         raise ArgumentError("`start` is missing and the schedule has no origin. Give the date of time 0.")
-    return parse_date("start", date)
+    return parse_date("start", date, zone)
+
+
+def _grain(schedule: AnySchedule, raster: float | None) -> int:
+    """Grid of the dates in microseconds."""
+    if raster is not None:
+        return max(1, round(_checks.positive("raster", raster) * 1e6))
+    gaps = schedule.gaps
+    close = gaps.size > 0 and float(gaps.min()) * SECONDS[schedule.time_unit or ""] < 1.0
+    return 1 if close else 1_000_000
 
 
 def _part(schedule: AnySchedule, span: float | None) -> Schedule:
@@ -215,9 +242,12 @@ def _columns(schedule: AnySchedule) -> tuple[str, ...]:
     return tuple(f"y{i + 1}" for i in range(schedule.outputs.shape[1]))
 
 
-def _date(zero: datetime, seconds: float) -> datetime:
+def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
+    """The date so many seconds after `zero`, in UTC: clocks that are put forward or back do not count."""
     try:
-        return zero + timedelta(microseconds=round(seconds * 1e6))
+        exact = zero.astimezone(UTC) + timedelta(microseconds=round(seconds * 1e6))
+        minute = exact.replace(second=0, microsecond=0)
+        return minute + timedelta(microseconds=round((exact - minute) / timedelta(microseconds=grain)) * grain)
     except OverflowError:
         raise ArgumentError(
             f"`start` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"

@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
@@ -87,19 +88,39 @@ def import_time_stamps(
     return Schedule(np.array(times), chosen, time_unit=time_unit, origin=date, output_names=names)
 
 
-def parse_date(name: str, value: str | datetime) -> datetime:
-    """Return an ISO 8601 date with its offset; naive means UTC.
+def parse_date(name: str, value: str | datetime, zone: str | None = None) -> datetime:
+    """Return an ISO 8601 date with its offset; naive means in `zone` (its IANA name), by default UTC.
 
     Raises
     ------
     ArgumentError
-        If it is no such date.
+        If it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     try:
         date = value if isinstance(value, datetime) else datetime.fromisoformat(value)
     except (TypeError, ValueError):
         raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {value!r}.") from None
-    return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+    if date.tzinfo is not None or zone is None:
+        return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+    place = time_zone(zone)
+    early, late = (date.replace(tzinfo=place, fold=fold).utcoffset() for fold in (0, 1))
+    if early != late:
+        raise ArgumentError(f"`{name}` = {value} is skipped or repeated by the clocks of {zone}: give its offset.")
+    return date.replace(tzinfo=place)
+
+
+def time_zone(zone: str) -> ZoneInfo:
+    """Return a time zone by its IANA name.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none of that name.
+    """
+    try:
+        return ZoneInfo(zone)
+    except (ZoneInfoNotFoundError, ValueError, TypeError, OSError):
+        raise ArgumentError(f"`zone` must be the name of a time zone like Europe/Berlin, got {zone!r}.") from None
 
 
 def _table(text: str, where: str) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -231,3 +231,47 @@ def test_every_command_teaches_by_an_example(shell):
     for command in ("estimate", "validate", "log"):
         text = shell(command, "--help").out
         assert "Example: sampling-design" in text
+
+
+def dated(path):
+    lines = ["date,position,force_per_mass"]
+    lines += [f"2026-01-05T00:00:{second:06.3f},{float(np.cos(second))!r},0" for second in (1.0, 2.2, 3.2, 4.4)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
+    asked = ["--samples", 3, "--period", 6, "--window", 6, "--budget", 2, "--start", "2026-01-05", "--zone", "UTC"]
+    made = shell("design", OSCILLATOR, *asked, "-o", tmp_path)
+    assert made.code == 0, made.err
+    assert sd.read_schedule(tmp_path / "schedule.csv").origin == "2026-01-05T00:00:00+00:00"
+    plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
+    path = sd.write_schedule(plan, tmp_path / "plan.csv")
+    found = shell("log", OSCILLATOR, path, dated(tmp_path / "data.csv"), "--window", 2, "--json")
+    assert found.code == 0, found.err
+    assert json.loads(found.out)["largest_deviation"] < 1e-9
+    done = shell("estimate", OSCILLATOR, tmp_path / "data.csv", "-o", tmp_path)
+    assert done.code == 0, done.err
+    assert rows_of(tmp_path / "estimates.csv")[1]["date"] == "2026-01-05T00:00:02.200000+00:00"
+
+
+@pytest.mark.parametrize("command", ["log", "estimate"])
+def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, command):
+    data = dated(tmp_path / "data.csv")
+    plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
+    with_origin = sd.write_schedule(plan, tmp_path / "plan.csv")
+    for path, readings, words in (
+        (schedule, data, "`SCHEDULE` does not say which date its time 0 is"),
+        (with_origin, write_readings(tmp_path / "plain.csv"), "`MEASUREMENTS` hold times without dates"),
+    ):
+        given = [path, readings] if command == "log" else [readings, "--schedule", path]
+        result = shell(command, OSCILLATOR, *given)
+        assert result.code == 2
+        assert words in " ".join(result.err.split())
+
+
+def test_a_plant_without_inputs_can_be_followed(shell, tmp_path):
+    path = tmp_path / "plant.json"
+    sd.write_plant(sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["level"]), path)
+    (tmp_path / "data.csv").write_text("time,level\n" + "".join(f"{t},{float(np.cos(t))!r}\n" for t in TIMES))
+    assert shell("estimate", path, tmp_path / "data.csv").code == 0

@@ -137,3 +137,34 @@ def test_a_plant_without_inputs_is_measured_too(tmp_path):
     assert found.u.shape == (2, 0)
     assert [row[2] for row in found] == [None, None]
     assert len(read_measurements(written(tmp_path, "time,gauge\n"), BLIND)) == 0
+
+
+def test_estimates_of_dated_measurements_are_dated(tmp_path):
+    estimates = MovingHorizonEstimator(BLIND, horizon=2.0).run([(0.5, [1.0], None), (90000.25, [1.0], None)])
+    path = write_estimates(estimates, tmp_path / "e.csv", origin="2026-03-28T00:00:00+01:00")
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    assert [row["date"] for row in rows] == ["2026-03-28T00:00:00.500000+01:00", "2026-03-29T01:00:00.250000+01:00"]
+    with pytest.raises(ArgumentError, match="lies outside the years 1 to 9999"):
+        write_estimates(estimates, tmp_path / "e.csv", origin="9999-12-31T23:00:00")
+
+
+def test_inputs_without_samples_cost_each_its_own():
+    """The work for an input, in pieces of the drift, does not grow with the inputs before it; and the sum is right."""
+    plant = Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], [[0.0], [1.0]])
+    quick, pieces = MovingHorizonEstimator(plant, horizon=5.0), []
+    asked = quick.table.get
+    quick.table.get = lambda gaps: pieces.append(len(gaps)) or asked(gaps)
+    times, rng = np.arange(1, 201) * 0.01, np.random.default_rng(0)
+    inputs = rng.normal(size=(200, 1))
+    for t, u in zip(times, inputs, strict=True):
+        quick.update(t, None, u)
+    assert sum(pieces[-20:]) <= 1.1 * sum(pieces[20:40])
+    x = np.zeros(2)
+    for u in inputs[:-1]:
+        x = plant.transition(0.01) @ x + np.linalg.solve(plant.A, (plant.transition(0.01) - np.eye(2)) @ plant.B) @ u
+    assert quick.predict(2.0).x == pytest.approx(x, abs=1e-12)
+    quick.update(1.005, None, [0.3])
+    late = MovingHorizonEstimator(plant, horizon=5.0)
+    for t, u in sorted([*zip(times.tolist(), inputs.tolist(), strict=True), (1.005, [0.3])]):
+        late.update(t, None, u)
+    assert quick.predict(2.5).x == pytest.approx(late.predict(2.5).x, abs=1e-12)

@@ -1,4 +1,5 @@
 from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
 
 import pytest
 
@@ -157,3 +158,41 @@ def test_bad_input(tmp_path):
     with pytest.raises(ArgumentError, match="must be a Schedule or a PeriodicSchedule, got list"):
         write_ics([1.0], tmp_path / "a.ics", "2026-01-05")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_zone_keeps_the_gaps_across_a_change_of_its_clocks(tmp_path):
+    """Berlin puts its clocks forward on 29 March 2026: a day's gap stays 24 hours, the clock then shows one more."""
+    daily = Schedule([0.0, 24.0, 48.0], time_unit="h")
+    entries = calendar(daily, "2026-03-28T08:00", zone="Europe/Berlin")
+    assert [e.date.isoformat() for e in entries] == [
+        "2026-03-28T08:00:00+01:00",
+        "2026-03-29T09:00:00+02:00",
+        "2026-03-30T09:00:00+02:00",
+    ]
+    told = calendar(daily, datetime(2026, 3, 28, 8, tzinfo=ZoneInfo("Europe/Berlin")))
+    assert [e.date for e in told] == [e.date for e in entries]
+    text = write_calendar_csv(daily, tmp_path / "c.csv", "2026-03-28T08:00", zone="Europe/Berlin").read_text()
+    assert "2026-03-29T09:00:00+02:00,24.0" in text
+    ics = write_ics(PeriodicSchedule([24.0], time_unit="h"), tmp_path / "c.ics", entries[0].date).read_text()
+    assert "DTSTART:20260329T070000Z" in ics
+    assert "FREQ=DAILY;INTERVAL=1" in ics
+
+
+def test_dates_lie_on_a_raster():
+    schedule = Schedule([1.0 / 3.0, 2.0], time_unit="h")
+    assert [e.date.microsecond for e in calendar(schedule, "2026-01-05")] == [0, 0]
+    quarter = calendar(schedule, "2026-01-05", raster=15.0)
+    assert [e.date.isoformat() for e in quarter] == ["2026-01-05T00:20:00+00:00", "2026-01-05T02:00:00+00:00"]
+    fast = Schedule([0.0, 0.25], time_unit="s")
+    assert calendar(fast, "2026-01-05")[1].date.microsecond == 250_000
+    with pytest.raises(ArgumentError, match=r"`raster` = 1\.0 s puts two samples at 2026-01-05T00:00:00"):
+        calendar(fast, "2026-01-05", raster=1.0)
+
+
+def test_zones_and_hours_that_are_not_are_refused():
+    schedule = Schedule([0.0], time_unit="h")
+    with pytest.raises(ArgumentError, match="`zone` must be the name of a time zone like Europe/Berlin, got 'Mars'"):
+        calendar(schedule, "2026-01-05", zone="Mars")
+    for skipped_or_repeated in ("2026-03-29T02:30", "2026-10-25T02:30"):
+        with pytest.raises(ArgumentError, match="is skipped or repeated by the clocks of Europe/Berlin"):
+            calendar(schedule, skipped_or_repeated, zone="Europe/Berlin")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -47,10 +47,13 @@ class State(NamedTuple):
     ----------
     nodes : tuple of Node, by time; the first is the prior or the oldest snapshot kept.
     inputs : tuple of (t, u), by time; u holds from t on.
+    reached : (a, b, drift) or None
+        What the inputs add from the last node at a to the last input at b, so that many inputs cost each their own.
     """
 
     nodes: tuple[Node, ...]
     inputs: tuple[tuple[float, Array], ...] = ()
+    reached: tuple[float, float, Array] | None = None
 
     @property
     def last(self) -> Node:
@@ -99,8 +102,14 @@ class Drift:
         total = np.zeros(n)
         if not state.inputs or b <= a:
             return total
-        changes = [t for t, _ in state.inputs if a < t < b]
-        edges = [a, *changes, b]
+        start = a
+        if state.reached is not None and state.reached[0] == a and state.reached[1] <= b:
+            _, start, total = state.reached
+            if start == b:
+                return total
+        first = bisect_right(state.inputs, start, key=_first)
+        last = bisect_left(state.inputs, b, key=_first)
+        edges = [start, *(t for t, _ in state.inputs[first:last]), b]
         flows = self.table.get([right - left for left, right in pairwise(edges)])
         for left, flow in zip(edges, flows, strict=False):
             u = state.input_at(left)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from bisect import insort
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -73,10 +74,15 @@ class OnlineEstimator(ABC):
             state = _with_input(state, checked)
         if checked.t > state.last.t:
             if checked.y is None:
+                state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
             state = State((*state.nodes, self._advance(state, checked)), state.inputs).trimmed(self.memory)
             return state, state.last.estimate
         return self._late(state, checked)
+
+    def _after_input(self, state: State, t: float) -> State:
+        """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
+        return state
 
     def _late(self, state: State, sample: Sample) -> tuple[State, Estimate]:
         """Insert a sample (or an input) at or before the last node and replay what comes after it."""
@@ -218,17 +224,16 @@ def _is_time(value: Any) -> bool:
 
 def _with_input(state: State, sample: Sample) -> State:
     """Return the state that also knows the input from `sample.t` on."""
-    for t, u in state.inputs:
-        if t == sample.t:
-            if not np.array_equal(u, sample.u):
-                raise ArgumentError(
-                    f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: "
-                    "duplicates must agree."
-                )
-            return state
-    inputs = list(state.inputs)
-    insort(inputs, (sample.t, sample.u), key=lambda pair: pair[0])
-    return State(state.nodes, tuple(inputs))
+    at = bisect_left(state.inputs, sample.t, key=itemgetter(0))
+    if at < len(state.inputs) and state.inputs[at][0] == sample.t:
+        t, u = state.inputs[at]
+        if not np.array_equal(u, sample.u):
+            raise ArgumentError(
+                f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: duplicates must agree."
+            )
+        return state
+    reached = state.reached if at == len(state.inputs) else None
+    return State(state.nodes, (*state.inputs[:at], (sample.t, sample.u), *state.inputs[at:]), reached)
 
 
 def _merge(old: Sample, new: Sample) -> Sample | None:

@@ -148,6 +148,10 @@ class OpenLoopEstimator(OnlineEstimator):
         """w_bound^2 (1 - e^{-eta h})/eta in the norm of Qw."""
         return self._w_energy * float(discounted_length(self.weights.eta, h)) if h > 0 else 0.0
 
+    def _after_input(self, state: State, t: float) -> State:
+        a = state.last.t
+        return state._replace(reached=(a, t, self._drift.between(state, a, t)))
+
     def _predict(self, state: State, t: float) -> Estimate:
         node = state.nodes[state.node_before(t)]
         if node.t == t:

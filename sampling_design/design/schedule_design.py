@@ -194,7 +194,7 @@ class ScheduleDesign(Record):
             "sigma": None if self.schedule is None else self.sigma,
             "sigma_attained": None if self.schedule is None else self.sigma_attained,
             "sigma_scaled": self.sigma_scaled,
-            "upper_bound": None if self.schedule is None else self.upper_bound,
+            "upper_bound": self.upper_bound if np.isfinite(self.upper_bound) else None,
             "gap": self.gap,
             "cost": self.cost,
             "zero_count": None if self.zero_count is None else self.zero_count.to_dict(),

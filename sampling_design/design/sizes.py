@@ -7,8 +7,8 @@ import numpy as np
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
-MOST_GROWTH = 300.0
-"""Exponent of growth over a window up to which rows and their squares are numbers: e^600 is 1e260."""
+MOST_GROWTH = 80.0
+"""Exponent of growth over a window up to which a bound comes out as a number: beyond, products of rows lose them."""
 
 MOST_MEMORY = 4.0e9
 """Bytes that one array of a design may take."""
@@ -56,7 +56,7 @@ def _check_numbers(problem: DesignProblem) -> None:
     if growth > MOST_GROWTH:
         raise ArgumentError(
             f"`window` {window:g} is too long for this plant: a mode grows or decays by e^{growth:.4g} over it, and "
-            f"numbers end at e^{MOST_GROWTH:g}. Give a window of {window * MOST_GROWTH / growth:.4g} or less."
+            f"a bound has digits up to e^{MOST_GROWTH:g}. Give a window of {window * MOST_GROWTH / growth:.4g} or less."
         )
 
 

@@ -8,8 +8,12 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# a backend that somebody exports would take the place of the notebooks' own, and their figures would vanish
+os.environ.pop("MPLBACKEND", None)
 
 import make_pages  # noqa: E402
+from lost_pictures import lost_pictures  # noqa: E402
+from sphinx.errors import ExtensionError  # noqa: E402
 
 import sampling_design  # noqa: E402
 
@@ -119,7 +123,19 @@ def escape_mathematics(app, what, name, obj, options, lines):
             lines[i] = _norms_are_no_substitutions(line)
 
 
+def every_picture_is_there(app, exception):
+    """Fail the build where a page that draws shows nothing."""
+    if exception is not None or app.builder.format != "html" or os.environ.get("DOCS_FAST"):
+        return
+    pages = {page: Path(app.env.doc2path(page)) for page in app.env.found_docs}
+    lost = lost_pictures({p: s for p, s in pages.items() if s.suffix in (".md", ".ipynb")}, Path(app.outdir))
+    if lost:
+        told = ", ".join(f"{page} ({found} of {wanted})" for page, (wanted, found) in sorted(lost.items()))
+        raise ExtensionError(f"pictures are missing on {told}: was a matplotlib backend set for the notebooks?")
+
+
 def setup(app):
     """Write the pages that are made from the package itself, then read all pages."""
     make_pages.write_all(HERE)
+    app.connect("build-finished", every_picture_is_there)
     app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import sampling_design as sd
+from sampling_design.cli.settings import NO_BUDGET
 from tests.front_door import EXAMPLES, MEMORY
 
 SECONDS = 60
@@ -123,7 +124,8 @@ def drawn(count: int, seed: int) -> list[list[str]]:
             arguments[at] = str(files()[pool[rng.integers(len(pool))]])
         if kinds[-1:] == ("requirement",) and rng.random() < 0.3:
             arguments.pop()
-        line = [name, *arguments, *ALWAYS.get(name, []), "--budget", "3", "--quiet"]
+        line = [name, *arguments, *ALWAYS.get(name, []), "--quiet"]
+        line += [] if name in NO_BUDGET else ["--budget", "3"]
         for flag in rng.permutation(list(flags))[: int(rng.integers(0, 3))]:
             value = flags[str(flag)]
             line.append(str(flag))

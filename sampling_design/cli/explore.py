@@ -106,11 +106,12 @@ def losses(
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     with settings.progress("losses") as progress:
         rng = np.random.default_rng(settings.seed)
-        design = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress)
+        half = settings.budget / 2
+        design = sd.design_schedule(plant, requirement, rng=rng, budget=half, progress=progress)
         if design.schedule is None:
             settings.show({"without": []}, design.explain())
             return
-        result = sd.sample_losses(design, every_lap=every_lap, progress=progress)
+        result = sd.sample_losses(design, every_lap=every_lap, budget=half, progress=progress)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "losses.json", result.to_dict())

@@ -50,6 +50,10 @@ _COMMON: dict[str, tuple[Any, Any]] = {
 }
 
 
+NO_BUDGET = ("certify", "estimate", "validate", "thyroid")
+"""Commands whose work is given by their arguments: nothing in them could end early with what it has."""
+
+
 @dataclass
 class Settings:
     """The common flags of one call, with the two streams: results on stdout, all else on stderr."""
@@ -153,17 +157,19 @@ def _is_number(text: str) -> bool:
 def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     """Give `function(settings, ...)` the common flags in place of its first parameter."""
     own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+    flags_of_this = [name for name in _COMMON if name != "budget" or function.__name__ not in NO_BUDGET]
     common = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for name, (annotation, default) in _COMMON.items()
+        for name, (annotation, default) in ((name, _COMMON[name]) for name in flags_of_this)
     ]
 
     @functools.wraps(function)
     def command(**arguments: Any) -> Any:
-        flags = {name: arguments.pop(name) for name in _COMMON}
+        flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
         whole("seed", flags["seed"])
-        positive("budget", flags["budget"])
+        if "budget" in flags:
+            positive("budget", flags["budget"])
         return function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]

@@ -32,8 +32,8 @@ def thyroid(
 ) -> None:
     """Repeat the paper's Section VI: hormone concentrations from rare blood samples, against sampling every 2 hours.
 
-    With -o DIR every run is saved in DIR/runs.jsonl as it ends; the same command goes on where it stopped, so
-    --budget has no part in it. DIR also gets the page thyroid.md with the paper's figures 1 to 3, and thyroid.json.
+    With -o DIR every run is saved in DIR/runs.jsonl as it ends; the same command goes on where it stopped.
+    DIR also gets the page thyroid.md with the paper's figures 1 to 3, and thyroid.json.
 
     Example: sampling-design thyroid --runs 50 -o out
     """

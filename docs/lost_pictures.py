@@ -1,0 +1,27 @@
+"""Which pages draw something when they are executed, and show less than that."""
+
+import json
+import re
+
+DRAWS = re.compile(r"\.plot\(|\bplt\.(?!rcParams|style)|\bdraw\(|\.figure\(\d|\bsubplots\(")
+
+
+def drawing_cells(source):
+    """Count the executed cells of a page (a notebook, or markdown with code cells) that draw something."""
+    if source.suffix == ".ipynb":
+        cells = ["".join(c["source"]) for c in json.loads(source.read_text())["cells"] if c["cell_type"] == "code"]
+    else:
+        cells = re.findall(r"^```\{code-cell\}(.*?)^```", source.read_text(), flags=re.DOTALL | re.MULTILINE)
+    return sum(bool(DRAWS.search(cell)) for cell in cells)
+
+
+def lost_pictures(sources, html):
+    """Say which pages draw and have fewer pictures than cells that draw: {page: (wanted, found)}."""
+    lost = {}
+    for page, source in sources.items():
+        wanted, built = drawing_cells(source), html / f"{page}.html"
+        main = re.search(r"<article.*?</article>", built.read_text(), flags=re.DOTALL) if built.exists() else None
+        found = len(re.findall(r"<img\b", main.group())) if main else 0
+        if found < wanted:
+            lost[page] = (wanted, found)
+    return lost

@@ -1,0 +1,161 @@
+"""Every verb and command that takes a budget in seconds ends within 1.5 times it plus 2 s, with what it has.
+
+The verbs are found by their signatures and the commands by their options, so that a new one is not forgotten. Seconds
+are those of the processor: a loaded machine changes nothing.
+"""
+
+import contextlib
+import functools
+import inspect
+import re
+import time
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.cli.app import app
+from tests import command_lines
+from tests.front_door import public
+
+BUDGETS = (0.4,)
+
+
+def allowed(budget: float) -> float:
+    return 1.5 * budget + 2.0
+
+
+def chain(oscillators: int) -> sd.Plant:
+    """Oscillators with frequencies of no common measure, all behind one output: as hard as it is large."""
+    A = np.zeros((2 * oscillators, 2 * oscillators))
+    for k in range(oscillators):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = np.sqrt(k + 2.0) * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    return sd.Plant(A, np.tile([[1.0, 0.0]], oscillators))
+
+
+HARD = chain(3)
+OSCILLATOR = chain(1)
+EASY = sd.PeriodicSchedule(np.linspace(0.35, 1.1, 24))
+LARGE = sd.Requirement(window=24.0, period=24.0, spacing=0.05, samples=16)
+
+
+def seconds_verbs() -> set[str]:
+    """Public callables with a parameter `budget` whose documentation says seconds (a noise budget is a ratio)."""
+    found = set()
+    for name, thing in public().items():
+        members = {name: thing}
+        if inspect.isclass(thing):
+            members = {
+                f"{name}.{k}": v for k, v in vars(thing).items() if not k.startswith("_") and inspect.isfunction(v)
+            }
+        for label, member in members.items():
+            if inspect.isfunction(member) and "budget" in inspect.signature(member).parameters:
+                told = re.search(r"\n\s*budget : [^\n]*\n(?:\s+[^\n]*\n)?", inspect.getdoc(member) or "")
+                inherited = re.search(r"budget.*?second", (inspect.getdoc(member) or "").lower(), re.DOTALL)
+                if (told and "second" in told.group().lower()) or (inherited and not told):
+                    found.add(label)
+    return found
+
+
+@functools.cache
+def designed():
+    return sd.design_schedule(HARD, LARGE, starts=2, branches=0, budget=0.5)
+
+
+def certificate():
+    return sd.certify(OSCILLATOR, sd.PeriodicSchedule([0.7, 0.9]), eta=0.4, P2=np.eye(2))
+
+
+def family():
+    return sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2, P2=np.eye(2))
+
+
+VERBS = {
+    "window_sigma": lambda b: sd.window_sigma(HARD, EASY, 300.0, rtol=1e-9, budget=b),
+    "worst_case_sigma": lambda b: sd.worst_case_sigma(HARD, sd.SpacedWindows(20.0, 12, 0.5), rtol=1e-9, budget=b),
+    "design_schedule": lambda b: sd.design_schedule(HARD, LARGE, branches=10**6, budget=b),
+    "pareto": lambda b: sd.pareto(HARD, LARGE, range(16, 21), budget=b),
+    "sample_losses": lambda b: sd.sample_losses(designed(), budget=b),
+    "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
+    "survival": lambda b: sd.survival(OSCILLATOR, certificate(), longest=8, budget=b),
+    "Certificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
+    "FamilyCertificate.verify": lambda b: family().verify(rigorous=True, budget=b),
+    "DetectabilityCertificate.verify": lambda b: sd.certify_detectability(HARD).verify(rigorous=True, budget=b),
+    "SampledCertificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
+}
+PREPARED = {
+    "sample_losses": designed,
+    "survival": certificate,
+    "Certificate.verify": certificate,
+    "FamilyCertificate.verify": family,
+    "SampledCertificate.verify": certificate,
+    "DetectabilityCertificate.verify": lambda: sd.certify_detectability(HARD),
+}
+"""What a call makes before its budget begins: its own seconds do not count."""
+
+
+def spent(call) -> float:
+    began = time.process_time()
+    with contextlib.suppress(sd.SamplingDesignError):  # "undecided", in time, is an answer
+        call()
+    return time.process_time() - began
+
+
+def test_no_verb_with_a_budget_is_forgotten():
+    assert seconds_verbs() <= set(VERBS)
+
+
+@pytest.mark.parametrize("name", sorted(VERBS))
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_a_verb_ends_with_its_budget(name, budget):
+    before = spent(PREPARED[name]) if name in PREPARED else 0.0
+    assert spent(lambda: VERBS[name](budget)) - before <= allowed(budget)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A hard plant and what belongs to it."""
+    place = tmp_path_factory.mktemp("budget")
+    sd.write_plant(HARD, place / "plant.toml")
+    sd.write_plant(OSCILLATOR, place / "oscillator.toml")
+    sd.write_requirement(LARGE, place / "requirement.toml")
+    sd.write_schedule(sd.PeriodicSchedule(EASY.gaps, time_unit="s"), place / "schedule.csv")
+    certificate().save(place / "certificate.json")
+    record = sd.simulate_record(HARD, EASY, 200.0).measurements
+    sd.write_measurements(record, place / "measurements.csv")
+    return place
+
+
+COMMANDS = {
+    "info": ["info", "plant.toml", "--window", "50"],
+    "design": ["design", "plant.toml", "requirement.toml", "--branches", "1000000"],
+    "sigma": ["sigma", "plant.toml", "schedule.csv", "--window", "300"],
+    "worst-case": ["worst-case", "plant.toml", "--window", "20", "--count", "12", "--spacing", "0.5", "--rtol", "1e-9"],
+    "pareto": ["pareto", "plant.toml", "requirement.toml", "--counts", "16-20"],
+    "losses": ["losses", "plant.toml", "requirement.toml"],
+    "survive": ["survive", "oscillator.toml", "certificate.json"],
+    "verify": ["verify", "certificate.json", "--rigorous"],
+    "log": ["log", "plant.toml", "schedule.csv", "measurements.csv", "--window", "100"],
+}
+
+
+def commands_with_a_budget() -> set[str]:
+    from typer.main import get_command
+
+    commands = get_command(app).commands
+    return {name for name, command in commands.items() if "budget" in {p.name for p in command.params}}
+
+
+def test_no_command_with_a_budget_is_forgotten():
+    assert commands_with_a_budget() <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_a_command_ends_with_its_budget(name, files, monkeypatch):
+    monkeypatch.chdir(files)
+    budget = 0.4
+    began = time.process_time()
+    ended = command_lines.run([*COMMANDS[name], "--budget", str(budget), "--quiet"])
+    assert time.process_time() - began <= allowed(budget)
+    assert ended.raw() == ""
+    assert ended.code in (0, 1, 3)

@@ -3,7 +3,10 @@
 import json
 import re
 
-DRAWS = re.compile(r"\.plot\(|\bplt\.(?!rcParams|style)|\bdraw\(|\.figure\(\d|\bsubplots\(")
+DRAWS = re.compile(
+    r"^(?!\s|plt\.(?:close|rcParams|style))[^\n]*?(?:\.plot\(|\bplt\.|\bdraw\(|\.figure\(\d|\bsubplots\()", re.MULTILINE
+)
+"""Statements of a cell that draw; what a function would draw, or a backend that is chosen, shows nothing yet."""
 
 
 def drawing_cells(source):

@@ -18,7 +18,10 @@ def room():
 
 
 def test_a_page_that_draws_and_shows_nothing_is_found(room, tmp_path):
-    cells = [{"cell_type": "code", "source": [line]} for line in ("plt.rcParams['x'] = 1", "record.plot()", "x = 1")]
+    cells = [
+        {"cell_type": "code", "source": [line]}
+        for line in ("plt.close(plt.figure())\\ndef f():\\n    plt.show()", "record.plot()", "x = 1")
+    ]
     (tmp_path / "a.ipynb").write_text(json.dumps({"cells": cells}))
     (tmp_path / "b.md").write_text("text\n```{code-cell} python\nplt.show()\n```\n")
     pages = {"a": tmp_path / "a.ipynb", "b": tmp_path / "b.md"}

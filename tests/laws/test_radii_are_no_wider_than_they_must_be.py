@@ -1,0 +1,59 @@
+"""A constraint on the noise that changes nothing widens nothing; far ahead a radius grows as the plant lets w push."""
+
+import numpy as np
+import pytest
+
+from sampling_design import MovingHorizonEstimator, Plant
+
+PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+BOUNDS = {"w_bound": 0.05, "v_bound": [0.2], "initial_error": 1.0, "eta": 0.4, "horizon": 6.0}
+TIMES = [0.5, 1.2, 2.4, 3.1, 4.4]
+
+
+def final(ys, **options):
+    mhe = MovingHorizonEstimator(PLANT, **BOUNDS, **options)
+    return [mhe.update(t, [y]) for t, y in zip(TIMES, ys, strict=True)][-1], mhe
+
+
+@pytest.mark.parametrize("weights", [{}, {"R": [[9.0]], "Qv": [[2.0]]}], ids=str)
+def test_an_inactive_noise_set_leaves_the_radii_as_they_are(weights):
+    ys = [0.1, -0.05, 0.1, 0.0, 0.15]
+    free, _ = final(ys, **weights)
+    for options in ({"v_set": (-0.2, 0.2)}, {"v_set": (-9.0, 9.0)}, {"y_set": (-9.0, 9.0)}):
+        held, _ = final(ys, **options, **weights)
+        assert held.radii == pytest.approx(free.radii, rel=1e-12)
+
+
+def test_an_active_noise_set_narrows_the_radii():
+    ys = [0.9, -0.7, 0.8, 0.6, -0.9]
+    loose = {**BOUNDS, "v_bound": [2.0]}
+    free, held = (MovingHorizonEstimator(PLANT, **loose, **o) for o in ({}, {"v_set": (-0.3, 0.3)}))
+    for t, y in zip(TIMES, ys, strict=True):
+        one, two = free.update(t, [y]), held.update(t, [y])
+    assert two.engine == "active set"
+    assert np.all(two.radii < one.radii)
+
+
+def test_far_ahead_the_radius_grows_with_time_and_not_with_its_exponential():
+    _, mhe = final([0.1, -0.05, 0.1, 0.0, 0.15])
+    for ahead in (10.0, 50.0, 200.0):
+        estimate = mhe.predict(TIMES[-1] + ahead)
+        pushed = BOUNDS["w_bound"] * ahead
+        assert estimate.certified
+        assert np.all(estimate.radii < 2.0 * (pushed + 1.0))
+
+
+def test_a_carried_weight_keeps_its_digits_where_the_prior_is_badly_conditioned():
+    """The banded route inverts a carried covariance only while its correlations are well conditioned: sharp gauges."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        plant = Plant(rng.normal(size=(3, 3)) - np.eye(3), rng.normal(size=(2, 3)))
+        weights = {"R": 2e9 * np.eye(2), "Qv": 2e9 * np.eye(2), "Qw": np.eye(3), "carried_weight": True}
+        mhe = MovingHorizonEstimator(plant, horizon=1.5, w_bound=1.0, v_bound=1e-4, initial_error=1.0, **weights)
+        for t in np.arange(1, 9) * 0.4:
+            start = mhe._start(mhe.state, float(t)).root
+            estimate = mhe.update(float(t), np.zeros(2))
+            if start is not None and estimate.engine == "banded":
+                unit = start / np.linalg.norm(start, axis=1)[:, None]
+                assert np.linalg.cond(unit @ unit.T) < 1.001e6
+        assert estimate.certified

@@ -1,5 +1,7 @@
 """What is shipped is the package with its types and READMEs, and nothing else."""
 
+import tomllib
+
 import pytest
 
 from tests.house.packages import PACKAGE, faults, wanted
@@ -25,3 +27,18 @@ def test_ci_builds_and_judges_both():
     lines = (PACKAGE.parent / ".ci" / "run").read_text()
     assert "-m build -q" in lines
     assert "tests/house/packages.py" in lines
+
+
+def test_the_oldest_versions_are_those_that_are_promised():
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    promised = [
+        *project["dependencies"],
+        *(r for name in ("nonlinear", "rigorous", "distributed") for r in extras[name]),
+    ]
+    lines = [line for line in (PACKAGE.parent / "tests" / "oldest.txt").read_text().splitlines() if line[0] != "#"]
+    oldest = dict(line.split("==") for line in lines)
+    for requirement in promised:
+        name, version = requirement.split(">=")
+        assert f"{oldest.pop(name)}.".startswith(f"{version}."), name
+    assert oldest == {}

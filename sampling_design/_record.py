@@ -7,11 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design._door import doors
+from sampling_design.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
@@ -57,6 +62,29 @@ class Record:
             for label, value in self._rows()
         )
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+class Table(Record):
+    """Base of the records that are a table, one row per estimate, sample, count or window."""
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        """Every column by its name, all of one length; the first one tells the rows apart."""
+        raise NotImplementedError
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows as a pandas DataFrame (extra `frames`), indexed by the first column, in physical units.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtraError("pandas", "frames") from None
+        columns = self._columns()
+        return pandas.DataFrame(columns).set_index(next(iter(columns)))
 
 
 def draw(record: Any, ax: Any = None) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Table, short
 from sampling_design.design.design import bounded
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
@@ -25,7 +25,7 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SampleLosses(Record):
+class SampleLosses(Table):
     """Sigma after the loss of each single sample of a lap.
 
     Attributes
@@ -60,6 +60,9 @@ class SampleLosses(Record):
     def dearest(self) -> int:
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        return {"time": self.times, "lower": self.lower, "upper": self.upper, "bound": self.bound, "price": self.price}
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per sample."""

@@ -6,17 +6,18 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Table, short
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
@@ -41,7 +42,7 @@ class ParetoPoint:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParetoFront(Record):
+class ParetoFront(Table):
     """Sigma and its bound over the number of samples per period.
 
     Attributes
@@ -64,6 +65,10 @@ class ParetoFront(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per count."""
         return {"points": [asdict(point) for point in self.points]}
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        names = ("samples", "sigma", "upper_bound", "times", "obstacle")
+        return {name: [getattr(point, name) for point in self.points] for name in names}
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

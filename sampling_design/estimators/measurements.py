@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,9 @@ from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.plants.plant import Plant
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Array = npt.NDArray[np.float64]
 
@@ -93,15 +96,18 @@ class Measurements(Record):
 
 
 @door
-def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str | None = None) -> Measurements:
-    """Return the measurements in a CSV file.
+def read_measurements(
+    path: str | os.PathLike[str] | DataFrame, plant: Plant, *, origin: str | None = None
+) -> Measurements:
+    """Return the measurements in a CSV file, or in a pandas DataFrame with the same columns.
 
     Parameters
     ----------
-    path : path
+    path : path or DataFrame
         Header `time` (in the plant's time unit) or `date` (ISO 8601; naive means UTC), then the plant's
         output names, then its input names, in any order. An empty output cell is "not measured", an empty input cell
-        "unchanged". Lines that start with # are comments.
+        "unchanged". Lines that start with # are comments. Of a
+        frame, `time` or `date` may be the index, and NaN is what an empty cell is.
     plant : Plant
     origin : str, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
@@ -116,8 +122,8 @@ def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
         an input has no value in the first row, a row holds nothing, or a time comes twice with different values.
     """
-    where = os.fspath(path)
-    lines = [(k, line) for k, line in enumerate(_files.read_text(path).splitlines(), 1) if _counts(line)]
+    where, text = _text_of(path)
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if _counts(line)]
     if not lines:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
     rows = _files.csv_rows(lines, where)
@@ -139,6 +145,16 @@ def read_measurements(path: str | os.PathLike[str], plant: Plant, *, origin: str
         np.reshape(table.u, (len(table.times), m)),
         origin=known,
     )
+
+
+def _text_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, str]:
+    """Name and text of a file; of a frame the text that its file would have, so that both are read by one grammar."""
+    if isinstance(source, str | os.PathLike):
+        return os.fspath(source), _files.read_text(source)
+    if not hasattr(source, "to_csv"):
+        raise ArgumentError(f"`path` must be a path or a DataFrame, got {_checks.described(source)}.")
+    columns = source.reset_index() if source.index.name in ("time", "date") else source
+    return "the frame", str(columns.to_csv(index=False))
 
 
 class _Clock:

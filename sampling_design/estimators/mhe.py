@@ -118,7 +118,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     References
     ----------
-    The paper, Section IV and Theorem 9.
+    The paper, Section IV and Theorem 9; the window and its arrival cost: Rao, Rawlings and Lee 2001; Rao, Rawlings and
+    Mayne 2003.
 
     Examples
     --------

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Table, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
 from sampling_design.certificates.exact.certificate import Certificate
@@ -38,7 +42,7 @@ class HorizonRow:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FourHorizons(Record):
+class FourHorizons(Table):
     """Four horizons of one plant on one schedule.
 
     Attributes
@@ -57,6 +61,11 @@ class FourHorizons(Record):
     certificate: Certificate
     proof: ProofConstants | None
     radius: float | None
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        gains = {f"C_{x}": [row.horizon and getattr(row.horizon, f"C_{x}") for row in self.rows] for x in "xwv"}
+        plain = {name: [getattr(row, name) for row in self.rows] for name in ("name", "source", "minimum", "note")}
+        return {**plain, **gains}
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit

@@ -73,6 +73,14 @@ def steady_lap(problem: WindowProblem) -> Array:
     ------
     SolverError
         If Y has not settled after 2^40 laps: the schedule is on the edge of what can be certified.
+
+    Notes
+    -----
+    *Method.* The periodic Riccati equation by structure-preserving doubling.
+
+    References
+    ----------
+    Chu, Fan, Lin and Wang 2004.
     """
     flows = problem.flow(problem.gaps)
     n = problem.size

@@ -42,6 +42,14 @@ class GapGraph:
     `words[0]` is the start itself. What the other words mean depends on the family: lower ends of the last gaps
     ("gap-range", "spaced-windows"; newest first), the phase and the losses ("lost-samples"; newest first), the phase
     and the ends of the deviation ("jitter").
+
+    Notes
+    -----
+    The graph is path-complete: every schedule of the family is a path in it, so that one inequality per edge is enough.
+
+    References
+    ----------
+    Ahmadi, Jungers, Parrilo and Roozbehani 2014.
     """
 
     words: tuple[Word, ...]

@@ -1,4 +1,12 @@
-"""From weights to schedules: systematic rounding, repair of the spacing, exchange of one time at a time."""
+"""From weights to schedules: systematic rounding, repair of the spacing, exchange of one time at a time.
+
+The exchange is Fedorov's, for the worst window's least singular value in place of a determinant: sigma^2 is the least
+eigenvalue of the window's information, the criterion that optimal design calls E-optimality.
+
+References
+----------
+Fedorov 1972; Pukelsheim 1993.
+"""
 
 from __future__ import annotations
 

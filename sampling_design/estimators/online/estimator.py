@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, Table, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 
@@ -203,7 +203,7 @@ def _finite(value: float) -> float | None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EstimateRecord(Record):
+class EstimateRecord(Table):
     """Estimates in order of time, as arrays.
 
     Attributes
@@ -274,6 +274,17 @@ class EstimateRecord(Record):
             "on_schedule": self.on_schedule.tolist(),
             "notes": list(self.notes),
             "contradictions": [_plain(each) for each in self.first_contradictions],
+        }
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        names = self.plant.states.names
+        return {
+            "time": self.times,
+            **{name: self.x[:, i] for i, name in enumerate(names)},
+            **{f"{name} radius": self.radii[:, i] for i, name in enumerate(names)},
+            "status": self.status,
+            "certified": self.certified,
+            "on_schedule": self.on_schedule,
         }
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, Table, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
@@ -86,7 +86,7 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowSigma(Record):
+class WindowSigma(Table):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
     Attributes
@@ -136,6 +136,11 @@ class WindowSigma(Record):
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("the plant's matrices and the sample times are exact",),
         )
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        profile = self.profile
+        proven = profile.lower[np.searchsorted(np.unique(profile.piece), profile.piece)]
+        return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the curve; infinite values (a plant without states) become None."""

@@ -1,0 +1,93 @@
+"""Records that are tables become pandas frames, and frames of measurements are read like files."""
+
+import sys
+
+import numpy as np
+import pandas
+import pytest
+
+import sampling_design as sd
+from sampling_design._record import Table
+from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
+
+OSCILLATOR = sd.library.oscillator()
+SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
+REQUIREMENT = sd.Requirement(window=4.0, samples=3)
+BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+READINGS = "time,position,force_per_mass\n0.0,,0.0\n0.7,0.31234567890123,\n2.3,-0.5,1.5\n3.2,0.125,\n"
+
+
+def estimates():
+    mhe = sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, **BOUNDS)
+    return mhe.run([(0.7, [0.3], None), (2.3, [-0.5], None), (3.2, [0.1], None)])
+
+
+MAKERS = {
+    "EstimateRecord": estimates,
+    "ParetoFront": lambda: sd.pareto(OSCILLATOR, REQUIREMENT, [2, 3]),
+    "SampleLosses": lambda: sd.sample_losses(sd.design_schedule(OSCILLATOR, REQUIREMENT)),
+    "FourHorizons": lambda: sd.four_horizons(OSCILLATOR, SCHEDULE),
+    "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_frame_has_the_columns_of_its_record(kind):
+    record = MAKERS[kind]()
+    frame = record.to_frame()
+    columns = record._columns()
+    assert type(record).__name__ == kind
+    assert [frame.index.name, *frame.columns] == list(columns)
+    for name, column in columns.items():
+        shown = frame.index if name == frame.index.name else frame[name]
+        assert len(column) == len(shown) > 1
+        for mine, theirs in zip(column, shown, strict=True):
+            assert mine == theirs or (mine is None and pandas.isna(theirs))
+
+
+def test_every_table_is_in_this_list():
+    assert {c.__name__ for c in Table.__subclasses__()} == set(MAKERS)
+
+
+def test_estimates_and_proofs_stand_in_their_rows():
+    record = estimates()
+    frame = record.to_frame()
+    name = OSCILLATOR.states.names[1]
+    assert frame.loc[2.3, name] == record.x[1, 1]
+    assert frame.loc[2.3, f"{name} radius"] == record.radii[1, 1]
+    sigma = sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0)
+    profile = sigma.to_frame()
+    assert profile["proven"].min() == sigma.lower
+    assert (profile["proven"] <= profile["sigma"]).all()
+
+
+def test_a_frame_is_read_like_its_file(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(READINGS)
+    told = sd.read_measurements(path, OSCILLATOR)
+    frame = pandas.read_csv(path)
+    for given in (frame, frame.set_index("time"), frame[["force_per_mass", "time", "position"]]):
+        found = sd.read_measurements(given, OSCILLATOR)
+        for key in ("times", "y", "u"):
+            np.testing.assert_array_equal(getattr(found, key), getattr(told, key))
+
+
+def test_dates_of_a_frame_count_from_the_first(tmp_path):
+    dates = pandas.date_range("2026-01-05T08:00", periods=3, freq="90s", name="date", tz="UTC")
+    frame = pandas.DataFrame({"position": [1.0, 2.0, 3.0], "force_per_mass": 0.0}, index=dates)
+    found = sd.read_measurements(frame, OSCILLATOR)
+    assert found.times.tolist() == [0.0, 90.0, 180.0]
+    assert found.origin.startswith("2026-01-05T08:00")
+
+
+def test_a_bad_frame_is_refused_in_the_words_of_a_file():
+    with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
+        sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
+    with pytest.raises(ArgumentError, match="`path` must be a path or a DataFrame, got"):
+        sd.read_measurements(3, OSCILLATOR)
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"sampling-design\[frames\]"):
+        estimates().to_frame()

@@ -83,7 +83,7 @@ def test_dates_of_a_frame_count_from_the_first(tmp_path):
 def test_a_bad_frame_is_refused_in_the_words_of_a_file():
     with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
         sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
-    with pytest.raises(ArgumentError, match="`path` must be a path or a DataFrame, got"):
+    with pytest.raises(ArgumentError, match="`path` must be a text or a path or a DataFrame, got int 3"):
         sd.read_measurements(3, OSCILLATOR)
 
 

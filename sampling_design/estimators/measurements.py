@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +22,17 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.plants.plant import Plant
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 Array = npt.NDArray[np.float64]
+
+
+@runtime_checkable
+class DataFrame(Protocol):
+    """What is asked of a pandas DataFrame, so that reading one needs no pandas here."""
+
+    index: Any
+
+    def reset_index(self) -> Any: ...
+    def to_csv(self, *, index: bool) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,8 +158,6 @@ def _text_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, str]:
     """Name and text of a file; of a frame the text that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
         return os.fspath(source), _files.read_text(source)
-    if not hasattr(source, "to_csv"):
-        raise ArgumentError(f"`path` must be a path or a DataFrame, got {_checks.described(source)}.")
     columns = source.reset_index() if source.index.name in ("time", "date") else source
     return "the frame", str(columns.to_csv(index=False))
 

@@ -92,7 +92,7 @@ def test_a_plant_and_a_schedule_never_meet_below_observability():
         ("cvxpy", {"_conic.py", "estimators/constraints/qp.py"}),
         ("typer", {"cli"}),
         ("flint", {"_balls.py"}),
-        ("pandas", {"_record.py", "estimators/measurements.py"}),
+        ("pandas", {"_record.py"}),
     ],
 )
 def test_a_library_has_one_door(library, door):

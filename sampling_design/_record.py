@@ -72,7 +72,7 @@ class Table(Record):
         raise NotImplementedError
 
     def to_frame(self) -> DataFrame:
-        """Return the rows as a pandas DataFrame (extra `frames`), indexed by the first column, in physical units.
+        """Return the rows as a pandas DataFrame (extra `dataframes`), indexed by the first column, in physical units.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class Table(Record):
         try:
             import pandas
         except ImportError:
-            raise MissingExtraError("pandas", "frames") from None
+            raise MissingExtraError("pandas", "dataframes") from None
         columns = self._columns()
         return pandas.DataFrame(columns).set_index(next(iter(columns)))
 

@@ -89,5 +89,5 @@ def test_a_bad_frame_is_refused_in_the_words_of_a_file():
 
 def test_without_pandas_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"sampling-design\[frames\]"):
+    with pytest.raises(MissingExtraError, match="dataframes"):
         estimates().to_frame()

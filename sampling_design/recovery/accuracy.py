@@ -23,9 +23,6 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
-REFLOWN = 1e-3
-"""Share of what an attack attains that its witness may lose when it is flown anew, before a later start is tried."""
-
 MOST_SOLVES = 2000
 """Programs for one row; a bracket that is not closed by then says so."""
 
@@ -287,27 +284,20 @@ def _record(
 
 
 def _flown(finder: Search, row: Array, bounds: Bounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
-    """The strongest witness that keeps its bounds when it is flown anew, and its offset.
-
-    Flown open loop through a plant that grows, the last digits of w grow too: then a later start serves better.
-    """
-    attack = max(found.attacks, key=lambda a: float(np.max(a.values)))
-    j, count, aim = attack.sample, len(attack.adversary.w) + 1, float(np.max(attack.values))
+    """The strongest attack as a witness that is flown anew and made admissible, and its offset."""
     best: tuple[AccuracyWitness, int] | None = None
-    while best is None or (best[0].value < aim * (1 - REFLOWN) and count > 1):
+    for attack in sorted(found.attacks, key=lambda a: -float(np.max(a.values))):
         offset = int(np.argmax(attack.values))
-        witness = physical(finder.chain, row, found.opened[j], attack, offset)
+        if best is not None and best[0].value >= attack.values[offset]:
+            break
+        witness = physical(finder.chain, row, found.opened[attack.sample], attack, offset)
         value, excess = attains(witness, bounds)
-        if excess < np.inf and value > 0:
-            factor = max(excess, 1.0)
-            witness = replace(witness, w=freeze(witness.w / factor), value=value / factor)
-        else:
-            witness = replace(witness, w=freeze(0 * witness.w), value=0.0)
+        factor = max(excess, 1.0)
+        w, states = freeze(witness.w / factor), freeze(witness.states / factor)
+        witness = replace(witness, w=w, states=states, value=value / factor)
         if best is None or witness.value > best[0].value:
             best = witness, offset
-        count = max(1, 3 * count // 4)
-        if best[0].value < aim * (1 - REFLOWN):
-            attack = finder.strike(found, j, offset, count)[1]
+    assert best is not None
     return best
 
 

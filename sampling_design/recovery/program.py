@@ -144,20 +144,26 @@ class Window:
             table.diagonal_balls(K * n, q)
         self._b, self._solver = table.solver()
 
-    def solve(self, mu: Array) -> tuple[Gains, Adversary, str]:
-        """Return both sides for the target mu'z_K, each evaluated without the solver."""
-        n, K = mu.size, len(self.nodes)
-        size = float(np.linalg.norm(mu))
-        if size == 0:
-            return self.upper(mu, [np.zeros(len(self.chain.samples[j].H)) for j in self.nodes]), self._nothing(), ""
+    def _solved(self, mu: Array) -> tuple[Array, Array]:
+        """Point and multipliers for the target mu'z_K, unchecked; zeros where the solver brought none."""
+        n, K, size = mu.size, len(self.nodes), float(np.linalg.norm(mu))
         cost = np.zeros(int(self._w_at[-1]))
+        if size == 0:
+            return cost, np.zeros(self._b.size)
         cost[(K - 1) * n : K * n] = -mu / size
-        found = self._solver.solve(cost, self._b)
-        x, y, status = np.asarray(found[0], float), np.asarray(found[1], float), found[2]
+        x, y, status = self._solver.solve(cost, self._b)
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
-            x, y = np.zeros_like(x), np.zeros_like(y)
-        gains = self._steadied(mu, y * size)
-        return self.upper(mu, gains), self._admissible(mu, x), status
+            return 0 * cost, np.zeros(self._b.size)
+        return np.asarray(x, dtype=np.float64), np.asarray(y * size, dtype=np.float64)
+
+    def gains(self, mu: Array) -> Gains:
+        """Return the best gains for the target mu'z_K, with what they prove."""
+        return self.upper(mu, self._steadied(mu, self._solved(mu)[1]))
+
+    def both(self, mu: Array) -> tuple[Gains, Adversary]:
+        """Return both sides for the target mu'z_K, each evaluated without the solver."""
+        x, y = self._solved(mu)
+        return self.upper(mu, self._steadied(mu, y)), self._admissible(mu, x)
 
     def _nothing(self) -> Adversary:
         chain = self.chain

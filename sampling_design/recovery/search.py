@@ -104,13 +104,13 @@ class Search:
         """Gains for mu'z_j over `back` samples."""
         self.solves += 1
         self._tell()
-        return self.window(j, self.back, False).solve(mu)[0]
+        return self.window(j, self.back, False).gains(mu)
 
-    def attack(self, j: int, mu: Array, count: int | None = None) -> tuple[Gains, Adversary]:
-        """An adversary from rest against mu'z_j over `count` (default `deep`) samples, and the gains with it."""
+    def attack(self, j: int, mu: Array) -> tuple[Gains, Adversary]:
+        """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it."""
         self.solves += 1
         self._tell()
-        gains, adversary, _ = self.window(j, count or self.deep, True).solve(mu)
+        gains, adversary = self.window(j, self.deep, True).both(mu)
         return self.proven(j, mu, gains), adversary
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
@@ -216,10 +216,10 @@ class Search:
         if old is None or gains.value < old.gains.value or len(gains.gains) > len(old.gains.gains):
             found.nodes[j][offset] = Node(offset, gains)
 
-    def strike(self, found: RowSearch, j: int, offset: int, count: int | None = None) -> tuple[Gains, Attack]:
+    def strike(self, found: RowSearch, j: int, offset: int) -> tuple[Gains, Attack]:
         """Attack a row at an offset after sample j: what its gains prove, and what it attains all along the gap."""
         opened = found.opened[j]
-        gains, adversary = self.attack(j, opened.mu[offset], count)
+        gains, adversary = self.attack(j, opened.mu[offset])
         return gains, Attack(j, adversary, opened.mu @ adversary.z[-1] + opened.below)
 
     def _attack(self, found: RowSearch, j: int, offset: int) -> tuple[float, float]:

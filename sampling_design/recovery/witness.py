@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,9 @@ from sampling_design.recovery.search import Attack
 
 KEPT = 1e-9
 """Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
+
+CLOSED = 1e-13
+"""What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +45,8 @@ class AccuracyWitness(Record):
         Sample times after the start; the last at most a gap before the end.
     last : int
         Place of the last sample in the schedule's lap.
+    states : (K, n) array
+        x at those samples; the first is 0.
     outputs : (K, p) array of bool
         What each sample measures.
     value : float
@@ -53,27 +59,40 @@ class AccuracyWitness(Record):
     w: Array
     samples: Array
     last: int
+    states: Array
     outputs: npt.NDArray[np.bool_]
     value: float
 
-    def simulate(self) -> tuple[Array, Array]:
-        """Return v (K, p) = -C x at the samples (NaN where not measured) and x (n,) at the end, flown anew."""
-        plant = self.plant
-        marks = np.union1d(self.edges, self.samples)
-        scale = self._scales()
-        n, size = plant.n_states, np.max(np.abs(self.w), axis=0, initial=0.0)
-        joint = np.zeros((n + plant.n_disturbances,) * 2)
-        joint[:n] = np.hstack([plant.A * scale, plant.G * size]) / scale[:, None]
-        flows = expm_batch(joint, np.diff(marks))[:, :n]
-        w = np.divide(self.w, size, out=np.zeros_like(self.w), where=size > 0)
-        x, states = np.zeros(n), {marks[0]: np.zeros(n)}
-        cells = np.searchsorted(self.edges, marks[:-1], side="right") - 1
-        for t, flow, cell in zip(marks[1:], flows, cells, strict=True):
-            x = flow @ np.concatenate([x, w[cell]])
-            states[t] = scale * x
-        x = states[marks[-1]]
-        v = np.array([-plant.C @ states[t] for t in self.samples])
-        return np.where(self.outputs, v, np.nan), x
+    def simulate(self) -> tuple[Array, Array, Array]:
+        """Return v (K, p) = -C x at the samples (NaN where not measured), x (n,) at the end, and w (M, q).
+
+        Every gap is flown anew from the state at its first sample. What rounding leaves open at its end is closed by a
+        change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
+        the samples is exactly `states`, its w is `w` but for that change. NaN in w says that no change closes it.
+        """
+        plant, scale, size = self.plant, self._scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
+        size = np.where(size > 0, size, 1.0)
+        A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]
+        n, q = G.shape
+        joint = np.zeros((n + q, n + q))
+        joint[:n] = np.hstack([A, G])
+        flows = expm_batch(joint, np.diff(self.edges))[:, :n]
+        ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
+        z, w = self.states / scale, self.w / size
+        x = z[-1]
+        for k, (a, b) in enumerate(pairwise(ends)):
+            ahead, blocks = np.eye(n), np.zeros((b - a, n, q))
+            for cell in range(b - 1, a - 1, -1):
+                blocks[cell - a] = ahead @ flows[cell, :, n:]
+                ahead = ahead @ flows[cell, :, :n]
+            x = ahead @ z[k] + np.einsum("mnq,mq->n", blocks, w[a:b])
+            if k + 1 < len(z):
+                terms = np.abs(ahead) @ np.abs(z[k]) + np.einsum("mnq,mq->n", np.abs(blocks), np.abs(w[a:b]))
+                flat = np.swapaxes(blocks, 0, 1).reshape(n, -1)
+                change = np.linalg.lstsq(flat / terms.clip(1e-300)[:, None], (z[k + 1] - x) / terms.clip(1e-300))[0]
+                left = np.abs(z[k + 1] - x - flat @ change)
+                w[a:b] += change.reshape(-1, q) if np.all(left <= CLOSED * terms) else np.nan
+        return np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size
 
     def _scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
@@ -107,6 +126,7 @@ class AccuracyWitness(Record):
             "w": self.w.tolist(),
             "samples": self.samples.tolist(),
             "last": self.last,
+            "states": self.states.tolist(),
             "outputs": self.outputs.astype(int).tolist(),
             "value": self.value,
         }
@@ -114,11 +134,12 @@ class AccuracyWitness(Record):
 
 def attains(witness: AccuracyWitness, bounds: Bounds) -> tuple[float, float]:
     """Return row'x at the end of a witness flown anew, and the factor by which w and v exceed their bounds."""
-    v, x = witness.simulate()
+    v, x, moved = witness.simulate()
     lap = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
-    if not np.array_equal(witness.outputs, np.isfinite(bounds.v[lap])):
+    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[lap])) and not witness.states[0].any()
+    if not legal or np.isnan(moved).any():
         return 0.0, np.inf
-    w = np.linalg.norm(witness.w, axis=1, keepdims=True) if bounds.w_ball else np.abs(witness.w)
+    w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[lap], np.inf)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
@@ -166,6 +187,7 @@ def physical(chain: Chain, row: Array, opened: Open, attack: Attack, offset: int
         freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         freeze(samples),
         attack.sample,
+        freeze(np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, attack.adversary.z, strict=True)])),
         outputs,
         float(attack.values[offset]),
     )

@@ -64,34 +64,47 @@ class Open:
 
 def open_row(chain: Chain, j: int, row: Array) -> Open:
     """Return one row (n,) of x after sample j, over the whole gap."""
-    gap, ball = chain.gaps[j], chain.bounds.w_ball
-    A, G, n = chain.A, chain.G, chain.D.size
+    gap, A = chain.gaps[j], chain.A
     size = float(np.linalg.norm(A, 2))
     number = int(np.clip(np.ceil(size * gap.length / FINENESS), *GRID))
     d = np.linspace(0.0, gap.length, number + 1)
     step = gap.length / number
-    c = row * chain.D
-    flown = c @ expm_batch(A, d)  # rows c'Phi(d), (N+1, n)
+    above, below, flown, middle = _open_integrals(chain, d, row)
+    L, reach = chain.L[j], chain.reach[j]
+    turning = np.abs(flown @ (A @ A) @ L)
+    drift = step / 2 * middle[:, None] * np.linalg.norm(L, axis=0)
+    turn = (np.maximum(turning[1:], turning[:-1]) + drift) @ reach
+    return Open(d, flown @ L, above, below, turn)
+
+
+def _open_integrals(chain: Chain, d: Array, row: Array) -> tuple[Array, Array, Array, Array]:
+    """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds on |c'Phi A^3| per panel."""
+    A, G, n = chain.A, chain.G, chain.D.size
+    step = float(d[-1] - d[0]) / (d.size - 1)
+    flown = (row * chain.D) @ expm_batch(A, d)
     p, bend = flown @ G, flown @ (A @ A @ G)
-    middle = np.linalg.norm(c @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A), axis=1) * np.exp(size * step / 2)
+    turned = (row * chain.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
+    middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
     third = middle * np.linalg.norm(G, 2)
     joint = np.zeros((n + G.shape[1], n + G.shape[1]))
     joint[:n, :n], joint[:n, n:] = A, G
-    inner = expm_batch(joint, [step])[0, :n, n:]
-    mean = flown[:-1] @ inner
-    if ball:
+    mean = flown[:-1] @ expm_batch(joint, [step])[0, :n, n:]
+    if chain.bounds.w_ball:
         value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
         curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third
     else:
         value, least = np.abs(p).sum(axis=1), np.abs(mean).sum(axis=1)
         curve = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + G.shape[1] * step / 2 * third
     most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
-    L, reach = chain.L[j], chain.reach[j]
-    turning = np.abs(flown @ (A @ A) @ L)
-    drift = step / 2 * middle[:, None] * np.linalg.norm(L, axis=0)
-    turn = (np.maximum(turning[1:], turning[:-1]) + drift) @ reach
-    return Open(d, flown @ L, _sums(most), _sums(least), turn)
+    return _sums(most), _sums(np.asarray(least)), flown, middle
 
 
 def _sums(x: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(x)])
+
+
+def open_integral(chain: Chain, length: float, row: Array) -> float:
+    """Return a bound on int_0^length h_W(G'Phi(s)'c) ds for a row (n,) of x."""
+    size = float(np.linalg.norm(chain.A, 2))
+    number = int(np.clip(np.ceil(size * length / FINENESS), *GRID))
+    return float(_open_integrals(chain, np.linspace(0.0, length, number + 1), row)[0][-1])

@@ -165,8 +165,8 @@ def endless_chain(plant: Plant, gaps: Array, bounds: Bounds) -> Chain:
     G = plant.G * bounds.w / balance[:, None]
     F, W = discounted_flow(A, G @ G.T, gaps)
     W = W * float(np.mean(gaps))
-    rows, sizes, exact = _noise_units(plant.C * balance, bounds, W)
-    D = _scales(F, W, rows)
+    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
+    D = state_scales(F, W, rows)
     A, G = A * D / D[:, None], G / D[:, None]
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
@@ -181,11 +181,11 @@ def endless_chain(plant: Plant, gaps: Array, bounds: Bounds) -> Chain:
     steps = []
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
-        steps.append(_gap(A, G, float(h), L[j], following, F[j]))
+        steps.append(make_gap(A, G, float(h), L[j], following, F[j]))
     return Chain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps))
 
 
-def _noise_units(C: Array, bounds: Bounds, W: Array) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
+def noise_units(C: Array, bounds: Bounds, W: Array) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
     """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
     driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
     stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
@@ -201,7 +201,7 @@ def _noise_units(C: Array, bounds: Bounds, W: Array) -> tuple[list[Array], list[
     return rows, sizes, exact
 
 
-def _scales(F: Array, W: Array, rows: list[Array]) -> Array:
+def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
     """Diagonal D: between what w reaches and what samples see of each state over a lap."""
     n = F.shape[1]
     flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
@@ -234,7 +234,8 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> list[Array]:
     return P
 
 
-def _gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array) -> Gap:
+def make_gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> Gap:
+    """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`."""
     number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
     s = np.linspace(0.0, h, number + 1)
     E = expm_batch(A, s)
@@ -248,7 +249,7 @@ def _gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array) -> 
         h,
         np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),
         panels,
-        *_cells(A, G, following, panels, CELL_LOSS),
+        *_cells(A, G, following, panels, loss),
     )
 
 

@@ -24,6 +24,9 @@ TOLERANCE = 1e-8
 ROUNDING = 1e-11
 """Relative allowance for rounding in every sum that bounds from above."""
 
+NOTHING = 1e-10
+"""A rest below this share of the target counts as none where the start is free: rounding, all being of size one."""
+
 EXACTLY = 1e-6
 """An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a lap."""
 
@@ -43,6 +46,21 @@ class Gains:
 
     value: float
     gains: tuple[Array, ...]  # (p_k,) in units of the noise
+
+
+@dataclass(frozen=True, eq=False)
+class StartSet:
+    """|S z| <= 1 in the Euclidean norm ("ball") or entry by entry; without S the start is free."""
+
+    S: Array | None
+    ball: bool
+
+    def support(self, rest: Array, scale: float) -> float:
+        """h_start(rest). A free start costs nothing if the rest is rounding, and everything else."""
+        if self.S is None:
+            return 0.0 if np.linalg.norm(rest) <= NOTHING * scale else np.inf
+        weights = np.linalg.solve(self.S.T, rest)
+        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
 
 
 class _Table:
@@ -102,21 +120,41 @@ class _Table:
         for _ in range(many.size // q if q else 0):
             self.add("second order", q + 1, [], np.eye(q + 1)[0])
 
-    def solver(self) -> tuple[Array, ConeSolver]:
+    def solver(self, tolerance: float) -> tuple[Array, ConeSolver]:
         """b, and the solver with A."""
         from scipy import sparse
 
         values, rows, columns = (np.concatenate(part) for part in zip(*self._entries, strict=True))
-        A = sparse.csc_matrix((values, (rows, columns)), shape=(self.rows, self.columns))
-        A.eliminate_zeros()
-        return np.concatenate(self._b), ConeSolver(A, self._cones, tolerance=TOLERANCE)
+        self.A = sparse.csc_matrix((values, (rows, columns)), shape=(self.rows, self.columns))
+        self.A.eliminate_zeros()
+        return np.concatenate(self._b), ConeSolver(self.A, self._cones, tolerance=tolerance)
+
+    def scaled(self, change: Array) -> ConeSolver:
+        """The solver with one more column: b + scale change in place of b."""
+        from scipy import sparse
+
+        return ConeSolver(
+            sparse.hstack([self.A, sparse.csc_matrix(-change[:, None])]), self._cones, tolerance=TOLERANCE
+        )
 
 
 class Window:
-    """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or zero."""
+    """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
-    def __init__(self, chain: Chain, nodes: list[int], start: Array):
-        self.chain, self.nodes, self.start = chain, nodes, start
+    `data` are the measurements less what they would be without error, one array for each sample, in units of its noise.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        nodes: list[int],
+        start: Array | StartSet,
+        data: list[Array] | None = None,
+        tolerance: float = TOLERANCE,
+    ):
+        self.chain, self.nodes, self.start, self.data = chain, nodes, start, data
+        self._tolerance = tolerance
+        self.infeasible = False
         self._build()
 
     def _build(self) -> None:
@@ -132,7 +170,11 @@ class Window:
         exact = [s.H[s.exact] for s in samples]
         self._exact_at = [table.add("zero", len(H), [(k * n, H)]) for k, H in enumerate(exact)]
         table.end("zero")
-        self._start_at = table.box(0, np.eye(n), self.start)
+        ball = isinstance(self.start, StartSet) and self.start.ball
+        if isinstance(self.start, StartSet) and not ball and self.start.S is not None:
+            table.box(0, self.start.S)
+        elif not isinstance(self.start, StartSet):
+            table.box(0, np.eye(n), self.start)
         noisy = [s.H[~s.exact] for s in samples]
         round_v = [chain.bounds.v_ball and len(H) > 1 for H in noisy]
         self._box_at = [-1 if r else table.box(k * n, H) for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
@@ -140,9 +182,26 @@ class Window:
             table.diagonal_box(K * n)
         table.end("nonnegative")
         self._ball_at = [table.ball(k * n, H) if r else -1 for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
+        if isinstance(self.start, StartSet) and self.start.S is not None and ball:
+            table.ball(0, self.start.S)
         if chain.bounds.w_ball:
             table.diagonal_balls(K * n, q)
-        self._b, self._solver = table.solver()
+        self._b, self._solver = table.solver(self._tolerance)
+        self._table, self._bare = table, self._b.copy()
+        if self.data is not None:
+            self._shift(self.data)
+
+    def _shift(self, data: list[Array]) -> None:
+        """|H z| <= 1 becomes |y - H z| <= 1."""
+        for k, y in enumerate(data):
+            exact = self.chain.samples[self.nodes[k]].exact
+            noisy = y[~exact]
+            self._b[self._exact_at[k] : self._exact_at[k] + int(exact.sum())] = y[exact]
+            if self._ball_at[k] >= 0:
+                self._b[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy.size] = -noisy
+            elif noisy.size:
+                at = self._box_at[k]
+                self._b[at : at + 2 * noisy.size] += np.concatenate([noisy, -noisy])
 
     def _solved(self, mu: Array) -> tuple[Array, Array]:
         """Point and multipliers for the target mu'z_K, unchecked; zeros where the solver brought none."""
@@ -152,6 +211,7 @@ class Window:
             return cost, np.zeros(self._b.size)
         cost[(K - 1) * n : K * n] = -mu / size
         x, y, status = self._solver.solve(cost, self._b)
+        self.infeasible = status == INFEASIBLE
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
             return 0 * cost, np.zeros(self._b.size)
         return np.asarray(x, dtype=np.float64), np.asarray(y * size, dtype=np.float64)
@@ -164,6 +224,14 @@ class Window:
         """Return both sides for the target mu'z_K, each evaluated without the solver."""
         x, y = self._solved(mu)
         return self.upper(mu, self._steadied(mu, y)), self._admissible(mu, x)
+
+    def least_scale(self) -> list[Array]:
+        """Return the gains that prove best by how much the data exceed what the bounds allow."""
+        solver = self._table.scaled(self._b - self._bare)
+        _, y, status = solver.solve(np.append(np.zeros(int(self._w_at[-1])), -1.0), self._bare)
+        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
+            y = np.zeros(self._b.size)
+        return self._steadied(np.zeros(self.chain.D.size), np.asarray(y, dtype=np.float64))
 
     def _nothing(self) -> Adversary:
         chain = self.chain
@@ -201,20 +269,45 @@ class Window:
             if k:
                 F = chain.gaps[self.nodes[k - 1]].F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
+        if isinstance(self.start, StartSet) and self.start.S is None:
+            self._without_rest(mu, gains)
         return gains
+
+    def _without_rest(self, mu: Array, gains: list[Array]) -> None:
+        """Change gains as little as can be so that nothing of a free start is left."""
+        chain, seen, flow = self.chain, [], np.eye(mu.size)
+        for k, j in enumerate(self.nodes):
+            flow = chain.gaps[self.nodes[k - 1]].F @ flow if k else flow
+            seen.append(chain.samples[j].H @ flow)
+        rows, ends = np.vstack(seen), np.cumsum([len(H) for H in seen])[:-1]
+        for _ in range(2):
+            rest = mu
+            for k in range(len(gains) - 1, -1, -1):
+                rest = rest - chain.samples[self.nodes[k]].H.T @ gains[k]
+                rest = chain.gaps[self.nodes[k - 1]].F.T @ rest if k else rest
+            change = np.linalg.lstsq(rows.T, rest)[0]
+            gains[:] = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove: h_start(rest) + int h_W(G'g) + sum h_V(gains), for all real times."""
-        chain, total, g = self.chain, 0.0, mu[:, None]
+        chain, total, g, scale = self.chain, 0.0, mu[:, None], float(np.linalg.norm(mu))
         for k in range(len(self.nodes) - 1, -1, -1):
             sample, lam = chain.samples[self.nodes[k]], gains[k][:, None]
             total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
-            g = g - sample.H.T @ lam
+            step = sample.H.T @ lam
+            scale += float(np.linalg.norm(step))
+            g = g - step
             if k:
                 gap = chain.gaps[self.nodes[k - 1]]
                 total += float(gap.panels.integral(g, chain.bounds.w_ball)[0])
                 g = gap.F.T @ g
-        total += float(np.abs(g[:, 0]) @ self.start)
+        if isinstance(self.start, StartSet):
+            total += self.start.support(g[:, 0], scale)
+        else:
+            total += float(np.abs(g[:, 0]) @ self.start)
+        if self.data is not None:
+            shown = [float(lam @ y) for lam, y in zip(gains, self.data, strict=True)]
+            return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
         return Gains(total * (1 + ROUNDING), tuple(gains))
 
     def _admissible(self, mu: Array, x: Array) -> Adversary:
@@ -224,7 +317,7 @@ class Window:
         best = self._nothing()
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
-            z[0] = meant[0] if np.all(self.start > 0) else 0.0
+            z[0] = 0.0
             for k, j in enumerate(self.nodes[:-1]):
                 gap, q = chain.gaps[j], chain.G.shape[1]
                 u = x[self._w_at[k] : self._w_at[k + 1]].reshape(-1, q)
@@ -256,6 +349,4 @@ class Window:
             factor = max(
                 factor, float(np.max(noisy, initial=0.0)), float(np.max(y[sample.exact], initial=0.0)) / EXACTLY
             )
-        if np.all(self.start > 0):
-            factor = max(factor, float(np.max(np.abs(z[0]) / self.start)))
         return factor * (1 + ROUNDING)

@@ -1,0 +1,107 @@
+"""Whatever disturbance and noise do within their bounds, every state lies in the interval that the data prove.
+
+The runs are adversarial: w jumps between extreme points of its set at random times, v is extreme or random, gaps are
+irregular, the start is known, half known or not at all, some outputs are missing, and the time asked for is at the last
+sample or well after it. RUNS can be raised: 1000 runs hold as well.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import library
+from sampling_design.recovery.interval import interval
+from tests.oracles.estimators import transition
+
+RUNS = 12
+CASES = {
+    "double_integrator": 1.0,
+    "oscillator": 1.0,
+    "cart_pendulum": 0.15,
+    "three_compartment": 20.0,
+    "helicopter_he1": 0.5,
+    "satellite": 400.0,
+}
+
+
+def flown(plant, x, h, w):
+    """x after h under a constant w, by Van Loan's exponential."""
+    n, q = plant.G.shape
+    block = np.zeros((n + q, n + q))
+    block[:n] = np.hstack([plant.A, plant.G])
+    return transition(block, h)[:n] @ np.concatenate([x, w])
+
+
+def adversarial_run(name, seed):
+    """Return the interval of a run, the truth, and what was given to it."""
+    rng = np.random.default_rng(seed)
+    plant, unit = library.named_plant(name), CASES[name]
+    count = int(rng.integers(3, 12))
+    times = np.cumsum(rng.uniform(0.3, 2.0, count)) * unit
+    ball = bool(rng.integers(2)) and name in ("double_integrator", "oscillator")
+    w_size, v_size = plant.disturbances.scales / 10, plant.outputs.scales / 5
+    error = [None, 3 * plant.states.scales, plant.states.scales / 2][int(rng.integers(3))]
+    start = rng.uniform(-1, 1, plant.n_states) * (5 * plant.states.scales if error is None else error)
+    x, now, record = start, 0.0, []
+    end = times[-1] + float(rng.choice([0.0, 0.7])) * unit
+    for t in [*times, end]:
+        for a, b in pairwise([now, *np.sort(rng.uniform(now, t, 2)), t]):
+            u = rng.choice([-1.0, 1.0], w_size.size) * rng.choice([0.3, 1.0])
+            u = u / np.linalg.norm(u) * w_size[0] if ball else u * w_size
+            x = flown(plant, x, b - a, u)
+        now = t
+        if len(record) < count:
+            v = rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], v_size.size) * v_size
+            y = plant.C @ x + v
+            if y.size > 1 and rng.integers(3) == 0:
+                y[rng.integers(y.size)] = np.nan
+            record.append((float(t), y, None))
+    found = interval(
+        plant,
+        record,
+        float(end),
+        w_bound=float(w_size[0]) if ball else w_size,
+        v_bound=v_size,
+        initial_error=error,
+        prior_time=0.0,
+    )
+    return found, x
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_interval_of_the_data_always_holds_the_truth(name):
+    for seed in range(RUNS):
+        found, truth = adversarial_run(name, seed)
+        assert not found.contradiction, seed
+        assert found.holds(truth), seed
+        assert found.verify(), seed
+
+
+def test_more_samples_never_widen_it():
+    plant, rng = library.oscillator(), np.random.default_rng(3)
+    record = [(float(t), [np.sin(t) + rng.uniform(-0.1, 0.1)], None) for t in np.cumsum(rng.uniform(0.4, 1.5, 9))]
+    given = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 5.0, "prior_time": 0.0}
+    last = None
+    for count in range(1, 10):
+        found = interval(plant, record[:count], record[-1][0], **given)
+        if last is not None:
+            assert np.all(found.upper <= last.upper + 1e-5)
+            assert np.all(found.lower >= last.lower - 1e-5)
+        last = found
+
+
+def test_it_is_never_wider_than_the_ellipsoid_of_a_filter():
+    plant, rng = library.oscillator(), np.random.default_rng(4)
+    given = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 2.0}
+    weights = sd.weights_from_bounds(plant, 0.3, 0.05, 0.2, 2.0)
+    mhe = sd.MovingHorizonEstimator(plant, horizon=50.0, eta=0.3, **weights, **given)
+    record = []
+    for t in np.cumsum(rng.uniform(0.4, 1.5, 9)):
+        record.append((float(t), [np.sin(t) + rng.uniform(-0.1, 0.1)], None))
+        estimate = mhe.update(*record[-1])
+        found = interval(plant, record, prior_time=0.0, **given)
+        assert np.all(found.radii <= estimate.radii)
+        assert np.all(found.upper <= estimate.x + estimate.radii + 1e-6)
+        assert np.all(found.lower >= estimate.x - estimate.radii - 1e-6)

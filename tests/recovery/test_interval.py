@@ -1,0 +1,132 @@
+"""What the data prove: against programs on a fine grid, its proofs, contradictions, and what is refused."""
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.interval import Engine, interval, read_record
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
+TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
+RECORD = [(t, [np.sin(t)], None) for t in TIMES]
+GIVEN = {"w_bound": 0.02, "v_bound": 0.4}
+
+
+def fine_grid(record, c, w, v, cells=12):
+    """Largest c'x at the last sample over all starts and all w on cells, in cvxpy."""
+    import cvxpy as cp
+
+    from tests.oracles.accuracy import _cells
+    from tests.oracles.estimators import transition
+
+    A, C, G = OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G
+    x = cp.Variable(2)
+    rules = [cp.abs(C @ x - record[0][1]) <= v]
+    for (a, *_), (b, y, _) in pairwise(record):
+        u = cp.Variable((cells, 2))
+        parts = _cells(A, G, b - a, cells)
+        x = transition(A, b - a) @ x + sum(parts[k] @ u[k] for k in range(cells))
+        rules += [cp.norm(u, axis=1) <= w, cp.abs(C @ x - y) <= v]
+    problem = cp.Problem(cp.Maximize(c @ x), rules)
+    problem.solve(solver=cp.CLARABEL)
+    return problem.value
+
+
+def test_ends_are_those_of_a_fine_grid():
+    found = interval(OSCILLATOR, RECORD, **GIVEN)
+    for k, c in enumerate(np.eye(2)):
+        assert found.upper[k] == pytest.approx(fine_grid(RECORD, c, 0.02, 0.4), abs=1e-3)
+        assert found.lower[k] == pytest.approx(-fine_grid(RECORD, -c, 0.02, 0.4), abs=1e-3)
+    assert found.verify()
+    assert "The data prove position from" in found.explain()
+
+
+def test_one_state_by_hand():
+    plant = sd.Plant([[0.0]], [[1.0]])
+    found = interval(plant, [(0.0, [1.0], None), (1.0, [1.5], None)], 2.0, w_bound=0.1, v_bound=0.3)
+    assert found.lower == pytest.approx([1.1], abs=1e-6)
+    assert found.upper == pytest.approx([1.5], abs=1e-6)
+
+
+def test_inputs_and_a_prior_move_it():
+    free = interval(OSCILLATOR, RECORD, **GIVEN)
+    driven, x = [], np.zeros(2)
+    pushed = sd.Plant(np.block([[OSCILLATOR.A, OSCILLATOR.B], [np.zeros((1, 3))]]), [[1.0, 0.0, 0.0]])
+    for a, b in zip([0.0, *TIMES[:-1]], TIMES, strict=True):
+        x = (pushed.transition(b - a) @ [*x, 0.3])[:2]
+        driven.append((b, [np.sin(b) + x[0]], None))
+    moved = interval(OSCILLATOR, [(0.0, None, [0.3]), *driven], prior_time=0.0, **GIVEN)
+    assert moved.lower - x == pytest.approx(free.lower, abs=1e-5)
+    known = interval(OSCILLATOR, RECORD, initial_error=[0.1, 0.1], prior=[0.0, 1.0], prior_time=0.0, **GIVEN)
+    assert np.all(known.radii < free.radii)
+    exact = interval(OSCILLATOR, RECORD, initial_error=0.0, prior=[0.0, 1.0], prior_time=0.0, w_bound=0.0, v_bound=0.4)
+    assert exact.centre == pytest.approx([np.sin(TIMES[-1]), np.cos(TIMES[-1])], abs=1e-6)
+    assert np.all(exact.radii < 1e-6)
+
+
+def test_corrupt_gains_prove_nothing():
+    found = interval(OSCILLATOR, RECORD, **GIVEN)
+    (up, down), *rest = found.gains
+    assert not replace(found, gains=((tuple(1.2 * g for g in up), down), *rest)).verify()
+    assert not replace(found, upper=found.upper - 0.1).verify()
+
+
+def test_a_contradiction_is_proven_with_its_samples_and_factor():
+    wrong = [(t, [y[0] + (5.0 if k == 2 else 0.0)], None) for k, (t, y, _) in enumerate(RECORD)]
+    found = interval(OSCILLATOR, wrong, **GIVEN)
+    assert found.contradiction > 1
+    assert 2 in found.samples
+    assert found.verify()
+    assert not replace(found, contradiction=1.01 * found.contradiction).verify()
+    assert "The data contradict the bounds" in found.explain()
+    assert np.isnan(found.upper).all()
+    factor = found.contradiction
+    enough = interval(OSCILLATOR, wrong, w_bound=0.02 * factor * 1.001, v_bound=0.4 * factor * 1.001)
+    assert not enough.contradiction
+    short = interval(OSCILLATOR, wrong, w_bound=0.02 * factor * 0.98, v_bound=0.4 * factor * 0.98)
+    assert short.contradiction == pytest.approx(1 / 0.98, rel=1e-3)
+
+
+def test_what_no_sample_shows_is_unbounded():
+    found = interval(OSCILLATOR, RECORD[:1], **GIVEN)
+    assert np.isfinite(found.upper[0])
+    assert np.isinf(found.upper[1])
+    assert found.to_dict()["upper"][1] is None
+
+
+def test_one_row_takes_milliseconds():
+    A = np.zeros((4, 4))
+    A[:2, :2], A[2:, 2:] = [[0, 1], [-1, 0]], [[0, 1], [-2.3, 0]]
+    plant = sd.Plant(A, [[1.0, 0.0, 1.0, 0.0]])
+    record = [(t, [np.sin(t)], None) for t in np.cumsum(np.random.default_rng(0).uniform(0.3, 1, 20))]
+    data = read_record(plant, record, None, None, None)
+    engine, taken = Engine(plant, Bounds.of(plant, 20, None, 0.05, 0.5), data), []
+    for _ in range(10):
+        for row in np.eye(4):
+            begun = time.process_time()
+            engine.solve(record[-1][0], row)
+            taken.append(time.process_time() - begun)
+    assert np.median(taken) < 0.02  # two milliseconds on a quiet machine
+
+
+@pytest.mark.parametrize(
+    ("record", "change", "match"),
+    [
+        ([], {}, "`record` must hold at least one measurement"),
+        ([(1.0, [1.0], None), (0.5, [1.0], None)], {}, "`record` must be in order of time"),
+        ([(1.0, [1.0], None), (1.0, [1.0], None)], {}, "`record` measures twice at 1.0"),
+        ([(1.0, [1.0, 2.0], None)], {}, "`record` must hold 1 outputs a sample"),
+        (RECORD, {"t": 1.0}, "`t` must not lie before the last sample"),
+        (RECORD, {"initial_error": [-1.0, 1.0]}, "`initial_error` must not be negative"),
+        (RECORD, {"v_bound": None}, "`v_bound` is missing"),
+    ],
+)
+def test_bad_input_is_refused(record, change, match):
+    with pytest.raises(ArgumentError, match=match):
+        interval(OSCILLATOR, record, **(GIVEN | change))

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, certify_family, tradeoff_curve
+from sampling_design import (
+    GapRange,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    certify,
+    certify_family,
+    certify_from_proof,
+    tradeoff_curve,
+)
 from sampling_design.certificates import certify as room
 from sampling_design.certificates.exact import weight_choice
+from sampling_design.certificates.paper import proof_constants
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -93,3 +105,17 @@ def test_memory_is_for_families():
     assert made.lam == certify_family(OSCILLATOR, GapRange(0.5, 1.0), eta=0.1, P2=np.eye(2), memory=0).lam
     with pytest.raises(ArgumentError, match="`memory` is for families of schedules, got 1 with a PeriodicSchedule"):
         certify(OSCILLATOR, EACH, memory=1)
+
+
+@pytest.mark.unproven("refuted", "one of them is made false on purpose")
+def test_constants_of_the_proof_that_doubles_cannot_hold_are_undecided(monkeypatch):
+    def with_P1(P1):
+        made = proof_constants.constants_from_proof(OSCILLATOR, EACH)
+        monkeypatch.setattr(proof_constants, "constants_from_proof", lambda *a, **k: dataclasses.replace(made, P1=P1))
+        return lambda: certify_from_proof(OSCILLATOR, EACH)
+
+    with pytest.raises(UndecidedError, match="the weights that the proof gives cannot be held in doubles: `P1`"):
+        with_P1(np.diag([1.0, -1.42]))()
+    monkeypatch.undo()
+    with pytest.raises(UndecidedError, match="the certificate with the proof's constants is not proven in doubles"):
+        with_P1(1e9 * np.eye(2))()

@@ -170,7 +170,8 @@ class _Breaker:
             if time.perf_counter() > self.deadline:
                 self.late = True
                 break
-            search = Search(self.plant, in_plant_terms(self.plant, family), self.weights, self.certificate.P2, np.inf)
+            within = in_plant_terms(self.plant, family)
+            search = Search(self.plant, within, self.weights, self.certificate.P2, np.inf, self.deadline)
             try:
                 found = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
             except SamplingDesignError:
@@ -178,6 +179,7 @@ class _Breaker:
             best = min(best, found.lam)
             if isinstance(found, Proposal) and found.lam / (1 - RESOLUTION) < self.limit:
                 return found.lam, found
+        self.late = self.late or time.perf_counter() > self.deadline
         return best, None
 
     def loss_level(self, family: LostSamples) -> int:

@@ -26,13 +26,13 @@ class InformationCurve(Record):
     Attributes
     ----------
     t : (N,) array [time]
-        From the window's start; a sample's time stands twice, before and after the sample.
+        On the schedule's clock, from `start` on; a sample's time stands twice, before and after the sample.
     least : (N,) array
         lambda_min(Pi(t), P1); the certificate promises at least 1.
     start : float
-        Start of the window.
-    samples : (k,) array
-        The samples in it.
+        Start of the window, on the same clock.
+    samples : (k,) array [time]
+        The times of the samples in it, likewise.
     time_unit : str
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -94,8 +95,17 @@ class Shortfall:
 class Search:
     """The semidefinite program of one plant, family and choice of weights, for one rate and memory after the other."""
 
-    def __init__(self, plant: Plant, family: Any, weights: Weights, P2: Array | None, budget: float) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        family: Any,
+        weights: Weights,
+        P2: Array | None,
+        budget: float,
+        deadline: float = np.inf,
+    ) -> None:
         self.plant, self.family, self.weights, self.P2, self.budget = plant, family, weights, P2, budget
+        self.deadline = deadline
 
     def program(self, eta: float, memory: int, layers: int = LAYERS) -> Program:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
@@ -108,7 +118,7 @@ class Search:
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, root, graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
-        return Program(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given)
+        return Program(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.deadline)
 
     def least_lam(self, program: Program, rtol: float, start: float = 2.0) -> tuple[float, Array | None, float, Any]:
         """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all."""
@@ -120,7 +130,7 @@ class Search:
         if P is None or kept < LEAST_FLOOR:
             return np.inf, None, max(kept, 0.0), record
         low, high, lam, best = 1.0, np.inf, start, None
-        while high > low * (1 + rtol) and low < LARGEST_LAM:
+        while high > low * (1 + rtol) and low < LARGEST_LAM and time.perf_counter() < self.deadline:
             _, found, record = program.feasible(lam, floor / self.budget)
             if found is None:
                 low = lam
@@ -132,15 +142,15 @@ class Search:
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> Proposal | Shortfall:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
 
-        A lambda above `worst` on the grid ends the search.
+        A lambda above `worst` on the grid ends the search, and so does the deadline.
         """
         program = self.program(eta, memory)
         lam, P, kept, record = self.least_lam(program, LAM_RTOL)
         gap = None
         for _ in range(ROUNDS):
-            if P is None or lam > worst:
+            if P is None or lam > worst or time.perf_counter() > self.deadline:
                 break
-            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P))
+            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.deadline)
             claimed, nodes = self._lam_of(program, P)
             if edges.proven and nodes.proven:
                 return Proposal(program.dynamics, program.graph, P, claimed, record)

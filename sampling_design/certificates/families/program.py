@@ -8,6 +8,7 @@ proposal: `family_proof` closes the continuum between the grid points, or names 
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,6 +33,8 @@ POINTS_PER_RADIAN = 3.0
 MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
+LEAST_TIME = 0.05
+"""Seconds that a solver is given where the deadline has passed."""
 LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
 
@@ -44,6 +47,7 @@ class Program:
     graph: GapGraph
     unit: Array
     P2: Array | None = None
+    deadline: float = np.inf
     margin: float = MARGIN
     edge_times: list[list[float]] = field(default_factory=list)
     node_times: list[list[float]] = field(default_factory=list)
@@ -93,7 +97,7 @@ class Program:
             cost[-1] = -1.0
             blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
-            found = _solved(cost, [b for b in blocks if b[2].size])
+            found = _solved(cost, [b for b in blocks if b[2].size], self.deadline)
             if not _conic.usable(found.record):
                 return 0.0, None, found.record
             return float(found.x[-1]), self._matrices(found.x), found.record
@@ -114,7 +118,7 @@ class Program:
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
-        found = _solved(cost, blocks)
+        found = _solved(cost, blocks, self.deadline)
         if not _conic.usable(found.record) or found.x[-1] < LEAST_SLACK:
             return 0.0, None, found.record
         return float(found.x[-1]), self._matrices(found.x), found.record
@@ -126,7 +130,7 @@ class Program:
         cost[-1] = -1.0
         blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
-        found = _solved(cost, blocks)
+        found = _solved(cost, blocks, self.deadline)
         if not _conic.usable(found.record) or found.x[-1] <= 0:
             return 0.0, None, found.record
         return float(found.x[-1]), self._matrices(found.x), found.record
@@ -223,11 +227,15 @@ class Program:
         return self.margin > before
 
 
-def _solved(cost: Array, blocks: list[tuple[str, Array, Array]]) -> _conic.ConeSolution:
+def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], deadline: float) -> _conic.ConeSolution:
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
-    found = _conic.solve_cone_program(cost, blocks)
-    if found.record.status == _conic.FAILED:
-        found = _conic.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE)
+
+    def left() -> float | None:
+        return None if np.isinf(deadline) else max(deadline - time.perf_counter(), LEAST_TIME)
+
+    found = _conic.solve_cone_program(cost, blocks, budget=left())
+    if found.record.status == _conic.FAILED and time.perf_counter() < deadline:
+        found = _conic.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE, budget=left())
     return found
 
 

@@ -7,6 +7,7 @@ keeps e^{-cs} X <= Phi_s(X) for all s >= 0. So if theta = lambda_max(Z, X) < 1, 
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,8 +134,8 @@ class Outcome:
         return not self.failed and not self.open
 
 
-def prove(dynamics: Dynamics, conditions: Conditions, most_steps: int = MOST_STEPS) -> Outcome:
-    """Prove every condition on its whole interval, or say where it fails."""
+def prove(dynamics: Dynamics, conditions: Conditions, deadline: float = np.inf) -> Outcome:
+    """Prove every condition on its whole interval, or say where it fails; what is left at the deadline stays open."""
     parts = np.linspace(0.0, 1.0, FIRST_CUT + 1)
     widths = conditions.high - conditions.low
     owner = np.repeat(np.arange(len(conditions)), FIRST_CUT)
@@ -145,7 +146,7 @@ def prove(dynamics: Dynamics, conditions: Conditions, most_steps: int = MOST_STE
     owner, low, high = owner[~single], low[~single], high[~single]
     failed: dict[int, tuple[float, float]] = {}
     slack, steps = 1.0, 0
-    while owner.size and steps < (ENOUGH_STEPS if failed else most_steps):
+    while owner.size and steps < (ENOUGH_STEPS if failed else MOST_STEPS) and time.perf_counter() < deadline:
         now, rest = slice(0, BATCH), slice(BATCH, None)
         theta, reach = _step(dynamics, conditions, owner[now], low[now])
         steps += theta.size

@@ -25,7 +25,7 @@ from sampling_design.certificates.paper.observable_case import (
     within_range,
 )
 from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.modes import ModalSplit, split_modes
@@ -250,11 +250,14 @@ def certify_from_proof(
     Returns
     -------
     Certificate
+        Proven: its `verify()` has passed.
 
     Raises
     ------
     ArgumentError, NotDetectableError, CertificateError
         As for `constants_from_proof`.
+    UndecidedError
+        If the weights cannot be held in doubles, or the proof's inequality cannot be proven there.
 
     References
     ----------
@@ -267,7 +270,21 @@ def certify_from_proof(
     >>> certificate.verify().passed, round(certificate.horizon("paper").minimum)
     (True, 18)
     """
-    return constants_from_proof(plant, schedule, window, variant, **choices).certificate()
+    proof = constants_from_proof(plant, schedule, window, variant, **choices)
+    try:
+        made = proof.certificate()
+    except ArgumentError as error:
+        raise UndecidedError(
+            f"undecided: the weights that the proof gives cannot be held in doubles: {error}"
+        ) from None
+    verdict = made.verify()
+    if not verdict.passed:
+        raise UndecidedError(
+            f"undecided: the certificate with the proof's constants is not proven in doubles: {verdict.reason}.",
+            verification=verdict,
+            certificate=made,
+        )
+    return made
 
 
 def _detectability(

@@ -135,10 +135,15 @@ class WindowSet:
 
 
 def _closed(Y: Array, rows: Array) -> Array:
-    """I - K C of a sample."""
-    cross = Y @ np.swapaxes(rows, -1, -2)
-    gain = np.linalg.solve(np.eye(rows.shape[-2]) + rows @ cross, np.swapaxes(cross, -1, -2))
-    return np.eye(Y.shape[-1]) - np.swapaxes(gain, -1, -2) @ rows
+    """I - K C of a sample, one row after the other as in `update`."""
+    total = np.broadcast_to(np.eye(Y.shape[-1]), Y.shape)
+    for k in range(rows.shape[-2]):
+        row = rows[..., k, :]
+        cross = np.einsum("...ij,...j->...i", Y, row)
+        gain = cross / (1 + np.einsum("...i,...i->...", cross, row))[..., None]
+        total = (np.eye(Y.shape[-1]) - gain[..., :, None] * row[..., None, :]) @ total
+        Y = update(Y, rows[..., k : k + 1, :])
+    return np.asarray(total)
 
 
 def _tops(seen: Array, valid: npt.NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from sampling_design.checkers import strict
 from sampling_design.errors import FileFormatError
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -128,30 +129,11 @@ def from_json(text: str, where: str) -> dict[str, Any]:
         If it is cut off, is not JSON, is no object, repeats a key, or holds NaN or infinity.
     """
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key, value in pairs:
-            if key in result:
-                raise FileFormatError(f"{where}: key {key!r} occurs twice.", where)
-            result[key] = value
-        return result
-
-    def refuse(word: str) -> float:
-        raise FileFormatError(f"{where}: holds {word}, which is not allowed.", where)
-
     try:
-        data = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
-    except json.JSONDecodeError as error:
-        raise FileFormatError(
-            f"{where}: is not valid JSON at line {error.lineno} ({error.msg}). Was the file cut off?", where
-        ) from None
-    except FileFormatError:
-        raise
-    except (RecursionError, ValueError):
-        raise _unreasonable(where) from None
-    if not isinstance(data, dict):
-        raise FileFormatError(f"{where}: must hold one JSON object, got {type(data).__name__}.", where)
-    return data
+        return strict.from_json(text)
+    except strict.BadFile as error:
+        sentence = f"{where}: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
 
 
 def from_toml(text: str, where: str) -> dict[str, Any]:
@@ -163,7 +145,11 @@ def from_toml(text: str, where: str) -> dict[str, Any]:
         If it is cut off or is not TOML.
     """
     try:
-        return tomllib.loads(text)
+        strict.shallow(text)
+        return {key: strict.anything(value, key) for key, value in tomllib.loads(text, parse_float=strict.real).items()}
+    except strict.BadFile as error:
+        sentence = f"{where}: {error}."
+        raise FileFormatError(sentence, where) from None
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None
     except (RecursionError, ValueError):

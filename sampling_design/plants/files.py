@@ -14,6 +14,8 @@ import numpy as np
 from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._units import check_time_unit
+from sampling_design.checkers.grammar import PLANT
+from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 
@@ -116,6 +118,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     source = _table(data, "source")
     _checks.known_keys("[source]", source, ("citation",))
     groups = {group: _signals_from_dict(group, _table(data, group)) for group in GROUPS}
+    _exactly(data)
     arrays = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
     return Plant(
         **arrays,
@@ -124,6 +127,15 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
         name=_text("name", data.get("name", "")),
         source=_text("citation", source.get("citation", "")),
     )
+
+
+def _exactly(data: Mapping[str, Any]) -> None:
+    """Refuse numbers that are booleans or texts, and whatever else the plant's grammar does not allow."""
+    try:
+        PLANT({key: value for key, value in data.items() if key != "time_unit"}, "")
+    except BadFile as error:
+        sentence = f"{error}."
+        raise ArgumentError(sentence) from None
 
 
 def _located(where: str, error: ArgumentError) -> FileFormatError:

@@ -9,9 +9,10 @@ from typing import Any
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain
+from sampling_design.checkers import grammar
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.files import schedule_from_dict
+from sampling_design.schedules.files import exactly, schedule_from_dict
 from sampling_design.schedules.gap_range import GapRange  # noqa: F401  # a family is known once its file is loaded
 from sampling_design.schedules.jitter import Jitter  # noqa: F401
 from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401
@@ -68,6 +69,7 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     missing = [key for key in needed if key not in data]
     if missing:
         raise ArgumentError(f"a family of kind {kind!r} needs `{missing[0]}`.")
+    exactly(grammar.family, data)
     values = {key: data[key] for key in (*needed, *optional) if key in data}
     if "schedule" in values:
         values["schedule"] = schedule_from_dict(values["schedule"])

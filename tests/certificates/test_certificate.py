@@ -312,3 +312,10 @@ def test_noise_free_error_stays_below_the_bound():
     expected = h.C_x * 2 * np.exp(-30 * rate) + h.C_w * 0.01 * (1 - np.exp(-30 * rate)) / rate + h.C_v * 0.04 * hits
     assert noisy == pytest.approx(np.sqrt(expected))
     assert oracle.witness_ratio(made.to_dict()) == pytest.approx(made.lam)
+
+
+def test_a_certificate_is_saved_as_json_and_as_nothing_else(tmp_path):
+    for name in ("c.tex", "c", "c.toml"):
+        with pytest.raises(ArgumentError, match=r"`path` of a certificate must end in \.json, got .*to_latex"):
+            given().save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

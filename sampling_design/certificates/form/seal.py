@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from sampling_design import __version__, _files
 from sampling_design._record import Plain
 from sampling_design.checkers.grammar import FORMAT, digest
+from sampling_design.errors import ArgumentError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
 
@@ -43,5 +44,16 @@ def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> 
 
 
 def write_certificate(certificate: Recorded, path: str | os.PathLike[str]) -> Path:
-    """Write a certificate as JSON, whole or not at all; return the path."""
+    """Write a certificate as JSON, whole or not at all; return the path.
+
+    Raises
+    ------
+    ArgumentError
+        If the ending is not .json.
+    """
+    if Path(path).suffix.lower() != ".json":
+        raise ArgumentError(
+            f"`path` of a certificate must end in .json, got {os.fspath(path)!r}. For tables of its constants write "
+            "the text of to_latex() or to_markdown()."
+        )
     return _files.write_text(path, _files.to_json(certificate.to_dict()))

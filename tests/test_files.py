@@ -146,7 +146,7 @@ def test_what_no_one_means_is_one_sentence(reader, text):
         for value in ("[" * 100_000, "9" * 5000):
             with pytest.raises(
                 FileFormatError,
-                match="is nested more than 20 levels deep|is nested too deeply, or holds a number of thousands of|a whole number beyond",
+                match=r"is nested more than 20 levels|or holds a number of thousands of digits|a whole number beyond",
             ):
                 reader(text.format(value), "f")
     else:

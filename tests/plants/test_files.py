@@ -110,7 +110,10 @@ def edited(tmp_path, change):
         (lambda t: t["matrices"].update(A=[[0.0, 1.0]]), r"`A` must have shape"),
         (lambda t: t["matrices"].update(A="x"), "`matrices.A` must be a list, got a text"),
         (lambda t: t["states"].pop("names"), r"`names` is missing in \[states\]"),
-        (lambda t: t["states"].update(names=5), r"in the table \[states\]: `names` must be a list of strings, got 5"),
+        (
+            lambda t: t["states"].update(names=5),
+            r"in the table \[states\]: `names` must be a list of strings, got int 5",
+        ),
         (lambda t: t["states"].update(units=5), r"in the table \[states\]: `units` must be 2 strings, one per name"),
         (lambda t: t["states"].update(names=["a"]), r"in the table \[states\]: `units` must be 1 strings"),
         (lambda t: t["states"].update(scales=[1.0, -1.0]), r"in the table \[states\]: `scales` must be positive"),

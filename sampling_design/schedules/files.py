@@ -106,7 +106,6 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     return by_times
 
 
-@door
 def exactly(read: Reader, data: Mapping[str, Any]) -> None:
     """Refuse plain data whose types are not exactly those of its grammar (no booleans or texts as numbers).
 
@@ -122,6 +121,7 @@ def exactly(read: Reader, data: Mapping[str, Any]) -> None:
         raise ArgumentError(sentence) from None
 
 
+@door
 def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     """Write a schedule as `.csv` or `.json`, whole or not at all, and return the path.
 

@@ -22,7 +22,7 @@ class Balance(NamedTuple):
     speed: float
 
 
-def balance(A: Array) -> Balance:
+def balance(A: Array, C: Array | None = None) -> Balance:
     """Return scales d (powers of two) and an order of the states, with B = diag(d)^-1 A diag(d) of moderate entries.
 
     In that order B is block upper triangular, one block for each set of states that drive each other.
@@ -33,7 +33,8 @@ def balance(A: Array) -> Balance:
     scales of least norm are unique there. Between components a coupling can be scaled to any size, and plain
     balancing runs away with it; here the couplings are brought as near as they can be (their logarithms in the
     median) to the largest norm of a component, to 1 where all of these vanish. So d follows a change of units, up to
-    the factor of two that powers of two leave.
+    the factor of two that powers of two leave. Sets of states that share no coupling at all are scaled against
+    each other by what the rows of C show of them, where C is given.
     """
     from scipy.linalg.lapack import dgebal
     from scipy.sparse import csr_array
@@ -42,7 +43,7 @@ def balance(A: Array) -> Balance:
     n = A.shape[0]
     d = np.ones(n)
     if not A.any():
-        return Balance(d, np.arange(n), 0.0)
+        return Balance(_shown(A, C, d), np.arange(n), 0.0)
     top = int(np.floor(np.log2(np.max(np.abs(A)))))
     moderate = np.ldexp(A, -top)  # neither 1e200 nor 1e-200 squared is a number
     count, part = connected_components(csr_array(A != 0), directed=True, connection="strong")
@@ -63,13 +64,33 @@ def balance(A: Array) -> Balance:
     np.maximum.at(size, (part[:, None], part), entries)
     np.fill_diagonal(size, -np.inf)
     d *= np.exp2(np.rint(_between(size - goal))[part])
-    return Balance(d, np.argsort(_depth(np.isfinite(size))[part] * count + part, kind="stable"), fastest)
+    return Balance(_shown(A, C, d), np.argsort(_depth(np.isfinite(size))[part] * count + part, kind="stable"), fastest)
 
 
 def balanced(A: Array, d: Array) -> Array:
     """Return diag(d)^-1 A diag(d) for powers of two d: without rounding, and 0 stays 0 however far d reaches."""
     power = np.log2(d).astype(int)
     return np.ldexp(A, np.where(A != 0, power - power[:, None], 0))
+
+
+def _shown(A: Array, C: Array | None, d: Array) -> Array:
+    """Scales d times one factor for each set of states that no coupling leaves, by the size of C diag(d) there."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    count, part = connected_components(csr_array(A != 0), directed=False)
+    if C is None or count < 2 or not C.any():
+        return d
+    size = np.full((len(C), count), -np.inf)
+    with np.errstate(divide="ignore"):
+        np.maximum.at(size, (np.arange(len(C))[:, None], part), np.log2(np.abs(C)) + np.log2(d))
+    seen = np.isfinite(size)
+    size = np.where(seen, size, 0.0)
+    outputs, factors = np.zeros(len(C)), np.zeros(count)
+    for _ in range(ROUNDS):  # alternating means: least squares of the logarithms, which no unit changes
+        factors = -np.sum(np.where(seen, size + outputs[:, None], 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
+        outputs = -np.sum(np.where(seen, size + factors, 0.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return np.asarray(d * np.exp2(np.rint(np.clip(factors, -FARTHEST, FARTHEST)))[part])
 
 
 def _between(size: Array) -> Array:

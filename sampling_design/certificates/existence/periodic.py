@@ -288,7 +288,8 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     name = format_eigenvalue(main, grain=1e-12 * abs(main))
     distinct = [v for v in partners if abs(v - main) > ALIAS_TOLERANCE * max(abs(main), 1e-300)]
     if not distinct:
-        rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if main.real < 0 else ""
+        faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
+        rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
         return f"the eigenvalue {name} is seen by no sample of the lap{rate}"
     turns = round(abs((main - distinct[0]).imag) * schedule.period / (2 * np.pi))
     every = np.abs((main - distinct[0]).imag) * schedule.gaps / (2 * np.pi)

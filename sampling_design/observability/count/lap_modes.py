@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
-from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur, invariant_subspace
+from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -65,15 +65,19 @@ class LapModes:
         period, tau = schedule.period, schedule.times - schedule.times[0]
         sizes = [len(block.N) for block in self.blocks]
         ends = np.cumsum([0, *sizes])
-        rows, shown = [], []
+        rows, shown, ladders = [], [], []
         for block in self.blocks:
             growth = float(np.max(block.mean.real * tau))
             here = self._rows(block, tau, schedule)
             laps = [self._rows(block, tau + k * period, schedule) for k in range(len(block.N))]
-            shown.append(np.sqrt(np.sum(np.abs(np.concatenate(laps)) ** 2, axis=0)))
+            size = np.sqrt(np.sum(np.abs(np.concatenate(laps)) ** 2, axis=0))
+            ladders.append(_ladder(block, period))
+            if block.N.any():  # one scale for a block whose columns drive each other, beside its ladder
+                size = np.broadcast_to(np.max(size * ladders[-1], axis=1, keepdims=True), size.shape)
+            shown.append(size)
             rows.append(here * np.exp(block.mean * tau - growth)[:, None, None])
         outputs, scales = _scales(np.hstack(shown))
-        columns = np.split(scales, ends[1:-1])
+        columns = [c * ladder for c, ladder in zip(np.split(scales, ends[1:-1]), ladders, strict=True)]
         seen = np.concatenate(
             [(outputs[:, None] * r * c).reshape(-1, c.size) for r, c in zip(rows, columns, strict=True)], axis=1
         )
@@ -119,6 +123,13 @@ def _scales(size: Array) -> tuple[Array, Array]:
     return outputs, 1 / positive_or_one(np.linalg.norm(outputs[:, None] * size, axis=0))
 
 
+def _ladder(block: Block, period: float) -> Array:
+    """Scales s^k of the columns of a block in which the couplings of its triangle move by 1 in a period."""
+    steps = np.arange(len(block.N))
+    coupling = float(np.max(np.abs(np.triu(block.N, 1)), initial=0.0)) * period
+    return np.asarray(np.power(1 / coupling if coupling > 0 else 1.0, steps), dtype=np.float64)
+
+
 def _less(lap: Complex, own: complex, other: complex) -> Complex:
     """(e^{own} lap - e^{other} I), divided by the larger of the two, without an overflow."""
     top = max(own.real, other.real)
@@ -131,7 +142,7 @@ def lap_modes(plant: Plant, eta: float) -> LapModes:
     """Return the modes of `plant` with Re >= -eta/2; kept, since a search asks for many schedules of one plant."""
     if not plant.n_states:
         return LapModes((), np.ones(0), plant.C)
-    form = balanced_schur(plant.A)
+    form = balanced_schur(plant.A, plant.C)
     clusters, places = clusters_of(form, plant.n_states * EPS, CLUSTER_CAP)
     kept = [(c, g) for c, g in zip(clusters, places, strict=True) if _stays(c, eta)]
     groups = [([c], list(g)) for c, g in kept]
@@ -152,7 +163,11 @@ def lap_modes(plant: Plant, eta: float) -> LapModes:
 def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> Block:
     X, T = invariant_subspace(form, group)
     mean = clusters[0].value if len(clusters) == 1 else complex(np.mean(np.diag(T)))
-    return Block(mean, T - mean * np.eye(len(group)), X, clusters)
+    N = T - mean * np.eye(len(group))
+    noise = SPREAD * len(X) * EPS * form.norm * clusters[0].projector_norm
+    if len(clusters) == 1 and np.linalg.norm(N) <= noise:
+        N = np.zeros_like(N)
+    return Block(mean, N, X, clusters)
 
 
 def _stays(cluster: EigenvalueCluster, eta: float) -> bool:

@@ -137,7 +137,7 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
     values: list[complex] = []
     vectors: list[Complex] = []
     margin = np.inf
-    form, grouped = _grouped(plant.A)
+    form, grouped = _grouped(plant)
     pair = _Pair(plant, form)
     known: dict[complex, tuple[list[Complex], float]] = {}
     for cluster, group in grouped:
@@ -156,12 +156,12 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
     return UnseenModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
 
 
-def _grouped(A: Array) -> tuple[SchurForm, list[tuple[EigenvalueCluster, list[int]]]]:
+def _grouped(plant: Plant) -> tuple[SchurForm, list[tuple[EigenvalueCluster, list[int]]]]:
     """The Schur form, and its clusters of eigenvalues with their places on the diagonal."""
-    form = balanced_schur(A)
-    if not A.shape[0]:
+    form = balanced_schur(plant.A, plant.C)
+    if not plant.n_states:
         return form, []
-    clusters, places = clusters_of(form, A.shape[0] * EPS, CLUSTER_CAP)
+    clusters, places = clusters_of(form, plant.n_states * EPS, CLUSTER_CAP)
     return form, list(zip(clusters, places, strict=True))
 
 
@@ -266,7 +266,7 @@ def observable_rank(plant: Plant, outputs: list[int], *, rtol: float = RANK_TOLE
     |C||X| could show, so that neither fast modes nor units of the outputs decide; singular values below `rtol` are
     zero.
     """
-    form, grouped = _grouped(plant.A)
+    form, grouped = _grouped(plant)
     C = plant.C[outputs] * form.d
     rank = 0
     for cluster, group in grouped:

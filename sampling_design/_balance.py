@@ -73,6 +73,14 @@ def balanced(A: Array, d: Array) -> Array:
     return np.ldexp(A, np.where(A != 0, power - power[:, None], 0))
 
 
+def balanced_rows(C: Array, d: Array) -> Array:
+    """Return C diag(d), each row divided by a power of two that makes its largest entry about 1."""
+    power = np.log2(d).astype(int)
+    reach = np.where(C != 0, np.frexp(C)[1] + power, -(2**20))
+    top = np.max(reach, axis=1, initial=-(2**20), keepdims=True)
+    return np.ldexp(C, np.where(C != 0, np.clip(power - top, -4000, 4000), 0))
+
+
 def _shown(A: Array, C: Array | None, d: Array) -> Array:
     """Scales d times one factor for each set of states that no coupling leaves, by the size of C diag(d) there."""
     from scipy.sparse import csr_array

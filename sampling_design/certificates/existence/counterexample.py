@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balance import balance, balanced
+from sampling_design._balance import balance, balanced, balanced_rows
 from sampling_design._checks import positive, vector
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
@@ -98,7 +98,7 @@ def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Arr
     units = balance(plant.A).d
     with np.errstate(over="ignore", invalid="ignore"):
         flows = expm_batch(balanced(plant.A, units), np.cumsum(schedule.gaps))
-        rows = (plant.C * units) @ flows
+        rows = balanced_rows(plant.C, units) @ flows
     if schedule.outputs is not None:
         rows = np.where(schedule.outputs[:, :, None], rows, 0.0)
     return flows[-1], rows.reshape(-1, plant.n_states), units

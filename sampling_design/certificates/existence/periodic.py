@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balance import balance, balanced
+from sampling_design._balance import balance, balanced, balanced_rows
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
@@ -259,7 +259,7 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
     """
     d = balance(plant.A).d
     A = balanced(plant.A, d) + eta / 2 * np.eye(plant.n_states)
-    C = plant.C * d
+    C = balanced_rows(plant.C, d)
     C = C / positive_or_one(np.linalg.norm(C, axis=1))[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
         flows = expm_batch(A, np.append(schedule.gaps[1:], schedule.gaps[0]))

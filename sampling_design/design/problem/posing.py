@@ -15,6 +15,7 @@ from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.observability.count.zero_count import zero_count_bound
+from sampling_design.observability.windows.default_window import default_window
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 
@@ -24,28 +25,6 @@ MOST_DEFAULT_SAMPLES = 24
 
 
 @door
-def default_window(split: ModalSplit) -> float | None:
-    """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
-
-        T = 2 pi / min |Im lambda| over the non-zero ones,    else T = 4/|A_retained|, in scaled coordinates
-
-    Parameters
-    ----------
-    split : ModalSplit
-
-    Returns
-    -------
-    float or None
-        In the plant's time unit; None where the retained part neither oscillates nor moves.
-    """
-    rates = np.abs(np.array([c.value.imag for c in split.retained_clusters]))
-    rates = rates[rates > 0]
-    norm = float(np.linalg.norm(split.retained.scaled().A, 2)) if split.retained.n_states else 0.0
-    if rates.size:
-        return float(2 * np.pi / rates.min())
-    return 4 / norm if norm else None
-
-
 def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, dict[str, Any]]:
     """Fill in the defaults, in the plant's time unit; return the requirement and the defaults used, with reasons."""
     r = _in_unit(requirement, split.plant.time_unit)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from sampling_design._balance import balanced_rows
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
@@ -105,13 +106,17 @@ class LapModes:
     def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Complex:
         """The least seen state, in the plant's coordinates and of length 1, `before` the lap's first sample."""
         tau = schedule.times - schedule.times[0]
-        growth = np.array([np.max(block.mean.real * tau) for block in self.blocks])
+        tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])
+        # parts that the direction is not made of must not decide what overflows
+        taking = np.array([np.linalg.norm(part) for part in sight.parts]) > 0
+        least = np.min(tops[taking], initial=np.inf)
         x = np.zeros(self.d.size, dtype=complex)
-        for block, part, g in zip(self.blocks, sight.parts, growth - growth.min(), strict=True):
-            back = np.exp(-block.mean * before - g) * expm_batch(block.N, -before)[0]
-            x += block.X @ (back @ part)
+        for block, part, top, takes in zip(self.blocks, sight.parts, tops, taking, strict=True):
+            if takes:
+                turned = np.exp(complex(least - top, -block.mean.imag * before))
+                x += block.X @ (turned * (expm_batch(block.N, -before)[0] @ part))
         x *= self.d
-        return np.asarray(x / np.linalg.norm(x))
+        return np.asarray(x / np.max(np.abs(x)) / np.linalg.norm(x / np.max(np.abs(x))))
 
 
 def _scales(size: Array) -> tuple[Array, Array]:
@@ -157,7 +162,7 @@ def lap_modes(plant: Plant, eta: float) -> LapModes:
         )
         joined = (groups[i][0] + groups[j][0], sorted(groups[i][1] + groups[j][1]))
         groups = [g for k, g in enumerate(groups) if k not in (i, j)] + [joined]
-    return LapModes(tuple(blocks), form.d, plant.C * form.d)
+    return LapModes(tuple(blocks), form.d, balanced_rows(plant.C, form.d))
 
 
 def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> Block:

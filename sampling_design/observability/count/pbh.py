@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._balance import balanced
+from sampling_design._balance import balanced, balanced_rows
 from sampling_design._door import door
 from sampling_design._linalg import positive_or_one
 from sampling_design._record import Record, short
@@ -170,7 +170,7 @@ class _Pair:
 
     def __init__(self, plant: Plant, form: SchurForm) -> None:
         self.form, self.d = form, form.d
-        self.A, self.C = balanced(plant.A, form.d), plant.C * form.d
+        self.A, self.C = balanced(plant.A, form.d), balanced_rows(plant.C, form.d)
         self.size = np.vstack([np.abs(self.A), np.abs(self.C)])
 
     def unseen(self, cluster: EigenvalueCluster, group: list[int], tolerance: float) -> tuple[list[Complex], float]:
@@ -267,7 +267,7 @@ def observable_rank(plant: Plant, outputs: list[int], *, rtol: float = RANK_TOLE
     zero.
     """
     form, grouped = _grouped(plant)
-    C = plant.C[outputs] * form.d
+    C = balanced_rows(plant.C[outputs], form.d)
     rank = 0
     for cluster, group in grouped:
         X, T = invariant_subspace(form, group)

@@ -10,6 +10,7 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
@@ -19,6 +20,7 @@ from sampling_design.plants.plant import Plant
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
 
+MOST_SAMPLES = 1e15  # beyond, the next whole number is no double any more
 LARGEST_SUBSETS = 12  # outputs up to which every set of outputs is tried for the lower bound (2^12 rank decisions)
 
 
@@ -165,6 +167,8 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     clusters = eigenvalue_clusters(plant.A)
     order, spread = _order_and_spread(clusters)
     value = order - 1 + T * spread / (2 * np.pi)
+    if not value < MOST_SAMPLES:
+        raise ArgumentError(f"`duration` must hold fewer than {MOST_SAMPLES:.0e} samples by the count, got {T!r}.")
     needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
     length = search(spectrum(clusters)) if p == 1 else None
     return _record(plant, T, value, needed, order, spread, length, _least(plant))

@@ -27,6 +27,7 @@ ALLOWANCE = 1e-12
 _FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture
 _MOST_NODES = 2_000_000  # evaluations after which a search without a budget ends as well
 _CHUNK = 2_000_000  # numbers per batch, so that long windows with many samples fit into memory
+LARGEST = 1e130  # of entries of A^2, C and e^{A T}: products of them are still numbers
 _EPS = float(np.finfo(float).eps)
 
 
@@ -46,6 +47,22 @@ class Bracket:
     sigma: Array
     owner: Indices
     piece_lower: Array
+
+
+def require_moderate(plant: Plant) -> None:
+    """Raise if products of the plant's entries are no numbers.
+
+    Raises
+    ------
+    ArgumentError
+        If the largest entry of A, squared, or of C leaves the range.
+    """
+    for name, matrix, most in (("A", plant.A, np.sqrt(LARGEST)), ("C", plant.C, LARGEST)):
+        largest = float(np.max(np.abs(matrix), initial=0.0))
+        if largest > most:
+            raise ArgumentError(
+                f"`plant` must have entries of {name} up to {most:.0e} here, got {largest:.3g}. Give it in other units."
+            )
 
 
 class _Pieced:
@@ -87,9 +104,9 @@ class _Pieced:
             )
             with np.errstate(over="ignore", invalid="ignore"):
                 flow = self.plant.transition(tau.ravel()).reshape(*tau.shape, n, n)
-            if not np.isfinite(flow).all():
+            if not np.max(np.abs(flow), initial=0.0) < LARGEST:
                 raise ArgumentError(
-                    f"`window` must be short enough for e^(A T) to be a number, got {pieces.window!r}: "
+                    f"`window` must be short enough for e^(A T) to be a number, and its square, got {pieces.window!r}: "
                     "its unstable modes overflow. Refer sigma to a shorter window."
                 )
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
@@ -204,6 +221,7 @@ def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, pro
     """Bracket the least sigma over all pieces; `seconds` may be infinite."""
     if plant.n_states == 0:
         return _nothing_to_see(pieces)
+    require_moderate(plant)
     short = _too_few(plant, pieces)
     search = _Search(_Pieced(plant, pieces), rtol)
     if short is not None:
@@ -226,7 +244,10 @@ def _bracket(plant: Plant, search: _Search, status: str, g: int, start: float) -
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
     rows = _rows(plant, pieces, g, start)
-    _, singular, right = np.linalg.svd(rows, full_matrices=True)
+    if len(rows) > plant.n_states:
+        _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    else:
+        _, singular, right = np.linalg.svd(rows, full_matrices=True)
     upper = 0.0 if rows.shape[0] < plant.n_states else float(singular[plant.n_states - 1])
     lower = min(float(search.piece_lower.min()), upper)
     if status in ("too few samples", "below rounding"):

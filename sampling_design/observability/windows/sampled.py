@@ -151,7 +151,14 @@ def observability_gramian(plant: Plant, times: npt.ArrayLike | Schedule, outputs
            [1., 1.]])
     """
     rows = observability_matrix(plant, times, outputs)
-    return np.asarray(rows.T @ rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        gramian = np.asarray(rows.T @ rows)
+    if not np.isfinite(gramian).all():
+        raise ArgumentError(
+            f"`plant` and `times` must give rows whose squares are numbers, got {np.max(np.abs(rows)):.3g}. "
+            "Use sigma_min, which does not square them, or other units."
+        )
+    return gramian
 
 
 def _times_and_mask(

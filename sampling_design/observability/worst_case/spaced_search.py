@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ _NEWTON_STEPS = 40
 _DAMPING = np.append(10.0 ** np.arange(-14.0, 0.5), [4.0, 16.0])  # of the largest curvature: all tried at once
 _TIE = 1e-9  # slacks closer than this part of S move together
 _NUMBERS = 2_000_000  # numbers per batch of starts
-_LEAST_CELLS, _MOST_CELLS = 48, 2048
+LEAST_CELLS, _MOST_CELLS = 48, 2048
 
 
 class Attained(NamedTuple):
@@ -36,19 +37,23 @@ def worst_of(rows: SpacedRows, slacks: Array) -> Attained:
     return Attained(float(sigma[best]), slacks[best], direction[best])
 
 
-def search_worst(rows: SpacedRows, rng: np.random.Generator) -> Attained:
-    """Alternate from many directions on a grid, then polish the worst few different schedules off it."""
+def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np.inf) -> Attained:
+    """Alternate from many directions on a grid, then polish the worst few different schedules off it.
+
+    After `seconds` no further turn begins.
+    """
+    deadline = time.monotonic() + seconds
     basis, inverse = rows.coordinates()
     speed = float(np.linalg.norm(inverse @ rows.A @ basis, 2))
-    cells = int(np.clip(2 ** np.ceil(np.log2(max(4 * rows.slack * speed, 1.0))), _LEAST_CELLS, _MOST_CELLS))
+    cells = int(np.clip(2 ** np.ceil(np.log2(max(4 * rows.slack * speed, 1.0))), LEAST_CELLS, _MOST_CELLS))
     slacks, times = rows.grid(cells)
     table = rows.at(times).reshape(-1, rows.n)
     starts = max(4, min(_STARTS, _NUMBERS // table.shape[0]))
     directions = np.vstack([basis.T, rng.standard_normal((starts, rows.n)) @ basis.T])
-    found = _alternate(rows, slacks, table, directions)
+    found = _alternate(rows, slacks, table, directions, deadline)
     sigma, _ = _weakest(rows.observed(found))
     order = np.argsort(sigma, kind="stable")[:3]
-    polished = [polish(rows, found[i], rows.slack / cells) for i in order]
+    polished = [polish(rows, found[i], rows.slack / cells, deadline) for i in order]
     return min(polished, key=lambda a: a.sigma)
 
 
@@ -59,10 +64,12 @@ def search_from(rows: SpacedRows, direction: Array, cells: int) -> Attained:
     return polish(rows, found[0], rows.slack / cells)
 
 
-def polish(rows: SpacedRows, slacks: Array, step: float) -> Attained:
+def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.inf) -> Attained:
     """Improve one schedule off the grid: alternation on shrinking local grids, then Newton on what is free."""
     best = worst_of(rows, slacks[None])
     for _ in range(_TURNS):
+        if time.monotonic() > deadline:
+            return best
         local = np.unique(np.clip(best.slacks[:, None] + step * np.linspace(-1, 1, 9), 0.0, rows.slack))
         seen = rows.at(rows.times(local[:, None])) @ best.direction
         path = least_path(np.sum(seen**2, axis=-1).T[None])[0]
@@ -73,7 +80,7 @@ def polish(rows: SpacedRows, slacks: Array, step: float) -> Attained:
             step /= 4
             if step < 1e-4 * rows.slack:
                 break
-    return _newton(rows, best)
+    return _newton(rows, best, deadline)
 
 
 def _weakest(observed: Array) -> tuple[Array, Array]:
@@ -84,23 +91,25 @@ def _weakest(observed: Array) -> tuple[Array, Array]:
     return sigma, right[:, n - 1]
 
 
-def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array) -> Array:
+def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array, deadline: float = np.inf) -> Array:
     """Schedules (B, k) on a grid: from each direction its worst times, from these their worst direction, in turn."""
     count, last = directions.shape[0], np.full(directions.shape[0], np.inf)
     for _ in range(_TURNS):
         seen = (table @ directions.T).reshape(rows.count, slacks.size, rows.p, count)
         found = slacks[least_path(np.moveaxis(np.sum(seen**2, axis=2), 2, 0))]
         sigma, directions = _weakest(rows.observed(found))
-        if np.all(sigma >= last * (1 - 1e-6)):
+        if np.all(sigma >= last * (1 - 1e-6)) or time.monotonic() > deadline:
             break
         last = sigma
     return found
 
 
-def _newton(rows: SpacedRows, best: Attained) -> Attained:
+def _newton(rows: SpacedRows, best: Attained, deadline: float) -> Attained:
     """Newton on lambda = sigma^2 over the samples that no constraint holds; ties move together."""
     tie = _TIE * rows.slack
     for _ in range(_NEWTON_STEPS):
+        if time.monotonic() > deadline:
+            break
         u = best.slacks
         group = np.concatenate([[0], np.cumsum(np.diff(u) > tie)])
         first, last = u[0] <= tie, u[-1] >= rows.slack - tie

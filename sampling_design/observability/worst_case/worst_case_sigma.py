@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -13,9 +14,10 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
+from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_search import Attained, search_worst, worst_of
+from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, Attained, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
@@ -23,6 +25,8 @@ from sampling_design.schedules.spaced_windows import SpacedWindows
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+MOST_MEMORY = 2.0
+"""GiB that a search over the times of all samples may take."""
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
@@ -256,6 +260,8 @@ def worst_case_sigma(
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     generator = np.random.default_rng(0) if rng is None else rng
+    require_moderate(plant)
+    _require_memory(plant, family)
     parts = [plant.scaled(), plant] if plant.has_scales else [plant]
     result = None
     for part in parts:
@@ -264,6 +270,17 @@ def worst_case_sigma(
             result = _in_balls(result, part, seconds / len(parts))
     assert result is not None
     return result
+
+
+def _require_memory(plant: Plant, family: SpacedWindows) -> None:
+    """Refuse a number of samples whose Hessian and tables do not fit into memory, before anything is tried."""
+    k = float(family.count)
+    need = 8 * (3 * k * k + k * LEAST_CELLS * (plant.n_outputs * plant.n_states + plant.n_states + 4)) / 2**30
+    if need > MOST_MEMORY:
+        raise ArgumentError(
+            f"`family` asks for {family.count} samples in a window, which would take {need:.3g} GiB; at most "
+            f"{MOST_MEMORY:g} GiB are taken. Look at a shorter window with fewer samples."
+        )
 
 
 def _in_balls(result: WorstCaseSigma, plant: Plant, seconds: float) -> WorstCaseSigma:
@@ -309,13 +326,15 @@ def _proof(
         proof = Proof(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
         method = "only one schedule is admissible"
     else:
-        found, method = search_worst(rows, rng), "branch and bound over directions"
+        began = time.monotonic()
+        found, method = search_worst(rows, rng, seconds / 2), "branch and bound over directions"
         if rows.counts_as_zero(found.sigma, found.slacks):
             proof, method = Proof(0.0, found, "", 0), "a schedule that leaves a direction unseen"
         elif rows.n > MOST_STATES:
             proof, method = Proof(0.0, found, "too many states", 0), "none"
         else:
-            proof = prove_worst(rows, found, rtol, seconds, progress)
+            left = max(0.0, seconds - (time.monotonic() - began))
+            proof = prove_worst(rows, found, rtol, left, progress)
     if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks):
         proof = proof._replace(lower=0.0, status="below rounding")
     return proof, method

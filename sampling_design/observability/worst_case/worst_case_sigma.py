@@ -27,6 +27,7 @@ Progress = Callable[[float, str], None]
 
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""
+LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
@@ -327,7 +328,7 @@ def _proof(
         method = "only one schedule is admissible"
     else:
         began = time.monotonic()
-        found, method = search_worst(rows, rng, seconds / 2), "branch and bound over directions"
+        found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
         if rows.counts_as_zero(found.sigma, found.slacks):
             proof, method = Proof(0.0, found, "", 0), "a schedule that leaves a direction unseen"
         elif rows.n > MOST_STATES:

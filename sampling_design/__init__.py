@@ -96,7 +96,7 @@ _MOVED = {
     "validation.report": ("Finding",),
     "validation.scenario": ("SimulatedRecord",),
     "validation.schedule_log": ("ScheduleLog",),
-    "observability.windows.default_window": ("default_window",),
+    "observability.count.default_window": ("default_window",),
     "schedules.family": ("SamplingFamily",),
     "schedules.files": ("schedule_to_dict", "schedule_from_dict"),
     "schedules.family_files": ("family_to_dict", "family_from_dict"),

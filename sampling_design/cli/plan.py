@@ -15,7 +15,7 @@ from sampling_design._record import short
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.windows.default_window import default_window
+from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.time_stamps import parse_date

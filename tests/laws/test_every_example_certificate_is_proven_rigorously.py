@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, certify, read_plant, split_modes, write_schedule
-from sampling_design.observability.windows.default_window import default_window
+from sampling_design.observability.count.default_window import default_window
 from tests import rigour
 from tests.examples.notebooks import run_cell
 

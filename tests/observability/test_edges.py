@@ -21,7 +21,7 @@ from sampling_design import (
     worst_case_sigma,
     zero_count_bound,
 )
-from sampling_design.observability.windows.default_window import default_window
+from sampling_design.observability.count.default_window import default_window
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SADDLE = Plant([[4.0, 1.0], [0.0, -4.0]], [[1.0, 1.0]])

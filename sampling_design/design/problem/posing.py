@@ -14,8 +14,8 @@ from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
-from sampling_design.observability.windows.default_window import default_window
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 

@@ -34,6 +34,7 @@ from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
@@ -417,6 +418,7 @@ def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
     if not isinstance(plant, Plant):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     schedule = meet(plant, schedule)
-    if not len(schedule) or schedule.times[-1] == 0:
+    endless = isinstance(schedule, PeriodicSchedule)  # whose lap comes again, though its first sample be at time 0
+    if not len(schedule) or (schedule.times[-1] == 0 and not endless):
         raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
     return schedule

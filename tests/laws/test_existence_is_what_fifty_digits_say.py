@@ -8,6 +8,7 @@ from sampling_design import (
     PeriodicSchedule,
     Plant,
     certificate_exists,
+    certify,
     find_counterexample,
     smallest_repair,
 )
@@ -129,6 +130,9 @@ def test_the_first_sample_may_lie_at_time_zero():
     found = certificate_exists(OSCILLATOR, PeriodicSchedule([1.0], 0.0), 0.4)
     assert found.exists
     assert found.margin == certificate_exists(OSCILLATOR, PeriodicSchedule([1.0]), 0.4).margin
+    here, there = (certify(OSCILLATOR, PeriodicSchedule([1.0], first), eta=0.4) for first in (0.0, 1.0))
+    assert here.verify().passed
+    assert here.lam == pytest.approx(there.lam, rel=1e-4)
 
 
 @pytest.mark.parametrize("growth", [40.0, 400.0])

@@ -239,7 +239,7 @@ OWNERS = {
     "DetectabilityEvidence": "evidence",
     "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set", "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
-    "OutputAccess": None, "MovingHorizonEstimator": None, "KalmanFilter": None,
+    "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,
 }  # fmt: skip
 

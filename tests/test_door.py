@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
@@ -189,6 +190,10 @@ class Awkward:
         raise RuntimeError("no")
 
 
+def family() -> sd.FamilyCertificate:
+    return sd.certify(OSCILLATOR, sd.GapRange(0.9, 1.1), eta=0.2, P2=np.eye(2))
+
+
 def estimator() -> sd.KalmanFilter:
     return sd.KalmanFilter(OSCILLATOR, eta=0.1, w_bound=0.1, v_bound=0.1, initial_error=1.0)
 
@@ -222,9 +227,17 @@ def estimator() -> sd.KalmanFilter:
         (lambda: ThyroidReport(("a",), 0, 1.0, 0, ()).ratio("b"), "`case` must be one of a, got 'b'"),
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=([[1.0]], 2.0)), "of 2 entries each"),
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=3), "must be a pair .lower, upper., got int 3"),
+        (lambda: replace(family(), graph=3), "`graph` must be a GapGraph, got int 3"),
         (lambda: draw(GAPS, 3), "`ax` must be axes of matplotlib, or None for a new figure, got int 3"),
     ],
 )  # fmt: skip
 def test_a_wrong_kind_deeper_inside_is_one_sentence(call, words):
     with pytest.raises(ArgumentError, match=words):
         call()
+
+
+def test_a_gap_beyond_all_count_is_one_sentence():
+    certificate = sd.certify(OSCILLATOR, GAPS, eta=0.4, P2=np.eye(2))
+    made = sd.MovingHorizonEstimator(OSCILLATOR, certificate, w_bound=0.1, v_bound=0.1, initial_error=2.0)
+    with pytest.raises(SolverError, match="a gap is too long to be counted in the plant's fastest units"):
+        made.update(1e308, [0.3])

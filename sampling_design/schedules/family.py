@@ -148,6 +148,7 @@ class SamplingFamily(Record, ABC):
         self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
         """Yield periodic members worth a look; over `laps` two modes of the plant alias."""
+        laps = _checks.vector("laps", laps).tolist()
         low, high, unit = self.min_gap, self.d_max, self.nominal.time_unit
         for gap in (low, high):
             if self.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=unit)):

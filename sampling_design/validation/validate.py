@@ -103,9 +103,9 @@ def validate(
     (True, True)
     """
     chosen = tuple(scenarios)
-    unknown = [name for name in chosen if name not in SCENARIOS]
+    unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
     if unknown:
-        raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {unknown[0]!r}.")
+        raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {_checks.described(unknown[0])}.")
     check_workers(workers)
     if rng is not None and not isinstance(rng, np.random.Generator):
         raise ArgumentError(f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}.")

@@ -52,7 +52,9 @@ class FamilyCertificate(SampledCertificate):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "family", in_plant_terms(self.plant, self.family))
-        P = np.asarray(self.P, dtype=np.float64)
+        if not isinstance(self.graph, GapGraph):
+            raise ArgumentError(f"`graph` must be a GapGraph, got {_checks.described(self.graph)}.")
+        P = _checks.floats("P", self.P)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")
         object.__setattr__(self, "P", _checks.freeze(P))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
 from sampling_design.design.problem.requirement import FORMAT, Requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 
@@ -39,11 +38,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     text = read_text(where)
     if Path(where).suffix.lower() == ".json":
         return requirement_from_dict(from_json(text, where), where)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None
-    return requirement_from_dict(data, where)
+    return requirement_from_dict(from_toml(text, where), where)
 
 
 @door

@@ -61,6 +61,8 @@ class ComposedFlow:
         """Return F, E and W for every gap, each (N, n, n)."""
         h, n = np.asarray(gaps, dtype=np.float64), self._n
         count = np.floor(h / self._unit)
+        if not np.isfinite(count).all():
+            raise OverflowError("a gap is too long to be counted in the plant's fastest units")
         passed = h - count * self._unit
         flow, level, unit = self._short(passed), 0, self._unit
         while count.any():

@@ -228,6 +228,10 @@ def estimator() -> sd.KalmanFilter:
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=([[1.0]], 2.0)), "of 2 entries each"),
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=3), "must be a pair .lower, upper., got int 3"),
         (lambda: replace(family(), graph=3), "`graph` must be a GapGraph, got int 3"),
+        (
+            lambda: sd.EstimateRecord.collect(sd.Plant([[1.0]], [[1.0]]), [estimator().update(0.5, [0.3])]),
+            "`estimates` must be of the plant's 1 states",
+        ),
         (lambda: draw(GAPS, 3), "`ax` must be axes of matplotlib, or None for a new figure, got int 3"),
     ],
 )  # fmt: skip

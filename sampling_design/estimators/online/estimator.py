@@ -237,6 +237,8 @@ class EstimateRecord(Table):
         if not all(isinstance(e, Estimate) for e in found):
             raise ArgumentError(f"`estimates` must be a list of estimates, got {_checks.described(found)}.")
         n = plant.n_states
+        if any(e.x.shape != (n,) for e in found):
+            raise ArgumentError(f"`estimates` must be of the plant's {n} states.")
         return cls(
             plant=plant,
             times=freeze([e.t for e in found]),

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design.cli import explore, plan, prove, thyroid, track
+from sampling_design.cli import accuracy, explore, plan, prove, thyroid, track
 from sampling_design.cli.settings import _version, with_common_flags
 
 app = typer.Typer(
@@ -18,7 +18,14 @@ app = typer.Typer(
     epilog="Exit codes: 0 done and the claim holds; 1 the mathematics says no; 2 bad input or usage; "
     "3 a solver failed or a budget ran out; 130 interrupted.",
 )
-for command in (*plan.COMMANDS, *explore.COMMANDS, *prove.COMMANDS, *track.COMMANDS, *thyroid.COMMANDS):
+for command in (
+    *plan.COMMANDS,
+    *explore.COMMANDS,
+    *accuracy.COMMANDS,
+    *prove.COMMANDS,
+    *track.COMMANDS,
+    *thyroid.COMMANDS,
+):
     app.command(name=command.__name__.replace("_", "-"))(with_common_flags(command))
 
 

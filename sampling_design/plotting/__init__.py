@@ -21,6 +21,7 @@ _PICTURES = {
     "ScheduleDesign": ("designs", "draw_design"),
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
+    "Accuracy": ("accuracy", "draw_accuracy"),
     "WorstCaseSigma": ("explorations", "draw_worst_case"),
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),

@@ -18,6 +18,7 @@ from sampling_design.recovery.bounds import Bounds
 from sampling_design.recovery.chain import Chain, endless_chain
 from sampling_design.recovery.rows import Rows, Wanted, wanted_rows
 from sampling_design.recovery.search import Node, RowSearch, Search
+from sampling_design.recovery.unknown import Known, known_part
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -90,6 +91,9 @@ class Accuracy(Record):
         What gains prove at each sample of the lap, the sample included.
     profile : AccuracyProfile
     witnesses : tuple of AccuracyWitness
+        In the coordinates of the known part where something is unknown; None for an infinite row.
+    unknown : tuple of str
+        Eigenvalues of the modes that no sample shows and that do not decay: rows that they touch are infinite.
     """
 
     plant: Plant
@@ -102,7 +106,8 @@ class Accuracy(Record):
     closed: npt.NDArray[np.bool_]
     at_samples: Array
     profile: AccuracyProfile
-    witnesses: tuple[AccuracyWitness, ...]
+    witnesses: tuple[AccuracyWitness | None, ...]
+    unknown: tuple[str, ...]
     proof: tuple[tuple[GapProof, ...], ...] = field(repr=False)
 
     def verify(self) -> bool:
@@ -110,8 +115,11 @@ class Accuracy(Record):
         return all(self._upper_holds(k) and self._lower_holds(k) for k in range(len(self.rows)))
 
     def _upper_holds(self, k: int) -> bool:
-        search = Search(_chain(self.plant, self.schedule, self.bounds))
-        found = search.opened(self.rows.matrix[k])
+        known, row = _known(self.plant, self.schedule, self.bounds), self.rows.matrix[k]
+        if known.touches(row):
+            return bool(np.isinf(self.upper[k]))
+        search = Search(_chain(known.plant, self.schedule, self.bounds))
+        found = search.opened(row @ known.lift)
         if sorted(part.sample for part in self.proof[k]) != list(range(len(found.opened))):
             return False
         for part in self.proof[k]:
@@ -119,7 +127,11 @@ class Accuracy(Record):
         return bool(max(search.segments(found))[0] <= self.upper[k] * (1 + KEPT))
 
     def _lower_holds(self, k: int) -> bool:
-        value, excess = attains(self.witnesses[k], self.bounds)
+        witness = self.witnesses[k]
+        if witness is None:
+            known = _known(self.plant, self.schedule, self.bounds)
+            return known.touches(self.rows.matrix[k]) or self.lower[k] == 0
+        value, excess = attains(witness, self.bounds)
         return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -127,16 +139,31 @@ class Accuracy(Record):
         lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
+            text = (
+                text if np.isfinite(self.upper[k]) else f"unknown for ever: no sample shows {', '.join(self.unknown)}"
+            )
             lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
         return lines
 
     def explain(self) -> str:
         """Say what can be guaranteed."""
-        parts = [f"{name} within {short(up, 4)}" for name, up in zip(self.rows.labels(), self.upper, strict=True)]
-        width = float(np.max(np.divide(self.upper, self.lower, out=np.ones_like(self.upper), where=self.lower > 0))) - 1
+        known = np.isfinite(self.upper)
+        parts = [
+            f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
+        ]
+        lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
+        text = (
+            f"Of {', '.join(lost)} nothing can ever be known: no sample shows {', '.join(self.unknown)}. "
+            if lost
+            else ""
+        )
+        if not parts:
+            return text.strip()
+        low, up = self.lower[known], self.upper[known]
+        width = float(np.max(np.divide(up, low, out=np.ones_like(up), where=low > 0))) - 1
         return (
-            f"At all times, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{short(self.lower, 4)} (brackets within {100 * width:.2g} %)."
+            f"{text}At all times, some estimator guarantees {', '.join(parts)}; none guarantees less than "
+            f"{short(low, 4)} (brackets within {100 * width:.2g} %)."
         )
 
     def to_dict(self) -> dict[str, Plain]:
@@ -149,17 +176,18 @@ class Accuracy(Record):
             },
             "time_unit": self.plant.time_unit,
             "schedule": self.schedule.to_dict(),
-            "lower": self.lower.tolist(),
-            "upper": self.upper.tolist(),
+            "lower": _finite(self.lower),
+            "upper": _finite(self.upper),
+            "unknown": list(self.unknown),
             "worst": self.worst.tolist(),
             "closed": self.closed.tolist(),
-            "at_samples": self.at_samples.tolist(),
+            "at_samples": [_finite(row) for row in self.at_samples],
             "profile": {
                 "edges": self.profile.edges.tolist(),
-                "lower": self.profile.lower.tolist(),
-                "upper": self.profile.upper.tolist(),
+                "lower": [_finite(row) for row in self.profile.lower],
+                "upper": [_finite(row) for row in self.profile.upper],
             },
-            "witnesses": [witness.to_dict() for witness in self.witnesses],
+            "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
         }
 
 
@@ -237,12 +265,21 @@ def accuracy(
     tolerance = _checks.positive("rtol", rtol)
     rows = wanted_rows(plant, of)
     bounds = Bounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound)
-    search = Search(_chain(plant, schedule, bounds))
-    found = []
-    for row in rows.matrix:
-        found.append(search.row(row, tolerance, MOST_SOLVES))
-        search.profile(found[-1])
-    return _record(plant, schedule, rows, bounds, search, found, tolerance)
+    known = _known(plant, schedule, bounds)
+    safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    search = Search(_chain(known.plant, schedule, bounds)) if safe else None
+    found: dict[int, RowSearch] = {}
+    if search is not None:
+        for k in safe:
+            found[k] = search.row(rows.matrix[k] @ known.lift, tolerance, MOST_SOLVES)
+            search.profile(found[k])
+    return _record(plant, schedule, rows, bounds, known, search, found, tolerance)
+
+
+def _known(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Known:
+    """The plant without what the schedule can never show."""
+    outputs = [bounds.measured(j) for j in range(len(schedule))]
+    return known_part(plant, schedule.times, schedule.period, outputs)
 
 
 def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Chain:
@@ -255,31 +292,47 @@ def _record(
     schedule: PeriodicSchedule,
     rows: Rows,
     bounds: Bounds,
-    finder: Search,
-    found: list[RowSearch],
+    known: Known,
+    finder: Search | None,
+    found: dict[int, RowSearch],
     rtol: float,
 ) -> Accuracy:
-    times, first = schedule.times, schedule.times[0]
-    grids = [opened.d for opened in found[0].opened]
+    times, first, count = schedule.times, schedule.times[0], len(rows)
+    grids = (
+        [opened.d for opened in next(iter(found.values())).opened]
+        if found
+        else [np.array([0.0, h]) for h in np.roll(schedule.gaps, -1)]
+    )
     edges = np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [first + schedule.period]])
-    worst, witnesses = [], []
-    for row, search in zip(rows.matrix, found, strict=True):
-        witness, offset = _flown(finder, row, bounds, search)
-        witnesses.append(witness)
-        worst.append(times[witness.last] + search.opened[witness.last].d[offset])
+    lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, first)
+    closed = np.ones(count, dtype=bool)
+    at_samples = np.full((count, len(times)), np.inf)
+    below, above = np.full((2, count, edges.size - 1), np.inf)
+    witnesses: list[AccuracyWitness | None] = [None] * count
+    proof: list[tuple[GapProof, ...]] = [()] * count
+    for k, search in found.items():
+        assert finder is not None
+        witness, offset = _flown(finder, rows.matrix[k] @ known.lift, bounds, search)
+        witnesses[k], lower[k], upper[k] = witness, witness.value, search.upper
+        worst[k] = times[witness.last] + search.opened[witness.last].d[offset]
+        closed[k] = search.closed and search.upper <= (1 + rtol) * witness.value
+        at_samples[k] = [nodes[0].gains.value for nodes in search.nodes]
+        below[k], above[k] = search.below(), search.above()
+        proof[k] = tuple(_proof(j, nodes) for j, nodes in enumerate(search.nodes))
     return Accuracy(
         plant,
         schedule,
         rows,
         bounds,
-        freeze([w.value for w in witnesses]),
-        freeze([f.upper for f in found]),
+        freeze(lower),
+        freeze(upper),
         freeze(worst),
-        np.array([f.closed and f.upper <= (1 + rtol) * w.value for f, w in zip(found, witnesses, strict=True)]),
-        freeze([[nodes[0].gains.value for nodes in f.nodes] for f in found]),
-        AccuracyProfile(freeze(edges), freeze([f.below() for f in found]), freeze([f.above() for f in found]), times),
+        closed,
+        freeze(at_samples),
+        AccuracyProfile(freeze(edges), freeze(below), freeze(above), times),
         tuple(witnesses),
-        tuple(tuple(_proof(j, nodes) for j, nodes in enumerate(f.nodes)) for f in found),
+        known.modes,
+        tuple(proof),
     )
 
 
@@ -299,6 +352,11 @@ def _flown(finder: Search, row: Array, bounds: Bounds, found: RowSearch) -> tupl
             best = witness, offset
     assert best is not None
     return best
+
+
+def _finite(values: Array) -> list[float | None]:
+    """Plain numbers; what is infinite becomes None."""
+    return [float(x) if np.isfinite(x) else None for x in values]
 
 
 def _proof(j: int, nodes: dict[int, Node]) -> GapProof:

@@ -24,6 +24,9 @@ SHARE = 0.75
 PROFILE = 1.05
 """Ratio of the two bounds at which a gap's profile counts as known."""
 
+MOST_FILLED = 12
+"""Offsets solved on one gap for its profile."""
+
 MOST_ATTACKS = 4
 """On one gap, for its profile."""
 
@@ -155,6 +158,7 @@ class Search:
         """Attack every gap where its two bounds are furthest apart: the lower one, too, is known at all times."""
         for j, nodes in enumerate(found.nodes):
             opened = found.opened[j]
+            self._fill(found, j)
             tried: set[int] = set()
             while len(tried) < MOST_ATTACKS:
                 best = np.max([np.abs(a.values) for a in found.attacks if a.sample == j] or [opened.below], axis=0)
@@ -165,6 +169,20 @@ class Search:
                 offset = max(left, key=lambda o: left[o])
                 tried.add(offset)
                 self._attack(found, j, offset)
+
+    def _fill(self, found: RowSearch, j: int) -> None:
+        """Cut the segments of a gap whose bound rises most above its ends, until the curve is smooth."""
+        opened, nodes = found.opened[j], found.nodes[j]
+        for _ in range(MOST_FILLED):
+            rises = []
+            for a, b in pairwise(sorted(nodes)):
+                ends = max(nodes[o].gains.value + float(opened.above[o]) for o in (a, b))
+                top = opened.between(a, b, nodes[a].gains.value, nodes[b].gains.value)[0]
+                rises.append((top / ends if ends > 0 else 1.0, a, b))
+            rise, a, b = max(rises)
+            if rise <= PROFILE or b - a < 2:
+                return
+            self._node(found, j, (a + b) // 2)
 
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""

@@ -124,3 +124,37 @@ def test_plants_of_the_library_close_to_one_percent(name):
     assert np.all(found.closed)
     assert np.all(found.upper <= 1.01 * found.lower)
     assert found.verify()
+
+
+def test_rows_are_known_where_the_whole_state_is_not():
+    """A position and its bias are seen together only: their sum is known, each alone is not."""
+    A = np.zeros((3, 3))
+    A[0, 1] = 1.0
+    rng = np.random.default_rng(1)
+    T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    plain = sd.Plant(A, [[1.0, 0.0, 1.0]])
+    turned = sd.Plant(T @ A @ T.T, plain.C @ T.T, G=T)
+    wanted = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    schedule = sd.PeriodicSchedule([1.0, 0.6, 1.4])
+    found = sd.accuracy(turned, schedule, w_bound=0.02, v_bound=0.1, of=wanted @ T.T)
+    assert np.isinf(found.upper).tolist() == [False, False, True]
+    assert np.isinf(found.lower[2])
+    assert np.all(found.upper[:2] <= 1.01 * found.lower[:2])
+    assert found.verify()
+    assert "nothing can ever be known: no sample shows" in found.explain()
+    assert "unknown for ever" in str(found)
+    assert found.to_dict()["upper"][2] is None
+
+
+def test_a_mode_that_only_the_samples_hide_is_refused():
+    plant = sd.Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
+    with pytest.raises(sd.errors.NotDetectableError, match="from the outputs, which see it at other times"):
+        sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1)
+
+
+def test_what_is_unseen_and_decays_is_known():
+    plant = sd.Plant([[-0.5, 0.0], [0.0, 0.0]], [[0.0, 1.0]])
+    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=[0.1, 0.1], v_bound=0.1)
+    assert found.lower[0] <= 0.2 <= found.upper[0]  # int_0^inf e^{-s/2} 0.1 ds
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert found.verify()

@@ -1,0 +1,168 @@
+"""What no sample of a schedule ever shows and what does not decay: rows that it touches can never be known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import NotDetectableError
+from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant, Signals
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+DECAYS = 1e-9
+"""A mode counts as decaying if it loses more than this share over a period."""
+
+ALIAS = 1e-7
+"""Two modes look alike at the samples if e^{(mu - nu) period} is 1 within this."""
+
+UNSEEN = 1e-9
+"""A direction counts as unseen if its samples are below this share of what the strongest direction shows."""
+
+GOLDEN = 1.618
+"""Exponent that spreads times so that no mode is missed by its period."""
+
+TOUCHED = 1e-9
+"""A row counts as free of the unknown part if it is below this share of the row, in balanced coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The plant without its unknown part: x = lift z + unknown.
+
+    Attributes
+    ----------
+    plant : Plant
+        The plant itself where nothing is unknown.
+    lift : (n, r) array
+        x = lift z + unknown part: a row of x that the unknown part does not touch is row lift of z.
+    unknown : (n, n - r) array
+        What spans the unknown part.
+    modes : tuple of str
+        Its eigenvalues, in words.
+    """
+
+    plant: Plant
+    lift: Array
+    unknown: Array
+    modes: tuple[str, ...]
+
+    def touches(self, row: Array) -> bool:
+        """Whether the unknown part changes row'x."""
+        shown = np.abs(row @ self.unknown)
+        return bool(np.any(shown > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
+
+
+def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDArray[np.intp]]) -> Known:
+    """Return what an endless schedule lets anybody know of a plant.
+
+    Raises
+    ------
+    NotDetectableError
+        If the samples alone, not the outputs, hide a mode (they come at a period of it): then what is hidden differs
+        from time to time.
+    """
+    d = _scales(plant, period)
+    A, C = plant.A * d / d[:, None], plant.C * d
+    size = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(size > 0, size, 1.0)
+    found, modes = [], []
+    values = [complex(c.value) for c in eigenvalue_clusters(plant.A)]
+    for group in _alike(values, period):
+        if group[0].real * period < -DECAYS:
+            continue
+        X = _invariant(A, group, values)
+        hidden = _hidden(plant, d, C, X, group[0], times, period, outputs)
+        if hidden.shape[1]:
+            found.append(X @ hidden)
+            modes += [format_eigenvalue(value) for value in group]
+    if not found:
+        return Known(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
+    joined = np.hstack(found)
+    real = np.hstack([joined.real, joined.imag])
+    left, sizes, _ = np.linalg.svd(real, full_matrices=True)
+    rank = int(np.sum(sizes > 1e-7 * sizes[0]))
+    U, N = left[:, :rank], left[:, rank:]
+    if np.linalg.norm(N.T @ A @ U) > 1e-7 * np.linalg.norm(A):
+        raise NotDetectableError(
+            f"`schedule` hides {', '.join(modes)} from the outputs, which see it at other times: what is unknown then "
+            "differs from time to time, and no row is safe. Move a sample off the period of that mode."
+        )
+    reduced = Plant(
+        N.T @ A @ N,
+        plant.C * d @ N,
+        G=(N.T / d) @ plant.G,
+        time_unit=plant.time_unit,
+        name=plant.name,
+        outputs=plant.outputs,
+        disturbances=plant.disturbances,
+        states=Signals([f"known{i + 1}" for i in range(N.shape[1])]),
+    )
+    return Known(reduced, d[:, None] * N, d[:, None] * U, tuple(modes))
+
+
+def _scales(plant: Plant, period: float) -> Array:
+    """One over what the outputs show of each state over as many laps as there are states: units play no part.
+
+    At any time, since what the samples alone hide must not look small.
+    """
+    balance = balanced_schur(plant.A).d
+    times = period * plant.n_states * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
+    size = np.linalg.norm(plant.C * balance, axis=1, keepdims=True)
+    C = plant.C * balance / np.where(size > 0, size, 1.0)
+    seen = C @ (plant.transition(times) * balance / balance[:, None])
+    shown = np.linalg.norm(seen.reshape(-1, plant.n_states), axis=0)
+    return np.asarray(balance / np.where((shown > 0) & np.isfinite(shown), shown, 1.0))
+
+
+def _alike(values: list[complex], period: float) -> list[list[complex]]:
+    """Eigenvalues that no sample of a periodic schedule can tell apart."""
+    groups: list[list[complex]] = []
+    for value in values:
+        for group in groups:
+            near = (value - group[0]) * period
+            if abs(near.real) < ALIAS and abs(np.exp(1j * near.imag) - 1) < ALIAS:
+                group.append(value)
+                break
+        else:
+            groups.append([value])
+    return groups
+
+
+def _invariant(A: Array, group: list[complex], others: list[complex]) -> Complex:
+    """Orthonormal basis of the invariant subspace of some eigenvalues."""
+    from scipy.linalg import schur
+
+    def chosen(z: complex) -> bool:
+        return min(others, key=lambda value: abs(z - value)) in group
+
+    _, Z, count = schur(A, output="complex", sort=chosen)
+    return np.asarray(Z[:, :count], dtype=np.complex128)
+
+
+def _hidden(
+    plant: Plant,
+    d: Array,
+    C: Array,
+    X: Complex,
+    value: complex,
+    times: Array,
+    period: float,
+    outputs: list[npt.NDArray[np.intp]],
+) -> Complex:
+    """Combinations of the columns of X that no sample shows."""
+    flows = plant.transition(np.append(times - times[0], period)) * d / d[:, None]
+    shrunk = np.exp(-value.real * np.append(times - times[0], period))
+    lap = np.vstack([C[seen] @ flow @ X * s for seen, flow, s in zip(outputs, flows[:-1], shrunk[:-1], strict=True)])
+    M = X.conj().T @ flows[-1] @ X * shrunk[-1]
+    rows = [lap]
+    for _ in range(X.shape[1] - 1):
+        rows.append(rows[-1] @ M)
+    _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)
+    sizes = np.pad(sizes, (0, X.shape[1] - sizes.size)) if sizes.size < X.shape[1] else sizes
+    return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)

@@ -129,12 +129,14 @@ def jitter(family: Jitter, graph: Graph) -> None:
             need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the lap")
 
 
+COVERED: dict[type[Family], Callable[[Any, Graph], None]] = {
+    GapRange: gap_range,
+    SpacedWindows: spaced_windows,
+    LostSamples: lost_samples,
+    Jitter: jitter,
+}
+
+
 def judge(family: Family, graph: Graph) -> None:
     """Refused unless every schedule of the family, from every window start, is a path in the graph."""
-    kinds: dict[type, Callable[[Any, Graph], None]] = {
-        GapRange: gap_range,
-        SpacedWindows: spaced_windows,
-        LostSamples: lost_samples,
-        Jitter: jitter,
-    }
-    kinds[type(family)](family, graph)
+    COVERED[type(family)](family, graph)

@@ -6,7 +6,7 @@ here; `cover.py` derives it from the family's own parameters and compares.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,18 +77,9 @@ def schedule(value: Any, place: str) -> dict[str, Any]:
     return dict(_of_kind(value, place, kinds, "a schedule"))
 
 
-_unit: dict[str, Reader] = {"time_unit": or_nothing(time_unit)}
-FAMILIES: dict[str, Reader] = {
-    "gap-range": table({"kind": text, "shortest": positive, "longest": positive}, _unit),
-    "spaced-windows": table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit),
-    "lost-samples": table({"kind": text, "schedule": schedule, "most": count, "of": count}),
-    "jitter": table({"kind": text, "schedule": schedule, "radius": nonnegative}),
-}
-
-
 def family(value: Any, place: str) -> dict[str, Any]:
     """The table of a family of any kind."""
-    return dict(_of_kind(value, place, FAMILIES, "a family"))
+    return dict(_of_kind(value, place, {kind: one.read for kind, one in FAMILIES.items()}, "a family"))
 
 
 def _of_kind(value: Any, place: str, kinds: Mapping[str, Reader], what: str) -> Any:
@@ -171,8 +162,12 @@ class Witness:
     ratio: float
 
 
+class Family:
+    """A family of any kind; `cover.py` says for each what its graph must hold."""
+
+
 @dataclass(frozen=True)
-class GapRange:
+class GapRange(Family):
     """Gaps between two bounds."""
 
     shortest: float
@@ -180,7 +175,7 @@ class GapRange:
 
 
 @dataclass(frozen=True)
-class SpacedWindows:
+class SpacedWindows(Family):
     """At least `count` samples in every window, `spacing` apart."""
 
     window: float
@@ -189,7 +184,7 @@ class SpacedWindows:
 
 
 @dataclass(frozen=True)
-class LostSamples:
+class LostSamples(Family):
     """At most `most` of any `of` samples in a row are lost."""
 
     nominal: Laps
@@ -198,14 +193,11 @@ class LostSamples:
 
 
 @dataclass(frozen=True)
-class Jitter:
+class Jitter(Family):
     """Every sample at most `radius` early or late."""
 
     nominal: Laps
     radius: float
-
-
-Family = GapRange | SpacedWindows | LostSamples | Jitter
 
 
 @dataclass(frozen=True)
@@ -414,23 +406,7 @@ def family_of(value: Any, plant: Plant) -> Family:
     for place, unit in (("times", read.get("time_unit")), ("times.schedule", (nominal or {}).get("time_unit"))):
         if unit is not None and unit != plant.time_unit:
             raise refuse(f"{place}.time_unit", f"must be the plant's, {plant.time_unit!r}, got {unit!r}")
-    if kind == "gap-range":
-        if read["shortest"] > read["longest"]:
-            raise refuse("times.longest", "must be at least `times.shortest`")
-        return GapRange(read["shortest"], read["longest"])
-    if kind == "spaced-windows":
-        T, k, spacing = read["window"], read["count"], read["spacing"]
-        if k < 1 or k * spacing > T * (1 + 1e-9):
-            raise refuse("times", "must have room for an endless schedule: count >= 1, count * spacing <= window")
-        return SpacedWindows(T, k, spacing)
-    path = nominal_of(read["schedule"], plant)
-    if kind == "jitter":
-        if 2 * read["radius"] >= path.gaps.min():
-            raise refuse("times.radius", "must be less than half of the least gap")
-        return Jitter(path, read["radius"])
-    if not read["most"] < read["of"]:
-        raise refuse("times.most", "must be less than `times.of`")
-    return LostSamples(path, read["most"], read["of"])
+    return FAMILIES[kind].build(read, plant)
 
 
 def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
@@ -448,6 +424,56 @@ def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
     if times is not None and np.abs(found.times - times).max() > room:
         raise refuse(place, "must have times that do not contradict its gaps")
     return found
+
+
+def gap_range(read: dict[str, Any], plant: Plant) -> GapRange:
+    """Gaps between two bounds."""
+    if read["shortest"] > read["longest"]:
+        raise refuse("times.longest", "must be at least `times.shortest`")
+    return GapRange(read["shortest"], read["longest"])
+
+
+def spaced_windows(read: dict[str, Any], plant: Plant) -> SpacedWindows:
+    """Windows that an endless schedule can fill."""
+    T, k, spacing = read["window"], read["count"], read["spacing"]
+    if k < 1 or k * spacing > T * (1 + 1e-9):
+        raise refuse("times", "must have room for an endless schedule: count >= 1, count * spacing <= window")
+    return SpacedWindows(T, k, spacing)
+
+
+def lost_samples(read: dict[str, Any], plant: Plant) -> LostSamples:
+    """Fewer losses than samples."""
+    if not read["most"] < read["of"]:
+        raise refuse("times.most", "must be less than `times.of`")
+    return LostSamples(nominal_of(read["schedule"], plant), read["most"], read["of"])
+
+
+def jitter(read: dict[str, Any], plant: Plant) -> Jitter:
+    """Deviations that change no order."""
+    path = nominal_of(read["schedule"], plant)
+    if 2 * read["radius"] >= path.gaps.min():
+        raise refuse("times.radius", "must be less than half of the least gap")
+    return Jitter(path, read["radius"])
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How families of one kind are read: their table, and the record of its judged parameters."""
+
+    read: Reader
+    build: Callable[[dict[str, Any], Plant], Family]
+
+
+_unit: dict[str, Reader] = {"time_unit": or_nothing(time_unit)}
+FAMILIES: dict[str, Kind] = {
+    "gap-range": Kind(table({"kind": text, "shortest": positive, "longest": positive}, _unit), gap_range),
+    "spaced-windows": Kind(
+        table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit), spaced_windows
+    ),
+    "lost-samples": Kind(table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
+    "jitter": Kind(table({"kind": text, "schedule": schedule, "radius": nonnegative}), jitter),
+}
+"""What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
 
 
 def graph_of(read: dict[str, Any], plant: Plant, weights: Weights) -> Graph:

@@ -379,6 +379,22 @@ def prove(engine: Engine, t: float, rows: Rows) -> Interval:
     return Interval(engine.plant, engine.bounds, engine.data, t, rows, freeze(lower), freeze(upper), tuple(gains))
 
 
+def _arrived(item: object, p: int) -> tuple[float, Array | None, npt.ArrayLike | None]:
+    """One row of a record, checked."""
+    if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
+        raise ArgumentError(f"`record` must hold rows (t, y, u), got {item!r:.60}.")
+    t = _checks.number("t", item[0])
+    if item[1] is None:
+        return t, None, item[2] if len(item) == 3 else None
+    try:
+        y = np.asarray(item[1], dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        y = np.full(p + 1, np.nan)
+    if y.size != p or np.isinf(y).any():
+        raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
+    return t, y, item[2] if len(item) == 3 else None
+
+
 def read_record(
     plant: Plant,
     record: Iterable[Arrived],
@@ -389,29 +405,25 @@ def read_record(
     """Return the measurements less what the prior, flown with the inputs, would show."""
     n, p, m = plant.n_states, plant.n_outputs, plant.n_inputs
     x = np.array(_checks.vector("prior", np.zeros(n) if prior is None else prior, n))
-    items = list(record)
-    start = float(items[0][0]) if prior_time is None and items else _checks.number("prior_time", prior_time or 0.0)
+    items = [_arrived(item, p) for item in record]
+    start = items[0][0] if prior_time is None and items else _checks.number("prior_time", prior_time or 0.0)
     joint = np.zeros((n + m, n + m))
     joint[:n] = np.hstack([plant.A, plant.B])
     now, u = start, np.zeros(m)
     times: list[float] = []
     shown: list[Array] = []
     for item in items:
-        t = _checks.number("t", item[0])
+        t = item[0]
         if t < now:
             raise ArgumentError(
                 f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
             )
         x, now = expm_batch(joint, [t - now])[0][:n] @ np.concatenate([x, u]), t
-        if len(item) > 2 and item[2] is not None and m:
+        if item[2] is not None and m:
             u = np.array(_checks.vector("u", item[2], m))
         if item[1] is None:
             continue
-        y = np.array(item[1], dtype=np.float64).reshape(-1)
-        if y.size != p or np.isinf(y).any():
-            raise ArgumentError(
-                f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}."
-            )
+        y = item[1]
         if times and t == times[-1]:
             raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
         if np.isfinite(y).any():

@@ -121,6 +121,7 @@ def test_one_row_takes_milliseconds():
         ([], {}, "`record` must hold at least one measurement"),
         ([(1.0, [1.0], None), (0.5, [1.0], None)], {}, "`record` must be in order of time"),
         ([(1.0, [1.0], None), (1.0, [1.0], None)], {}, "`record` measures twice at 1.0"),
+        ([1.0], {}, "`record` must hold rows"),
         ([(1.0, [1.0, 2.0], None)], {}, "`record` must hold 1 outputs a sample"),
         (RECORD, {"t": 1.0}, "`t` must not lie before the last sample"),
         (RECORD, {"initial_error": [-1.0, 1.0]}, "`initial_error` must not be negative"),

@@ -30,6 +30,13 @@ Check = Callable[[Any], Any]
 
 _NO = object()
 _UNITS = ("time_unit", "plant")
+_CALLED = {
+    "Client": "a Dask client",
+    "Executor": "a concurrent.futures.Executor",
+    "Generator": "a numpy.random.Generator",
+    "SampledCertificate": "a Certificate or FamilyCertificate",
+}
+"""Classes whose bare name would not tell a caller what to pass."""
 _inside = threading.local()
 
 
@@ -161,7 +168,7 @@ def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
         return None
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
-    slip = next((" " + _slip(kind) for kind in _classes(hint) if _slip(kind)), "")
+    slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
 
     def check(value: Any) -> Any:
         if value is default:
@@ -170,7 +177,8 @@ def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
             found = take(name, value)
             if found is not _NO:
                 return found
-        likely = slip if isinstance(value, (list, tuple, np.ndarray, int)) else ""
+        seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
+        likely = slips[0] if isinstance(value, seeds) else slips[1] if isinstance(value, files) else ""
         raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
 
     return check
@@ -181,6 +189,12 @@ def _slip(kind: Any) -> str:
     if kind is np.random.Generator:
         return "Did you pass a seed? Use numpy.random.default_rng(seed)."
     return str(getattr(kind, "_slip", ""))
+
+
+def _reader(kind: Any) -> str:
+    """The function that makes a `kind` of the file whose path or plain data came for one."""
+    reader = getattr(kind, "_reader", "")
+    return f"Use {reader} for a file." if reader else ""
 
 
 def _classes(hint: Any) -> tuple[Any, ...]:
@@ -237,7 +251,8 @@ def _held(value: Any, kind: Any) -> Any:
 
 
 def _instance(kind: type) -> tuple[str, Callable[[str, Any], Any]]:
-    label = "a text" if kind is str else f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+    name = kind.__name__
+    label = "a text" if kind is str else _CALLED.get(name, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
     foreign = getattr(kind, "_foreign", None)
 
     def take(_: str, value: Any) -> Any:

@@ -31,21 +31,16 @@ def check_workers(workers: Workers) -> None:
     Raises
     ------
     ArgumentError
-        If `workers` is none of `Workers`, a number of processes is 0 or below -1, or no backend has that name.
+        If a number of processes is 0 or below -1, or no backend has that name.
     """
     if workers is None or isinstance(workers, (Executor, Client)):
         return
-    if isinstance(workers, int) and not isinstance(workers, bool):
+    if isinstance(workers, int):
         if workers < 1 and workers != -1:
             raise ArgumentError(
                 f"`workers` must be a number of processes of at least 1 (or -1: one per core), got {workers}."
             )
         return
-    if not isinstance(workers, str):
-        raise ArgumentError(
-            "`workers` must be a concurrent.futures.Executor, a Dask client, a number of processes or the name of a "
-            f"joblib backend, got {type(workers).__name__}."
-        )
     from joblib.parallel import BACKENDS, EXTERNAL_BACKENDS
 
     known = sorted({*BACKENDS, *EXTERNAL_BACKENDS})

@@ -126,7 +126,6 @@ def design_schedule(
     >>> design.sigma <= 1.0539 <= design.upper_bound
     True
     """
-    _check_arguments(plant, requirement)
     wanted = Requirement() if requirement is None else requirement
     starts = _checks.whole("starts", min(starts, _MOST_STARTS), 1)
     branches = _checks.whole("branches", min(branches, _MOST_STARTS))
@@ -170,16 +169,6 @@ def _aimed(run: _Run) -> ScheduleDesign:
     except InfeasibleRequirementError as second:
         first.nearest |= second.nearest
     raise first
-
-
-def _check_arguments(plant: object, requirement: object) -> None:
-    """Refuse what is no plant or no requirement."""
-    if not isinstance(plant, Plant):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    if requirement is not None and not isinstance(requirement, Requirement):
-        raise ArgumentError(
-            f"`requirement` must be a Requirement, got {type(requirement).__name__}. Use read_requirement for a file."
-        )
 
 
 def _rate(requirement: Requirement, plant: Plant) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -141,6 +141,7 @@ class Plant(Record):
     True
     """
 
+    _reader: ClassVar[str] = "read_plant"
     A: Array
     C: Array
     B: Array = None  # type: ignore[assignment]

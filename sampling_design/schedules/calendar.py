@@ -7,7 +7,6 @@ import os
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 from sampling_design import _checks
 from sampling_design._door import door
@@ -205,9 +204,7 @@ def write_ics(
     return write_text(path, "".join(_folded(line) + "\r\n" for line in lines))
 
 
-def _start(schedule: Any, start: str | datetime | None, zone: str | None = None) -> datetime:
-    if not isinstance(schedule, (Schedule, PeriodicSchedule)):
-        raise ArgumentError(f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}.")
+def _start(schedule: AnySchedule, start: str | datetime | None, zone: str | None = None) -> datetime:
     if schedule.time_unit is None:
         raise ArgumentError("`schedule` must have a time unit to become dates. Give time_unit=... when you build it.")
     date = schedule.origin if start is None else start

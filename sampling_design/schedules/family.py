@@ -251,21 +251,8 @@ def in_family_unit(schedule: Any, time_unit: str | None) -> AnySchedule:
 
 
 def generator(rng: np.random.Generator | None) -> np.random.Generator:
-    """Return `rng`, or the default generator with seed 0.
-
-    Raises
-    ------
-    ArgumentError
-        If it is something else, for instance a seed.
-    """
-    if rng is None:
-        return np.random.default_rng(0)
-    if not isinstance(rng, np.random.Generator):
-        raise ArgumentError(
-            f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}. "
-            "Did you pass a seed? Use numpy.random.default_rng(seed)."
-        )
-    return rng
+    """Return `rng`, or the default generator with seed 0."""
+    return np.random.default_rng(0) if rng is None else rng
 
 
 def extent(duration: float | None, samples: int | None, default: float) -> tuple[float, int]:

@@ -45,7 +45,7 @@ def schedule_to_dict(schedule: AnySchedule) -> dict[str, Plain]:
     ArgumentError
         If it is no schedule.
     """
-    return _check_schedule(schedule).to_dict()
+    return schedule.to_dict()
 
 
 @door
@@ -149,7 +149,6 @@ def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     *Numerical aspects.* Floats are written as their shortest exact text. CSV keeps times and period of a
     periodic schedule to the last bit and its gaps as their differences; JSON keeps all of them.
     """
-    schedule = _check_schedule(schedule)
     if schedule.time_unit is None:
         raise ArgumentError("`schedule` must have a time unit to be written. Give time_unit=... when you build it.")
     if _ending(path) == ".json":
@@ -198,12 +197,6 @@ def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
 def in_file(error: ArgumentError, where: str, line: int | None = None) -> FileFormatError:
     """Return what a record refused as an error of the file that it was read from."""
     return FileFormatError(f"{where}{'' if line is None else f', line {line}'}: {error}", where)
-
-
-def _check_schedule(schedule: Any) -> AnySchedule:
-    if not isinstance(schedule, (Schedule, PeriodicSchedule)):
-        raise ArgumentError(f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}.")
-    return schedule
 
 
 def _ending(path: str | os.PathLike[str]) -> str:

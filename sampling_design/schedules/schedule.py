@@ -79,6 +79,7 @@ class Schedule(_Sampled):
     """
 
     _slip: ClassVar[str] = "Did you pass times? Use Schedule(times)."
+    _reader: ClassVar[str] = "read_schedule"
     times: Array
     outputs: Mask | None = None
 

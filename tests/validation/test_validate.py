@@ -199,7 +199,7 @@ def test_a_promise_that_could_not_be_checked_did_not_hold():
         (0, "`workers` must be a number of processes of at least 1"),
         (-2, "`workers` must be a number of processes of at least 1"),
         ("nosuch", "`workers` must name a joblib backend, one of .*, got 'nosuch'"),
-        (2.5, r"`workers` must be a concurrent\.futures\.Executor, a Dask client"),
+        (2.5, r"`workers` must be a concurrent\.futures\.Executor or a Dask client or a whole number or a text"),
     ],
 )
 def test_workers_who_are_nobody_are_refused_before_any_work(workers, words):

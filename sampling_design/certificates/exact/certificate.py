@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -81,6 +81,8 @@ class SampledCertificate(Record, ABC):
     The paper, Assumption 7, equation (16); Theorem 9.
     """
 
+    _slip: ClassVar[str] = "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
+    _reader: ClassVar[str] = "load_certificate"
     plant: Plant
     P1: Array = field(kw_only=True)
     P2: Array = field(kw_only=True)

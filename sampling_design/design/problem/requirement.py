@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +106,7 @@ class Requirement(Record):
     Exactly 3 samples per period, at least 0.5 apart, window 4.
     """
 
+    _reader: ClassVar[str] = "read_requirement"
     window: float | None = None
     period: float | None = None
     spacing: float | None = None

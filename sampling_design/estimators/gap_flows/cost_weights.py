@@ -253,10 +253,5 @@ def build_weights(
 def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:
     if certificate is None:
         return
-    if not isinstance(certificate, SampledCertificate):
-        raise ArgumentError(
-            f"`certificate` must be a Certificate or FamilyCertificate, got {type(certificate).__name__}. "
-            "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
-        )
     if other := first_difference(plant, certificate.plant):
         raise ArgumentError(f"`certificate` belongs to another plant: {other}.")

@@ -15,6 +15,7 @@ from typing import Any
 from sampling_design.checkers import strict
 from sampling_design.errors import FileFormatError
 
+_DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
@@ -82,6 +83,17 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str) -> list[tuple[int, li
     return found
 
 
+def decimal(cell: str) -> float | None:
+    """Return the number in a cell; None where there is none, or none that a double holds.
+
+    Stricter than `float`: no words (nan, inf), no underscores, no digits of other scripts, no zero by underflow.
+    """
+    try:
+        return strict.real(cell) if _DECIMAL.fullmatch(cell) else None
+    except strict.BadFile:
+        return None
+
+
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write `content` to a temporary file beside `path`, then rename it into place.
 
@@ -130,6 +142,7 @@ def from_json(text: str, where: str) -> dict[str, Any]:
     """
 
     try:
+        _small(text)
         return strict.from_json(text)
     except strict.BadFile as error:
         sentence = f"{where}: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
@@ -142,9 +155,10 @@ def from_toml(text: str, where: str) -> dict[str, Any]:
     Raises
     ------
     FileFormatError
-        If it is cut off or is not TOML.
+        If it is cut off, is not TOML, repeats a key, or holds what is no text, truth value or finite number.
     """
     try:
+        _small(text)
         strict.shallow(text)
         return {key: strict.anything(value, key) for key, value in tomllib.loads(text, parse_float=strict.real).items()}
     except strict.BadFile as error:
@@ -154,6 +168,11 @@ def from_toml(text: str, where: str) -> dict[str, Any]:
         raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None
     except (RecursionError, ValueError):
         raise _unreasonable(where) from None
+
+
+def _small(text: str) -> None:
+    if len(text) > strict.MOST_BYTES:
+        raise strict.refuse("", f"is too large: {len(text)} characters, expected at most {strict.MOST_BYTES}")
 
 
 def _unreasonable(where: str) -> FileFormatError:

@@ -227,13 +227,10 @@ def _check_header(where: str, header: list[str], plant: Plant) -> str:
 def _number(where: str, line: int, name: str, cell: str, blank: bool = False) -> float:
     if blank and cell == "":
         return float("nan")
-    try:
-        value = float(cell)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
+    value = _files.decimal(cell)
+    if value is None:
         hint = " Leave the cell empty if nothing was measured." if blank else ""
-        raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r}.{hint}", where)
+        raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
     return value
 
 
@@ -242,7 +239,7 @@ def _date(where: str, line: int, cell: str) -> datetime:
         date = datetime.fromisoformat(cell)
     except ValueError:
         at = f"in line {line}" if line else "given as origin"
-        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r}.", where) from None
+        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.", where) from None
     return date.replace(tzinfo=UTC) if date.tzinfo is None else date
 
 

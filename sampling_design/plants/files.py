@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sized
 from pathlib import Path
@@ -15,7 +16,7 @@ from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._units import check_time_unit
 from sampling_design.checkers.grammar import PLANT
-from sampling_design.checkers.strict import BadFile
+from sampling_design.checkers.strict import MOST_BYTES, BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 
@@ -221,21 +222,39 @@ def _as_json(tree: dict[str, Any]) -> bytes:
 def _read_npz(where: str) -> dict[str, Any]:
     content = _files.read_bytes(where)
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        _check_archive(content, where)
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:  # object arrays are refused: they are pickles
             flat = {key: archive[key] for key in archive.files}
-    except (ValueError, TypeError, EOFError, OSError, AttributeError, KeyError, zipfile.BadZipFile):
+    except FileFormatError:
+        raise
+    except Exception:  # the reader raises whatever it stumbles on
         raise FileFormatError(
             f"{where}: is not a readable .npz archive of plain arrays. Was it cut off?", where
         ) from None
     return _tree(flat, where)
 
 
+def _check_archive(content: bytes, where: str) -> None:
+    """Refuse an archive that names an array twice or grows beyond all measure when it is unpacked."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        names = archive.namelist()
+        size = sum(entry.file_size for entry in archive.infolist())
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise FileFormatError(f"{where}: holds the array {twice.removesuffix('.npy')!r} twice.", where)
+    if size > MOST_BYTES:
+        raise FileFormatError(f"{where}: is too large: {size} bytes, expected at most {MOST_BYTES}.", where)
+
+
 def _read_mat(where: str) -> dict[str, Any]:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadWarning
 
     content = _files.read_bytes(where)
     try:
-        flat = loadmat(cast(Any, io.BytesIO(content)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
+            flat = loadmat(cast(Any, io.BytesIO(content)))
     except NotImplementedError:
         raise FileFormatError(f"{where}: is a version 7.3 .mat file. Save it with the option -v7.", where) from None
     except Exception:  # the reader raises whatever it stumbles on
@@ -247,28 +266,46 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return flat array names as the tree of the file format."""
     try:
         _checks.known_keys("the file", flat, _FLAT)
+        return _tree_of(flat)
     except ArgumentError as error:
         raise _located(where, error) from None
-    tree: dict[str, Any] = {"format": FORMAT, "matrices": {key: flat[key] for key in MATRICES if key in flat}}
+
+
+def _tree_of(flat: Mapping[str, Any]) -> dict[str, Any]:
+    tree: dict[str, Any] = {"format": FORMAT, "matrices": {}}
+    tree["matrices"] = {key: _plain(key, flat[key]) for key in MATRICES if key in flat}
     for key in ("format", "name", "time_unit"):
         if key in flat:
-            tree[key] = "".join(_words(flat[key]))
+            tree[key] = "".join(_words(key, flat[key]))
     for group in GROUPS:
-        table: dict[str, Any] = {k: _words(flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat}
+        table: dict[str, Any] = {
+            k: _words(f"{group}_{k}", flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat
+        }
         if f"{group}_scales" in flat:
-            table["scales"] = np.ravel(flat[f"{group}_scales"])
+            table["scales"] = np.ravel(_plain(f"{group}_scales", flat[f"{group}_scales"]))
         if table:
             tree[group] = table
     if "citation" in flat:
-        tree["source"] = {"citation": "".join(_words(flat["citation"]))}
+        tree["source"] = {"citation": "".join(_words("citation", flat["citation"]))}
     return tree
 
 
-def _words(value: Any) -> list[str]:
+def _plain(key: str, value: Any) -> Any:
+    """An array of numbers as it is: no records, no cells, no texts, no truth values."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
+        kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+        raise ArgumentError(f"`{key}` must be an array of real numbers, got one of {kind}.")
+    return value
+
+
+def _words(key: str, value: Any) -> list[str]:
     """Strings of a string array, or of a MATLAB cell or character array (rows padded with blanks)."""
     array = np.asarray(value)
+    cells = [np.asarray(cell) for cell in array.ravel()] if array.dtype == object else [array]
+    if any(cell.dtype.kind != "U" and cell.size for cell in cells):
+        raise ArgumentError(f"`{key}` must be an array of texts, got one of {array.dtype}.")
     if array.dtype == object:
-        return ["".join(str(v) for v in np.ravel(cell)) for cell in array.ravel()]
+        return ["".join(cell.ravel().tolist()) for cell in cells]
     return [str(v).rstrip() for v in array.ravel()]
 
 

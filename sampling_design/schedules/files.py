@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._files import csv_rows, from_json, read_text, to_json, write_text
+from sampling_design._files import csv_rows, decimal, from_json, read_text, to_json, write_text
 from sampling_design._record import Plain
 from sampling_design._units import check_time_unit
 from sampling_design.checkers import grammar
@@ -242,7 +241,9 @@ def _from_csv(text: str, where: str) -> AnySchedule:
     rows = csv_rows(held, where)
     header = rows[0][1]
     if header[0] != "time":
-        raise fail(2, f"the first column must be `time`, got {header[0]!r}.")
+        raise fail(2, f"the first column must be `time`, got {header[0]!r:.60}.")
+    if "" in header or "time" in header[1:]:
+        raise fail(2, f"{'an output has no name' if '' in header else 'the column `time` occurs twice'}.")
     if lines[-1] != "":
         raise fail(len(lines), "does not end in a line break. Was the file cut off?")
     times: list[float] = []
@@ -252,18 +253,17 @@ def _from_csv(text: str, where: str) -> AnySchedule:
             raise fail(number, f"expected {len(header)} cells, got {len(cells)}. Was the file cut off?")
         times.append(_time(cells[0], times, lambda what, n=number: fail(n, what)))
         if any(cell not in ("0", "1") for cell in cells[1:]):
-            raise fail(number, f"cells after the time must be 1 (measured) or 0, got {', '.join(cells[1:])}.")
+            raise fail(number, f"cells after the time must be 1 (measured) or 0, got {', '.join(cells[1:]):.60}.")
         mask.append([int(cell) for cell in cells[1:]])
     return _build(times, mask, header[1:], keys, where)
 
 
 def _time(cell: str, before: list[float], fail: Any) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        raise fail(f"the time must be a number, got {cell!r}.") from None
-    if not math.isfinite(value) or value < 0:
-        raise fail(f"the time must be finite and not negative, got {cell}.")
+    value = decimal(cell)
+    if value is None:
+        raise fail(f"the time must be a finite number, got {cell!r:.60}.")
+    if value < 0:
+        raise fail(f"the time must not be negative, got {cell:.60}.")
     if before and value <= before[-1]:
         raise fail(f"times must increase strictly, got {value!r} after {before[-1]!r}.")
     return value
@@ -298,10 +298,9 @@ def _build(
         details["output_names"] = tuple(names) or None
         if "period" not in keys:
             return Schedule(np.array(times), outputs, **details)
-        try:
-            period = float(keys["period"])
-        except ValueError:
-            raise ArgumentError(f"`period` must be a number, got {keys['period']!r}.") from None
+        period = decimal(keys["period"])
+        if period is None:
+            raise ArgumentError(f"`period` must be a number, got {keys['period']!r:.60}.")
         return PeriodicSchedule.from_times(times, period, outputs, **details)
     except ArgumentError as error:
         raise in_file(error, where) from None

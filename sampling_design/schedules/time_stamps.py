@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -12,7 +11,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 
 from sampling_design._door import door
-from sampling_design._files import csv_rows, read_text
+from sampling_design._files import csv_rows, decimal, read_text
 from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.files import in_file
@@ -71,6 +70,9 @@ def import_time_stamps(
     for output in outputs or ():
         if output not in header:
             raise FileFormatError(f"{where}: no column {output!r}; there are {', '.join(header)}.", where)
+    for used in (name, *(outputs or ())):
+        if header.count(used) > 1:
+            raise FileFormatError(f"{where}: column {used!r:.60} occurs twice.", where)
     times: list[float] = []
     mask: list[list[bool]] = []
     for line, row in rows:
@@ -99,7 +101,7 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     try:
         date = value if isinstance(value, datetime) else datetime.fromisoformat(value)
     except (TypeError, ValueError):
-        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {value!r}.") from None
+        raise ArgumentError(f"`{name}` must be a date like 2026-01-05T08:00 (ISO 8601), got {value!r:.60}.") from None
     if date.tzinfo is not None or zone is None:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date
     place = time_zone(zone)
@@ -148,13 +150,10 @@ def _column(header: list[str], column: str | None, where: str) -> str:
 def _value(cell: str, zero: datetime | None, unit: str, is_date: bool, where: str) -> tuple[float, datetime | None]:
     """Time of one cell, and the origin, which the first date sets if nothing else has."""
     if not is_date:
-        try:
-            number = float(cell)
-        except ValueError:
-            pass
-        else:
-            if not math.isfinite(number) or number < 0:
-                raise FileFormatError(f"{where}: a time must be finite and not negative, got {cell}.", where)
+        number = decimal(cell)
+        if cell.lower().lstrip("+-") in ("nan", "inf", "infinity") or (number or 0.0) < 0:
+            raise FileFormatError(f"{where}: a time must be finite and not negative, got {cell:.60}.", where)
+        if number is not None:
             return number, zero
     try:
         date = parse_date("date", cell)

@@ -85,6 +85,12 @@ def test_round_trip_is_exact(tmp_path):
         ("time,gauge,gauge,flow,pump\n", "column 'gauge' occurs twice"),
         ("time,gauge,flow,pump,gague\n", "unknown column.*'gague' in the header. Did you mean 'gauge'"),
         ("time,gauge,flow,pump\n0,1,2\n", "line 2 has 3 cells, expected 4"),
+        ("time,gauge,flow,pump\n0,1,2,3,4\n", "line 2 has 5 cells, expected 4"),
+        *(
+            (f"time,gauge,flow,pump\n0,{word},2,3\n", "gauge in line 2 is not a number: ")
+            for word in ("True", "inf", "-Infinity", "nan", "1_000", "\u0661", "0x10", "1e999", "1e-999", "9" * 5000)
+        ),
+        (f"time,gauge,flow,pump\n0,{'9' * 200_000},2,3\n", "line 2: cannot be read as cells"),
         (
             "#\n" * 15 + "time,gauge,flow,pump\n0,1,high,0\n",
             "flow in line 17 is not a number: 'high'. Leave the cell empty",

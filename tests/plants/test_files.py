@@ -1,6 +1,8 @@
 """Plant files: what is written, what is refused, and with which sentence."""
 
 import json
+import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from scipy.io import savemat
 
 from sampling_design import ArgumentError, Plant, Signals, library, read_plant, write_plant
 from sampling_design.errors import FileFormatError
+from sampling_design.plants import files
 from sampling_design.plants.files import plant_from_dict
 
 SUFFIXES = ["toml", "json", "mat", "npz"]
@@ -214,3 +217,53 @@ def test_paths_may_be_strings(tmp_path):
     target = str(tmp_path / "o.json")
     assert write_plant(library.oscillator(), target) == Path(target)
     assert read_plant(target).name == "oscillator"
+
+
+@pytest.mark.parametrize("suffix", ["mat", "npz"])
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("A", np.array([["1.0"]]), "`A` must be an array of real numbers, got one of <U3"),
+        ("A", np.array([[1j]]), "`A` must be an array of real numbers, got one of complex128"),
+        ("A", np.array([[np.inf]]), r"`matrices\.A\[0\]\[0\]` must be finite, got inf"),
+        ("states_scales", np.array(["1"]), "`states_scales` must be an array of real numbers, got one of <U1"),
+        ("states_names", np.array([1.0]), "`states_names` must be an array of texts, got one of float64"),
+        ("time_unit", np.array([[115]]), "`time_unit` must be an array of texts, got one of"),
+    ],
+)
+def test_arrays_of_another_type_are_named(suffix, key, value, message, tmp_path):
+    path = tmp_path / f"plant.{suffix}"
+    named = {"states_names": np.array(["a"], dtype=object if suffix == "mat" else None)}
+    data = {"A": np.eye(1), "C": np.eye(1), "time_unit": "s", **named, key: value}
+    savemat(path, data) if suffix == "mat" else np.savez(path, **data)
+    with pytest.raises(FileFormatError, match=message):
+        read_plant(path)
+
+
+def test_truth_values_records_and_cells_are_no_numbers(tmp_path):
+    path = tmp_path / "plant.npz"
+    for wrong in (np.array([[True]]), np.array([(1.0, 2.0)], dtype=[("a", float), ("b", float)])):
+        np.savez(path, A=wrong, C=np.eye(1), time_unit="s")
+        with pytest.raises(FileFormatError, match="`A` must be an array of real numbers"):
+            read_plant(path)
+    path = tmp_path / "plant.mat"
+    for wrong in ({"a": 1.0}, np.array([[1.0], ["x"]], dtype=object)):
+        savemat(path, {"A": wrong, "C": np.eye(1), "time_unit": "s"})
+        with pytest.raises(FileFormatError, match="`A` must be an array of real numbers"):
+            read_plant(path)
+
+
+def test_archives_that_name_an_array_twice_or_swell_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "plant.npz"
+    np.savez_compressed(path, A=np.zeros((1, 1)), C=np.zeros((1, 40_000)), time_unit="s")
+    monkeypatch.setattr(files, "MOST_BYTES", 100_000)
+    with pytest.raises(FileFormatError, match=r"is too large: \d+ bytes, expected at most 100000"):
+        read_plant(path)
+    np.savez(path, A=np.eye(1), C=np.eye(1), time_unit="s")
+    with zipfile.ZipFile(path) as archive:
+        content = archive.read("A.npy")
+    with warnings.catch_warnings(), zipfile.ZipFile(path, "a") as archive:
+        warnings.simplefilter("ignore")
+        archive.writestr("A.npy", content)
+    with pytest.raises(FileFormatError, match=r"\.npz: holds the array 'A' twice"):
+        read_plant(path)

@@ -73,6 +73,11 @@ def test_cells_say_which_outputs_were_measured(table):
         ("time\ninf\n", {}, "line 2: a time must be finite and not negative, got inf"),
         ("date\nyesterday\n", {}, "line 2: `date` must be a date like 2026-01-05T08:00 .*, got 'yesterday'"),
         ("date\n2026-01-02\n", {"origin": "2026-01-03"}, r"line 2: 2026-01-02 comes before the origin 2026-01-03"),
+        ("time\n1_000\n", {}, "line 2: `date` must be a date like .*, got '1_000'"),
+        ("time\nTrue\n", {}, "line 2: `date` must be a date like .*, got 'True'"),
+        ("time,time\n1,2\n", {}, "column 'time' occurs twice"),
+        ("time,y,y\n1,2,\n", {"outputs": ["y"]}, "column 'y' occurs twice"),
+        ("time,y\n1,2,3\n", {}, r"line 2: expected 2 cells, got 3. Was the file cut off\?"),
         ('time,y\n1,"a\nb"\n', {}, "Was a quote left open"),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -157,7 +157,7 @@ class Requirement(Record):
         ArgumentError
             If an entry is unknown, or as for `Requirement`.
         """
-        known = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        known = {name: getattr(self, name) for name in (f.name for f in fields(self))}
         _checks.known_keys("the requirement", changes, known)
         return Requirement(**{**known, **changes})
 

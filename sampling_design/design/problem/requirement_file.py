@@ -3,16 +3,60 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
-from sampling_design.design.problem.requirement import FORMAT, Requirement
+from sampling_design.checkers.grammar import time_unit
+from sampling_design.checkers.strict import (
+    BadFile,
+    count,
+    flag,
+    list_of,
+    nonnegative,
+    positive,
+    refuse,
+    shown,
+    table,
+    text,
+    word,
+)
+from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 
-_KEYS = tuple(Requirement.__dataclass_fields__)
+_SPANS = list_of(list_of(nonnegative, 2))
+_COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
+_ACCESS = table({}, {"available": _SPANS, "cost": nonnegative})
+
+
+def _samples(value: Any, place: str) -> Any:
+    """A number of samples, or a table of counts."""
+    return _COUNTS(value, place) if isinstance(value, Mapping) else count(value, place)
+
+
+def _outputs(value: Any, place: str) -> dict[str, Any]:
+    """When each output can be measured, by name."""
+    if not isinstance(value, Mapping):
+        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
+    return {text(name, place): _ACCESS(access, f"{place}.{name}") for name, access in value.items()}
+
+
+_TREE = table(
+    {"format": word(FORMAT)},
+    {
+        **dict.fromkeys(("window", "period", "spacing", "target_sigma", "cost_limit"), positive),
+        "samples": _samples,
+        "decay_rate": nonnegative,
+        "forbidden": _SPANS,
+        "fixed": list_of(nonnegative),
+        "outputs": _outputs,
+        "time_unit": time_unit,
+        "scaled": flag,
+    },
+    whole="the requirement",
+)
 
 
 @door
@@ -35,10 +79,9 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
         `Requirement` refuses; the message names the file.
     """
     where = os.fspath(path)
-    text = read_text(where)
-    if Path(where).suffix.lower() == ".json":
-        return requirement_from_dict(from_json(text, where), where)
-    return requirement_from_dict(from_toml(text, where), where)
+    content = read_text(where)
+    read = from_json if Path(where).suffix.lower() == ".json" else from_toml
+    return requirement_from_dict(read(content, where), where)
 
 
 @door
@@ -61,12 +104,9 @@ def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> R
     FileFormatError
         As for `read_requirement`.
     """
-    tree = dict(data)
-    found = tree.pop("format", None)
-    if found != FORMAT:
-        raise FileFormatError(f"{where}: `format` must be {FORMAT!r}, got {found!r}.", where)
     try:
-        _checks.known_keys("the requirement", tree, _KEYS)
+        tree = _TREE(data, "")
+        del tree["format"]
         samples = tree.get("samples")
         if isinstance(samples, dict) and "target_sigma" in samples:  # both places are in use
             if "target_sigma" in tree:
@@ -74,6 +114,9 @@ def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> R
             tree["samples"] = {k: v for k, v in samples.items() if k != "target_sigma"}
             tree["target_sigma"] = samples["target_sigma"]
         return Requirement(**tree)
+    except BadFile as error:
+        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
     except ArgumentError as error:
         raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 

@@ -22,6 +22,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union
 import numpy as np
 
 from sampling_design._checks import described
+from sampling_design._renamed import ARGUMENTS
 from sampling_design.errors import ArgumentError, SolverError
 
 P = ParamSpec("P")
@@ -56,10 +57,12 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     """
     checks: dict[str, Check] = {}
     order: list[str] = []
+    former: dict[str, str] = {}
 
     def prepare() -> None:
         if not order:
             hints = hints_of(function)
+            former.update({old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints})
             for parameter in inspect.signature(function).parameters.values():
                 if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
                     order.append(parameter.name)
@@ -70,6 +73,8 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
 
     def enter(arguments: tuple[Any, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
         prepare()
+        for old in former.keys() & options.keys():
+            raise ArgumentError(f"`{old}` is now `{former[old]}`.")
         given = [*arguments]
         for i, name in enumerate(order[: len(given)]):
             if name in checks:

@@ -245,3 +245,23 @@ def test_a_gap_beyond_all_count_is_one_sentence():
     made = sd.MovingHorizonEstimator(OSCILLATOR, certificate, w_bound=0.1, v_bound=0.1, initial_error=2.0)
     with pytest.raises(SolverError, match="a gap is too long to be counted in the plant's fastest units"):
         made.update(1e308, [0.3])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=3.0, carried_weight=True), 'arrival_cost="filtered"'),
+        (lambda: sd.standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), 'arrival_cost="filtered"'),
+        (lambda: sd.validate(OSCILLATOR, GAPS, None, horizon=3.0, feedthrough="left"), "input_side"),
+        (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
+        (lambda: sd.KalmanFilter(OSCILLATOR, lateness=2.0), "maximum_delay"),
+    ],
+)
+def test_an_argument_of_an_earlier_name_says_the_new_one(make, words):
+    with pytest.raises(ArgumentError, match=f"` is now `{words}`.$"):
+        make()
+
+
+def test_an_earlier_name_means_nothing_to_other_verbs():
+    with pytest.raises(TypeError, match="unexpected keyword argument 'lateness'"):
+        verb(1.0, lateness=2.0)

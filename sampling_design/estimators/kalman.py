@@ -40,9 +40,9 @@ class KalmanFilter(OpenLoopEstimator):
     plant : Plant
     certificate : Certificate, optional
         Brings P2, Qw, R, Qv and eta.
-    P2, Qw, R, Qv, eta, prior, prior_time, w_bound, v_bound, initial_error, feedthrough
+    P2, Qw, R, Qv, eta, prior, prior_time, w_bound, v_bound, initial_error, input_side
         As for `MovingHorizonEstimator`.
-    lateness : float
+    maximum_delay : float
         How far back a late sample may lie [time]; snapshots are kept that long. Default 0.
 
     Raises
@@ -72,13 +72,13 @@ class KalmanFilter(OpenLoopEstimator):
         w_bound: Any = None,
         v_bound: Any = None,
         initial_error: Any = None,
-        feedthrough: str = "right",
-        lateness: float = 0.0,
+        input_side: str = "right",
+        maximum_delay: float = 0.0,
     ):
         weights, _ = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta)
         self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
-        self._set_up(plant, weights, None, feedthrough)
-        self.memory = self.lateness = _checks.nonnegative("lateness", lateness)
+        self._set_up(plant, weights, None, input_side)
+        self.memory = self.maximum_delay = _checks.nonnegative("maximum_delay", maximum_delay)
         self._set_bounds(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 

@@ -38,6 +38,7 @@ CLOSED_FORM = ("banded", "square root")
 SUSPECTS = 5
 """Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
 
+ARRIVAL_COSTS = ("fixed", "filtered")
 W_MODELS = ("outer", "constant")
 
 
@@ -75,8 +76,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         Estimate at `prior_time` before any sample; default 0.
     cost : "certificate" or "paper"
         The paper's cost has its factors 2 and a closed window.
-    carried_weight : bool
-        Weigh the prior with its own information Pi(t - M) instead of P2: full rate for every horizon.
+    arrival_cost : "fixed" or "filtered"
+        What the prior weighs: always P2, or its own information Pi(t - M), which gives the full rate for every horizon.
     x_set, y_set, v_set, w_set : ConvexSet or (lower, upper), optional
         Constraints on the state x, the modelled output C x + D u + v, the noise v, and the disturbance w.
     check_spacing : float, optional
@@ -93,7 +94,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
         what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
         what `survival` says of such deviations.
-    feedthrough : "right" or "left"
+    input_side : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
 
     Raises
@@ -148,7 +149,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         prior: Any = None,
         prior_time: float = 0.0,
         cost: str = "certificate",
-        carried_weight: bool = False,
+        arrival_cost: str = "fixed",
         x_set: Any = None,
         y_set: Any = None,
         v_set: Any = None,
@@ -160,19 +161,22 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         v_bound: Any = None,
         initial_error: Any = None,
         timing_tolerance: float = 0.0,
-        feedthrough: str = "right",
+        input_side: str = "right",
     ):
+        _one_of("arrival_cost", arrival_cost, ARRIVAL_COSTS)
+        self.certificate, self.arrival_cost = certificate, arrival_cost
         weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
-        self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, overridden, carried_weight)
+        self.horizon, self.claim_note = choose_horizon(
+            certificate, horizon, cost, overridden, arrival_cost == "filtered"
+        )
         _one_of("w_model", w_model, W_MODELS)
         constant = w_model == "constant" and w_set is not None
         schedule = None if certificate is None else certificate.covers
-        self._set_up(plant, weights, schedule, feedthrough, constant, timing_tolerance)
+        self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance)
         self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
         self.engine = _engine(engine, self.constraints)
         self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
-        self.certificate, self.carried_weight = certificate, carried_weight
-        self.memory, self.lateness = 2 * self.horizon, self.horizon
+        self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._bound_by_sets(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 
@@ -335,7 +339,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             x, Y, beta = self._flown_to(state, node, s)
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
-        if self.carried_weight:
+        if self.arrival_cost == "filtered":
             return Start(s, x, beta, covariance_root(Y), inside)
         factor = self.weights.prior_factor
         worst = float(np.linalg.eigvalsh(factor.T @ Y @ factor)[-1])
@@ -348,7 +352,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self._refuse_overflow(flow, self._moved(node, flow, drift), s)
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, beta = self._flown(node, flow, drift)
-        if not np.isfinite(Y).all() and not self.carried_weight:
+        if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
             x, Y, beta = self._ahead(node, flow, drift)
         if not np.isfinite(Y).all():
             self._refuse_overflow(flow, np.array([np.inf]), s)

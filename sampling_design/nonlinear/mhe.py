@@ -146,7 +146,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             _checks.positive("tolerance", tolerance),
             _checks.whole("max_iterations", max_iterations, 1),
         )
-        self.memory, self.lateness = 2 * self.horizon, self.horizon
+        self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._scale = plant.signals["states"].scales
         self._integrator = Integrator(plant)
         state = self.initial_state(prior, prior_time)

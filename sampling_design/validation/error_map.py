@@ -176,7 +176,7 @@ def discounted(eta: float, h: Any) -> Any:
 
 
 def build_error_map(timeline: Timeline, estimator: Any, bounds: Any) -> ErrorMap:
-    """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `carried_weight`.
+    """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `arrival_cost`.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ class _Builder:
 
     def __init__(self, estimator: Any, line: Timeline, F: Array, W: Array, growth: Array, H: Array, bounds: Any):
         self.weights, self.line, self.F, self.W, self.growth, self.H = estimator.weights, line, F, W, growth, H
-        self.carried = bool(getattr(estimator, "carried_weight", False))
+        self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
         self.closed = self.weights.cost == "paper"
         self.prior = self.weights.prior_root @ self.weights.prior_root.T
         self.place = {int(b): k for k, b in enumerate(line.events)}
@@ -257,8 +257,8 @@ class _Builder:
         Y, worst = self.prior, 1.0
         if not given:
             factor = self.weights.prior_factor
-            worst = 1.0 if self.carried else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
-            Y = online[start] if self.carried else Y
+            worst = 1.0 if self.filtered else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
+            Y = online[start] if self.filtered else Y
         length = times[end] - times[start]
         known = self.w_energy * float(discounted(self.weights.eta, length)) if length > 0 else 0.0
         absorbs: dict[int, Absorb] = {}

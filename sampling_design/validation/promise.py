@@ -71,17 +71,17 @@ def _square(values: Array, weight: Array) -> Array:
 
 
 def promise_of(
-    certificate: SampledCertificate, horizon: float, cost: str = "certificate", carried: bool = False
+    certificate: SampledCertificate, horizon: float, cost: str = "certificate", filtered: bool = False
 ) -> Promise:
     """Return what a certificate promises of an estimator with its weights.
 
-    The sharper theorem for the certificate's own cost, Thm 9 for the paper's; with the prior's weight carried on the
+    The sharper theorem for the certificate's own cost, Thm 9 for the paper's; with the arrival cost filtered the
     full rate, whatever the horizon.
     """
-    if carried:
+    if filtered:
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
         root = np.asarray(np.linalg.cholesky(certificate.P1).T)
-        return Promise("carried weight, full rate", root, *inside, rate=certificate.eta, gain=1.0)
+        return Promise("filtered arrival cost, full rate", root, *inside, rate=certificate.eta, gain=1.0)
     found = certificate.horizon("sharp" if cost == "certificate" else "paper", horizon)
     root = np.asarray(np.linalg.cholesky(certificate.P2 / found.lam).T)
     if cost == "certificate":

@@ -116,8 +116,8 @@ class Study:
                 note = f"At t = {short(t)}: {estimate.note}"
                 self._find("a-priori bounds and inequality (16)", "not checked", 1.0, np.nan, note=note, checked=False)
                 return None
-        carried = bool(self.options.get("carried_weight", False))
-        return promise_of(self.certificate, self.horizon, self.options.get("cost", "certificate"), carried)
+        filtered = self.options.get("arrival_cost") == "filtered"
+        return promise_of(self.certificate, self.horizon, self.options.get("cost", "certificate"), filtered)
 
     def run(self, scenarios: Sequence[str], seeds: Seeds, workers: Workers, progress: Progress | None) -> None:
         """Run the scenarios in order."""
@@ -232,7 +232,7 @@ class Study:
         self._judge("initial error", measured(self.map, self.promise, self.measure, inputs), "attained")
 
     def _paper(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        if self.promise is None or {"cost", "carried_weight", "horizon"} & set(self.options):
+        if self.promise is None or {"cost", "arrival_cost", "horizon"} & set(self.options):
             return
         estimator = self.estimator(cost="paper")
         line = self._timeline(self.duration, float(estimator.horizon))

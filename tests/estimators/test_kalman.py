@@ -43,16 +43,16 @@ def test_late_samples_need_lateness():
     kalman.update(1.0, [0.1])
     with pytest.raises(ArgumentError, match="goes back beyond the window"):
         kalman.update(0.5, [0.1])
-    patient = KalmanFilter(PLANT, lateness=1.0)
+    patient = KalmanFilter(PLANT, maximum_delay=1.0)
     patient.update(1.0, [0.1])
     late, straight = patient.update(0.5, [0.1]), KalmanFilter(PLANT).run([(0.5, [0.1], None), (1.0, [0.1], None)])
     assert np.array_equal(late.x, straight.x[-1])
-    with pytest.raises(ArgumentError, match="`lateness` must not be negative"):
-        KalmanFilter(PLANT, lateness=-1.0)
+    with pytest.raises(ArgumentError, match="`maximum_delay` must not be negative"):
+        KalmanFilter(PLANT, maximum_delay=-1.0)
 
 
 def test_a_sample_before_everything_kept_cannot_be_replayed():
-    kalman = KalmanFilter(PLANT, lateness=1.0)
+    kalman = KalmanFilter(PLANT, maximum_delay=1.0)
     for t in (1.0, 2.0, 3.0, 4.0):
         kalman.update(t, [0.1])
     assert kalman.state.nodes[0].t == 3.0

@@ -87,7 +87,7 @@ def test_a_horizon_that_is_too_short_warns_and_marks():
     assert estimate.certified
     with pytest.warns(GuaranteeWarning, match="must exceed 5.75646"):
         MovingHorizonEstimator(PLANT, stand_in(), horizon=5.7, cost="paper")
-    carried = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, carried_weight=True)
+    carried = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, arrival_cost="filtered")
     assert carried.update(1.0, [0.1]).on_schedule
 
 
@@ -247,9 +247,9 @@ def test_a_sample_at_the_priors_time_is_used_once():
     assert mhe.state.nodes[0].x[0] == 1.0
 
 
-def test_inputs_hold_and_the_feedthrough_convention_is_stated():
+def test_inputs_hold_and_the_input_side_is_stated():
     right = MovingHorizonEstimator(DRIVEN, horizon=4.0)
-    left = MovingHorizonEstimator(DRIVEN, horizon=4.0, feedthrough="left")
+    left = MovingHorizonEstimator(DRIVEN, horizon=4.0, input_side="left")
     for mhe in (right, left):
         mhe.update(0.0, None, [1.0])
         mhe.update(1.0, [0.3, 0.1], [-1.0])
@@ -323,7 +323,8 @@ def test_an_estimate_says_what_it_promises():
         ({"horizon": 1.0, "P2": np.zeros((2, 2))}, "`P2` must be positive definite"),
         ({"horizon": 1.0, "eta": -1.0}, "`eta` must not be negative"),
         ({"horizon": 1.0, "cost": "mine"}, '`cost` must be "certificate" or "paper"'),
-        ({"horizon": 1.0, "feedthrough": "both"}, '`feedthrough` must be "right" or "left"'),
+        ({"horizon": 1.0, "input_side": "both"}, '`input_side` must be "right" or "left"'),
+        ({"horizon": 1.0, "arrival_cost": "free"}, "`arrival_cost` must be one of 'fixed', 'filtered'"),
         ({"horizon": 1.0, "w_model": "zoh"}, "`w_model` must be one of 'outer', 'constant'"),
         ({"horizon": 1.0, "engine": "fast"}, "`engine` must be one of"),
         ({"horizon": 1.0, "w_bound": -1.0}, "`w_bound` must not be negative"),

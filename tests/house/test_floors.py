@@ -23,6 +23,7 @@ FLOORS = {
 GROUND = {
     "errors",
     "_door",
+    "_renamed",
     "evidence",
     "_checks",
     "_balance",

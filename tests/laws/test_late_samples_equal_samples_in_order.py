@@ -23,8 +23,8 @@ def estimators():
     bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
     yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, **bounds)
     yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, x_set=([-0.5, -0.5], [0.5, 0.5]), **bounds)
-    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, cost="paper", carried_weight=True)
-    yield lambda: KalmanFilter(PLANT, eta=0.3, lateness=4.0, **bounds)
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, cost="paper", arrival_cost="filtered")
+    yield lambda: KalmanFilter(PLANT, eta=0.3, maximum_delay=4.0, **bounds)
 
 
 def check_same(a, b):

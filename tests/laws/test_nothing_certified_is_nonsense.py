@@ -27,7 +27,7 @@ PLANTS = {
 }
 MAKERS = {
     "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, **o),
-    "carried": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, carried_weight=True, **o),
+    "carried": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, arrival_cost="filtered", **o),
     "boxes": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, x_set=(-1e3, 1e3), v_set=(-9, 9), **o),
     "filter": KalmanFilter,
 }

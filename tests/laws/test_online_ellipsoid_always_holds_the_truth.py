@@ -107,7 +107,9 @@ def ratios(name, kind, seed, runs, samples, **options):
     return found, engines
 
 
-@pytest.mark.parametrize("options", [{}, {"carried_weight": True}, {"cost": "paper"}], ids=["P2", "carried", "paper"])
+@pytest.mark.parametrize(
+    "options", [{}, {"arrival_cost": "filtered"}, {"cost": "paper"}], ids=["P2", "carried", "paper"]
+)
 def test_three_hundred_random_constrained_windows(options):
     found, engines = [], set()
     for seed, name in enumerate(PLANTS):

@@ -65,7 +65,7 @@ KINDS = {
     "disturbance box": lambda u: {"w_set": box(u.disturbances, -0.1, 0.1)},
     "disturbance ball": lambda u: {"w_set": ball(u.disturbances, 0.1)},
     "constant w": lambda u: {"w_set": box(u.disturbances, -0.1, 0.1), "w_model": "constant"},
-    "carried": lambda u: {"carried_weight": True},
+    "carried": lambda u: {"arrival_cost": "filtered"},
     "paper": lambda u: {"cost": "paper"},
     "between": lambda u: {"x_set": box(u.states, -0.3, 0.3), "check_spacing": 0.3 * u.time},
 }

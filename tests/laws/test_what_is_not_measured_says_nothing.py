@@ -50,7 +50,9 @@ SETS = {
 
 
 @pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize("options", [{}, {"carried_weight": True}, {"cost": "paper"}, {"engine": "reference"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"arrival_cost": "filtered"}, {"cost": "paper"}, {"engine": "reference"}], ids=str
+)
 def test_a_moving_horizon_estimate_is_that_without_the_output(name, options):
     plant, fewer, whole, part, rng = setting(3)
     few = {key: tuple(np.take(side, SEEN) for side in value) if "v_" in key or "y_" in key else value

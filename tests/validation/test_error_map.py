@@ -10,7 +10,7 @@ from sampling_design.validation.timeline import build_timeline
 from tests.oracles.validation import integrate, moving_horizon
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
-OPTIONS = {"plain": {}, "carried": {"carried_weight": True}, "paper": {"cost": "paper"}}
+OPTIONS = {"plain": {}, "carried": {"arrival_cost": "filtered"}, "paper": {"cost": "paper"}}
 
 
 def built(name, duration, **options):

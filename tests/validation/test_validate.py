@@ -71,11 +71,11 @@ def test_a_finite_schedule_is_judged_to_its_last_time():
     assert "## Not checked" in report.to_markdown()
 
 
-def test_a_carried_weight_keeps_the_full_rate():
-    report = judged("two outputs", carried_weight=True, horizon=1.0, scenarios=["random", "worst"])
+def test_a_filtered_arrival_cost_keeps_the_full_rate():
+    report = judged("two outputs", arrival_cost="filtered", horizon=1.0, scenarios=["random", "worst"])
     assert report.passed, report.explain()
     sources = {f.source for f in report.findings if f.claim == "a-priori bound"}
-    assert sources == {"carried weight, full rate"}
+    assert sources == {"filtered arrival cost, full rate"}
 
 
 def test_the_papers_own_cost_can_be_studied():

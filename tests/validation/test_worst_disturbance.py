@@ -18,7 +18,7 @@ CASES += [("oscillator", "paper"), ("unstable", "carried")]
 
 def built(name, kind, duration=6.0):
     plant, bounds = PLANTS[name], Bounds.of(PLANTS[name], 0.4, 0.3, 1.5)
-    options = {"carried_weight": True} if kind == "carried" else {"cost": kind}
+    options = {"arrival_cost": "filtered"} if kind == "carried" else {"cost": kind}
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
     line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon)

@@ -23,7 +23,11 @@ def least_horizon(certificate: SampledCertificate, cost: str) -> float:
 
 
 def choose_horizon(
-    certificate: SampledCertificate | None, horizon: float | None, cost: str, overridden: tuple[str, ...], carried: bool
+    certificate: SampledCertificate | None,
+    horizon: float | None,
+    cost: str,
+    overridden: tuple[str, ...],
+    filtered: bool,
 ) -> tuple[float, str]:
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
 
@@ -48,7 +52,7 @@ def choose_horizon(
     if overridden:
         return length, f"No a-priori claim: {', '.join(overridden)} differ from the certificate's."
     least = least_horizon(certificate, cost)
-    if not carried and length <= least:
+    if not filtered and length <= least:
         note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
         warnings.warn(note, GuaranteeWarning, stacklevel=4)
         return length, note

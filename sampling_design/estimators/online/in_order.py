@@ -32,8 +32,8 @@ class OnlineEstimator(ABC):
     weights: Weights
     table: FlowTable
     memory: float
-    lateness: float
-    feedthrough: str
+    maximum_delay: float
+    input_side: str
     state: State
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -109,7 +109,7 @@ class OnlineEstimator(ABC):
 
     def _check(self, sample: Sample, state: State) -> Sample:
         t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)
-        oldest = max(state.nodes[0].t, state.last.t - self.lateness)
+        oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "

@@ -64,15 +64,15 @@ class OpenLoopEstimator(OnlineEstimator):
         plant: Plant,
         weights: Weights,
         schedule: Any,
-        feedthrough: str,
+        input_side: str,
         constant_w: bool = False,
         timing_tolerance: float = 0.0,
     ) -> None:
         if plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
-        if feedthrough not in ("right", "left"):
-            raise ArgumentError(f'`feedthrough` must be "right" or "left", got {feedthrough!r}.')
-        self.plant, self.weights, self.feedthrough = plant, weights, feedthrough
+        if input_side not in ("right", "left"):
+            raise ArgumentError(f'`input_side` must be "right" or "left", got {input_side!r}.')
+        self.plant, self.weights, self.input_side = plant, weights, input_side
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift(self.table)
         self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0, weights.units)
@@ -233,7 +233,7 @@ class OpenLoopEstimator(OnlineEstimator):
         seen = np.isfinite(sample.y)
         mask = seen.astype(np.float64)
         y = sample.y if seen.all() else np.where(seen, sample.y, 0.0)
-        u = state.input_at(sample.t, before=self.feedthrough == "left")
+        u = state.input_at(sample.t, before=self.input_side == "left")
         return y, mask, self.plant.D @ u if u is not None else np.zeros(mask.size)
 
     def _rounded(self, y: Array, x: Array) -> float:

@@ -85,7 +85,7 @@ def run(quick: bool = False) -> list[Table]:
                 p, sd.certify(p, s, eta=0.1), **BOUNDS
             ),
             "sampling_design MHE, the filters' weights, rate 0.01": lambda t=task: sd.MovingHorizonEstimator(
-                t.plant, horizon=20.0, carried_weight=True, **weights(t), **BOUNDS
+                t.plant, horizon=20.0, arrival_cost="filtered", **weights(t), **BOUNDS
             ),
             "sampling_design KalmanFilter, the filters' weights, rate 0.01": lambda t=task: sd.KalmanFilter(
                 t.plant, **weights(t), **BOUNDS

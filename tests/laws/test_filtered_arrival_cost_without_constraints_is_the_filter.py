@@ -26,7 +26,7 @@ def record(seed):
 def test_state_covariance_and_radius_agree(horizon, eta):
     times, ys, us = record(0)
     wide = {"w_bound": 2.0, "v_bound": [4.0, 5.0], "initial_error": [3.0, 4.0]}
-    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, eta=eta, carried_weight=True, **wide)
+    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, eta=eta, arrival_cost="filtered", **wide)
     kalman = KalmanFilter(PLANT, eta=eta, **wide)
     weights = kalman.weights
     for estimator in (mhe, kalman):

@@ -1,0 +1,8 @@
+"""Names that changed in 0.1: until 0.2 an old one raises an error that says the new one."""
+
+ARGUMENTS = {
+    "carried_weight": 'arrival_cost="filtered"',
+    "feedthrough": "input_side",
+    "lateness": "maximum_delay",
+}
+"""Old keyword -> new one, with the value that means the same where the kind changed."""

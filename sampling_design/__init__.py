@@ -32,7 +32,7 @@ _FRONT_DOOR = {
     "certificates.files": ("load_certificate",),
     "certificates.families.certify_family": ("certify_family",),
     "certificates.families.family_certificate": ("FamilyCertificate",),
-    "certificates.compare.robustness": ("survival",),
+    "certificates.compare.robustness": ("robustness",),
     "certificates.existence.counterexample": ("find_counterexample",),
     "certificates.existence.periodic": ("certificate_exists", "smallest_repair"),
     "certificates.compare.four_horizons": ("four_horizons",),
@@ -83,7 +83,7 @@ _MOVED = {
     "observability.windows.window_sigma": ("WindowSigma", "WindowWitness", "WindowProfile"),
     "observability.worst_case.worst_case_sigma": ("WorstCaseSigma", "WorstCaseProfile"),
     "certificates.form.verdict": ("Verification",),
-    "certificates.compare.robustness": ("Survival",),
+    "certificates.compare.robustness": ("Robustness",),
     "certificates.existence.counterexample": ("Counterexample",),
     "certificates.compare.four_horizons": ("FourHorizons",),
     "certificates.exact.information": ("InformationCurve",),
@@ -150,8 +150,15 @@ def _absent(name: str) -> AttributeError | ImportError:
     message = f"module 'sampling_design' has no attribute {name!r}"
     if name.startswith("_"):
         return AttributeError(message)
-    home = next((room for room, names in _MOVED.items() if name in names), None)
-    if home is not None:
+    from sampling_design._renamed import NAMES
+
+    now = NAMES.get(name, name)
+    home = next((room for room, names in _MOVED.items() if now in names), None)
+    if name in NAMES and home is None:
+        hint = f": it is now {now!r}"
+    elif name in NAMES:
+        hint = f": it is now `from sampling_design.{home} import {now}`"
+    elif home is not None:
         hint = f": it moved; write `from sampling_design.{home} import {name}`"
     else:
         from difflib import get_close_matches

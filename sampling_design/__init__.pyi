@@ -15,7 +15,7 @@ from sampling_design import schedules as schedules
 from sampling_design import validation as validation
 from sampling_design.certificates.certify import certify as certify
 from sampling_design.certificates.compare.four_horizons import four_horizons as four_horizons
-from sampling_design.certificates.compare.robustness import survival as survival
+from sampling_design.certificates.compare.robustness import robustness as robustness
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve as tradeoff_curve
 from sampling_design.certificates.detectability.best_rate import certify_detectability as certify_detectability
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof as detectability_from_proof

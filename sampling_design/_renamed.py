@@ -6,3 +6,6 @@ ARGUMENTS = {
     "lateness": "maximum_delay",
 }
 """Old keyword -> new one, with the value that means the same where the kind changed."""
+
+NAMES = {"survival": "robustness", "Survival": "Robustness"}
+"""Old name at the front door -> new one."""

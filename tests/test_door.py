@@ -216,7 +216,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: sd.find_counterexample(OSCILLATOR, 3, 0.1), "`family` must be a SamplingFamily, got int 3"),
         (lambda: GAPS.between(0.0, 1e12), "`stop` asks for .* samples, which take .* GiB"),
         (lambda: sd.Schedule([1.0], output_names=3), "`output_names` must be a list of strings, got int 3"),
-        (lambda: sd.survival(OSCILLATOR, 3), "`certificate` must be one about samples, got int 3"),
+        (lambda: sd.robustness(OSCILLATOR, 3), "`certificate` must be one about samples, got int 3"),
         (lambda: sd.four_horizons(OSCILLATOR, GAPS, None, 3), "`proof_constants` must be a ProofConstants, got int 3"),
         (lambda: sd.EstimateRecord.collect(OSCILLATOR, [3]), "`estimates` must be a list of estimates, got list"),
         (lambda: sd.EstimateRecord.collect(3, []), "`plant` must be a Plant or a NonlinearPlant, got int 3"),

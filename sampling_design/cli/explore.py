@@ -146,13 +146,13 @@ def survive(
     plant = reading.plant(plant_file)
     certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("survive") as progress:
-        result = sd.survival(
+        result = sd.robustness(
             plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress
         )
     folder = settings.folder()
     if folder is not None:
-        settings.write_json(folder / "survival.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "survival.png"))
+        settings.write_json(folder / "robustness.json", result.to_dict())
+        settings.wrote(save_picture(result, folder / "robustness.png"))
     settings.show(result.to_dict(), record_table(result), result.explain())
 
 

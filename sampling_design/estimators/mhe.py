@@ -93,7 +93,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
     timing_tolerance : float
         How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
         what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
-        what `survival` says of such deviations.
+        what `robustness` says of such deviations.
     input_side : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
 

@@ -28,7 +28,7 @@ _PICTURES = {
     "Certificate": ("certificates", "draw_certificate"),
     "FamilyCertificate": ("certificates", "draw_family_certificate"),
     "InformationCurve": ("certificates", "draw_information"),
-    "Survival": ("survival", "draw_survival"),
+    "Robustness": ("robustness", "draw_robustness"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
     "EstimateRecord": ("estimates", "draw_estimates"),
     "ValidationReport": ("validation", "draw_validation"),

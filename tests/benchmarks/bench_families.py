@@ -1,4 +1,4 @@
-"""Families: certificate, independent proof, refusal, survival."""
+"""Families: certificate, independent proof, refusal, robustness."""
 
 import numpy as np
 import pytest
@@ -43,6 +43,6 @@ def test_refuse_a_range_that_holds_pi(benchmark):
     benchmark(refused)
 
 
-def test_survival_of_a_lap(benchmark):
+def test_robustness_of_a_period(benchmark):
     planned = sd.certify(OSCILLATOR, sd.PeriodicSchedule([1.0]), eta=0.8, P2=0.5 * np.eye(2))
-    assert benchmark.pedantic(sd.survival, (OSCILLATOR, planned), {"longest": 5}, rounds=1).radius > 0
+    assert benchmark.pedantic(sd.robustness, (OSCILLATOR, planned), {"longest": 5}, rounds=1).radius > 0

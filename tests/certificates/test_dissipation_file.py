@@ -18,7 +18,7 @@ from sampling_design import (
     detectability_from_proof,
     load_certificate,
     named_plant,
-    survival,
+    robustness,
 )
 from sampling_design.certificates.form import seal
 from sampling_design.checkers import check, detectability, grammar
@@ -386,7 +386,7 @@ def test_who_needs_samples_is_told_that_there_are_none():
     with pytest.raises(AttributeError, match="promises nothing about samples and has no `lam`"):
         made.lam  # noqa: B018
     with pytest.raises(AttributeError, match="promises nothing about samples and has no `schedule`"):
-        survival(OSCILLATOR, made)
+        robustness(OSCILLATOR, made)
     assert copy.deepcopy(made).to_dict() == made.to_dict()
 
 

@@ -115,9 +115,9 @@ def test_survive_finds_a_timing_error_and_draws_it(shell, tmp_path):
     assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--eta", 0.8, "-o", tmp_path).code == 0
     result = shell("survive", OSCILLATOR, tmp_path / "certificate.json", "--longest", 3, "-o", tmp_path, "--budget", 20)
     assert result.code == 0
-    data = json.loads((tmp_path / "survival.json").read_text())
+    data = json.loads((tmp_path / "robustness.json").read_text())
     assert data["radius"] > 0.05
-    assert (tmp_path / "survival.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "robustness.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_sigma_and_worst_case_are_proven_in_ball_arithmetic_on_request(shell, tmp_path):

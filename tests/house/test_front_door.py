@@ -13,6 +13,7 @@ import pytest
 
 import sampling_design
 from sampling_design._door import hints_of
+from sampling_design._renamed import NAMES
 from tests.house.front_door import STUB, stub
 
 ROOT = Path(__file__).parents[2]
@@ -86,6 +87,26 @@ def test_a_name_that_moved_says_where_it_went(name, room):
     found = {}
     exec(line, found)
     assert (inspect.getdoc(found[name]) or "").strip()
+
+
+@pytest.mark.parametrize(
+    ("earlier", "hint"),
+    [
+        ("survival", "it is now 'robustness'"),
+        ("Survival", "it is now `from sampling_design.certificates.compare.robustness import Robustness`"),
+    ],
+)
+def test_a_name_that_changed_says_the_new_one(earlier, hint):
+    with pytest.raises(AttributeError, match=re.escape(f"has no attribute '{earlier}': {hint}")):
+        getattr(sampling_design, earlier)
+    with pytest.raises(ImportError, match=re.escape(hint)):
+        exec(f"from sampling_design import {earlier}")
+
+
+def test_every_changed_name_leads_somewhere():
+    left, moved = set(NAMES), {name for names in sampling_design._MOVED.values() for name in names}
+    assert left.isdisjoint({*sampling_design.__all__, *moved})
+    assert set(NAMES.values()) <= {*sampling_design.__all__, *moved}
 
 
 def test_no_name_has_two_places():

@@ -77,7 +77,7 @@ VERBS = {
     "pareto": lambda b: sd.pareto(HARD, LARGE, range(16, 21), budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
-    "survival": lambda b: sd.survival(OSCILLATOR, certificate(), longest=8, budget=b),
+    "robustness": lambda b: sd.robustness(OSCILLATOR, certificate(), longest=8, budget=b),
     "Certificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
     "FamilyCertificate.verify": lambda b: family().verify(rigorous=True, budget=b),
     "DetectabilityCertificate.verify": lambda b: sd.certify_detectability(HARD).verify(rigorous=True, budget=b),
@@ -85,7 +85,7 @@ VERBS = {
 }
 PREPARED = {
     "sample_losses": designed,
-    "survival": certificate,
+    "robustness": certificate,
     "Certificate.verify": certificate,
     "FamilyCertificate.verify": family,
     "SampledCertificate.verify": certificate,

@@ -17,7 +17,7 @@ from sampling_design import (
     constants_from_proof,
     four_horizons,
     load_certificate,
-    survival,
+    robustness,
     validate,
 )
 from sampling_design.errors import SamplingDesignError
@@ -42,7 +42,7 @@ def test_every_door_refuses_a_certificate_of_another_plant_and_names_the_first_d
     detectable = certify_detectability(OSCILLATOR, 0.1)
     doors = [
         lambda: load_certificate(path, other),
-        lambda: survival(other, certificate),
+        lambda: robustness(other, certificate),
         lambda: four_horizons(other, SCHEDULE, certificate),
         lambda: four_horizons(other, SCHEDULE, proof_constants=proof),
         lambda: certify_from_proof(other, SCHEDULE, detectability=detectable),
@@ -59,4 +59,4 @@ def test_names_inputs_scales_and_source_do_not_enter():
     driven = Plant(OSCILLATOR.A, OSCILLATOR.C, [[0.0], [1.0]], time_unit="h", name="driven", states=["x", "v"])
     assert driven.same_dynamics(OSCILLATOR)
     assert first_difference(driven, OSCILLATOR) == ""
-    assert survival(driven, certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2)), longest=2).jittered is not None
+    assert robustness(driven, certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2)), longest=2).jittered is not None

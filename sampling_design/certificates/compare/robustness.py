@@ -51,7 +51,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Losses:
-    """At most `most` of any `of` consecutive samples lost: lambda and survival as for `Trial`."""
+    """At most `most` of any `of` consecutive samples lost: lambda and verdict as for `Trial`."""
 
     most: int
     of: int
@@ -60,7 +60,7 @@ class Losses:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Survival(Record):
+class Robustness(Record):
     """Timing errors and losses under which a certificate survives.
 
     It survives if a family certificate with the same P2, Qw, R, Qv and eta holds whose lambda still lets the same
@@ -199,7 +199,7 @@ def _choose(n: int, k: int) -> int:
 
 
 @door
-def survival(
+def robustness(
     plant: Plant,
     certificate: Any,
     *,
@@ -207,7 +207,7 @@ def survival(
     longest: int = 8,
     budget: float = 60.0,
     progress: Progress | None = None,
-) -> Survival:
+) -> Robustness:
     """Return the largest timing error and the most losses under which a certificate survives.
 
         lambda(family) e^{-eta M} < 1,    family = all schedules with every sample at most r early or late,
@@ -229,7 +229,7 @@ def survival(
 
     Returns
     -------
-    Survival
+    Robustness
 
     Raises
     ------
@@ -239,7 +239,7 @@ def survival(
 
     Notes
     -----
-    *Claim.* Survival is proven at `radius` and for `tolerated` (family certificates, verified); that more does not
+    *Claim.* What is kept is proven at `radius` and for `tolerated` (family certificates, verified); that more does not
     survive is not claimed, for family certificates are sufficient. *Method.* Bisection on the radius; for every d
     the least w.
 
@@ -247,7 +247,7 @@ def survival(
     --------
     >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> planned = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[0.5, 0.0], [0.0, 0.5]])
-    >>> found = survival(oscillator, planned, longest=3)
+    >>> found = robustness(oscillator, planned, longest=3)
     >>> found.radius > 0.1, found.jittered.verify().passed
     (True, True)
     """
@@ -272,7 +272,7 @@ def survival(
     radius, broken, trials, best = _largest_radius(breaker, schedule, report)
     losses, thinned = _most_losses(breaker, schedule, most, report)
     jittered = None if best is None else _proven(breaker, Jitter(schedule, radius), best)
-    return Survival(
+    return Robustness(
         planned, M, limit, radius, broken, tuple(trials), tuple(losses), jittered, tuple(thinned), not breaker.late
     )
 

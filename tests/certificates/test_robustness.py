@@ -18,7 +18,7 @@ def planned():
 
 @pytest.fixture(scope="module")
 def found(planned):
-    return sd.survival(OSCILLATOR, planned, longest=5)
+    return sd.robustness(OSCILLATOR, planned, longest=5)
 
 
 def test_what_survives_is_proven_with_the_same_weights(planned, found):
@@ -68,7 +68,7 @@ def test_losses_agree_with_brute_force(planned, found):
 
 
 def test_a_longer_horizon_survives_more(planned, found):
-    longer = sd.survival(OSCILLATOR, planned, length=2 * found.length, longest=2)
+    longer = sd.robustness(OSCILLATOR, planned, length=2 * found.length, longest=2)
     assert longer.limit > found.limit
     assert longer.radius > found.radius
 
@@ -81,7 +81,7 @@ def test_what_was_tried_is_in_order_and_drawn(found, tmp_path):
     assert top.lines[0].get_xdata()[-1] == found.radius
     assert len([line for line in bottom.lines if len(line.get_xdata()) == 1]) == len(found.losses)
     assert found.plot(top) is top
-    assert plotting.save(found, tmp_path / "survival.svg").read_bytes().startswith(b"<?xml")
+    assert plotting.save(found, tmp_path / "robustness.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_it_says_what_may_go_wrong(found):
@@ -92,20 +92,20 @@ def test_it_says_what_may_go_wrong(found):
 
 def test_a_design_is_certified_first():
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
-    found = sd.survival(OSCILLATOR, design, longest=2, budget=2.0)
+    found = sd.robustness(OSCILLATOR, design, longest=2, budget=2.0)
     assert found.certificate.schedule.times == pytest.approx(design.schedule.times)
     assert found.radius >= 0
 
 
 def test_nothing_may_survive():
     planned = sd.certify(OSCILLATOR, PeriodicSchedule([3.0]), eta=0.3, P2=np.eye(2))
-    found = sd.survival(OSCILLATOR, planned, length=planned.horizon().minimum * 1.001, longest=2)
+    found = sd.robustness(OSCILLATOR, planned, length=planned.horizon().minimum * 1.001, longest=2)
     assert (found.radius, found.tolerated, found.jittered) == (0.0, (), None)
     assert "no timing error and no loss" in found.explain()
 
 
 def test_a_budget_that_runs_out_is_said(planned):
-    found = sd.survival(OSCILLATOR, planned, budget=1e-9)
+    found = sd.robustness(OSCILLATOR, planned, budget=1e-9)
     assert not found.closed
     assert found.radius == 0.0
     assert "budget ran out" in str(found)
@@ -113,8 +113,8 @@ def test_a_budget_that_runs_out_is_said(planned):
 
 def test_what_cannot_be_asked_is_refused(planned):
     with pytest.raises(ArgumentError, match="must be on a PeriodicSchedule"):
-        sd.survival(OSCILLATOR, sd.certify(OSCILLATOR, sd.Schedule([1.0, 2.0, 3.0]), eta=0.3, P2=np.eye(2)))
+        sd.robustness(OSCILLATOR, sd.certify(OSCILLATOR, sd.Schedule([1.0, 2.0, 3.0]), eta=0.3, P2=np.eye(2)))
     with pytest.raises(ArgumentError, match="`certificate` certifies another plant"):
-        sd.survival(Plant([[0.0, 1.0], [-2.0, 0.0]], [[1.0, 0.0]]), planned)
+        sd.robustness(Plant([[0.0, 1.0], [-2.0, 0.0]], [[1.0, 0.0]]), planned)
     with pytest.raises(ArgumentError, match="is too short for the planned schedule: it needs M >"):
-        sd.survival(OSCILLATOR, planned, length=0.5)
+        sd.robustness(OSCILLATOR, planned, length=0.5)

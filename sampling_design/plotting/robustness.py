@@ -7,11 +7,11 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
-from sampling_design.certificates.compare.robustness import Survival
+from sampling_design.certificates.compare.robustness import Robustness
 from sampling_design.plotting import style
 
 
-def draw_survival(result: Survival, ax: Axes | None = None) -> Axes | style.Panels:
+def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
     if ax is not None:
         return _radii(result, ax)
@@ -23,7 +23,7 @@ def draw_survival(result: Survival, ax: Axes | None = None) -> Axes | style.Pane
     return style.Panels([top, bottom])
 
 
-def _radii(result: Survival, ax: Axes) -> Axes:
+def _radii(result: Robustness, ax: Axes) -> Axes:
     good = [t for t in result.trials if t.survives]
     bad = [t for t in result.trials if not t.survives]
     ax.plot([t.amount for t in good], [t.lam for t in good], "o-", color=style.PROVEN, label="survives, proven")
@@ -38,7 +38,7 @@ def _radii(result: Survival, ax: Axes) -> Axes:
     return ax
 
 
-def _losses(result: Survival, ax: Axes) -> Axes:
+def _losses(result: Robustness, ax: Axes) -> Axes:
     for d in sorted({loss.most for loss in result.losses}):
         mine = [loss for loss in result.losses if loss.most == d]
         heights = _shown(result, [loss.lam for loss in mine])
@@ -53,12 +53,12 @@ def _losses(result: Survival, ax: Axes) -> Axes:
     return ax
 
 
-def _shown(result: Survival, lams: list[float]) -> list[float]:
+def _shown(result: Robustness, lams: list[float]) -> list[float]:
     """Lambdas to draw; where none was found, a mark above the limit."""
     return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
 
 
-def _limit(result: Survival, ax: Axes) -> None:
+def _limit(result: Robustness, ax: Axes) -> None:
     label = f"limit of the horizon {short(result.length, 4)}"
     ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
     ax.set_yscale("log")

@@ -48,7 +48,7 @@ class Clock:
             raise OutOfTime("the budget ran out")
 
 
-class Flow:
+class BallFlow:
     """Y' = A Y + Y A' + S, with S psd, over any duration: Y -> F Y F' + W, in balls."""
 
     def __init__(self, A: Matrix, S: Matrix) -> None:
@@ -131,10 +131,10 @@ class Flow:
         return self._reach[key]
 
 
-class Node:
+class FlowNode:
     """A moment of a flow: Y there, what it certainly stays below, and how far it can bulge over the next chord."""
 
-    def __init__(self, flow: Flow, Y: Matrix, top: Callable[[Matrix], Ball]) -> None:
+    def __init__(self, flow: BallFlow, Y: Matrix, top: Callable[[Matrix], Ball]) -> None:
         self.flow, self.Y, self.top = flow, Y, top(Y)
         self._second: Matrix | None = None
         self._sag: Ball | None = None
@@ -149,13 +149,13 @@ class Node:
             self._sag = positive_part(largest(-self._second))
         yield reach * self._sag
 
-    def after(self, duration: Ball, top: Callable[[Matrix], Ball]) -> Node:
+    def after(self, duration: Ball, top: Callable[[Matrix], Ball]) -> FlowNode:
         """The node `duration` later."""
-        return Node(self.flow, self.flow.step(self.Y, duration), top)
+        return FlowNode(self.flow, self.flow.step(self.Y, duration), top)
 
 
 def highest(
-    flow: Flow,
+    flow: BallFlow,
     Y: Matrix,
     duration: Ball,
     clock: Clock,
@@ -168,7 +168,7 @@ def highest(
     `top(Y)` must be convex along chords, monotone, and rise by at most `slope` r when Y rises by r I.
     """
     slope, limit = ball(1.0) if slope is None else slope, ball(1.0) if limit is None else limit
-    left = Node(flow, Y, top)
+    left = FlowNode(flow, Y, top)
     right = left.after(duration, top)
     if not (left.top <= limit and right.top <= limit):
         return None

@@ -46,7 +46,7 @@ class _Block:
     terms: tuple[Complex, ...]
 
 
-class Flow:
+class ModalFlow:
     """e^{A t} for one matrix at many times.
 
     Attributes
@@ -156,15 +156,15 @@ class Flow:
         return np.asarray(rows)
 
 
-def exponential(A: Array) -> Flow:
-    """Return the `Flow` of A; built once per matrix and kept."""
+def exponential(A: Array) -> ModalFlow:
+    """Return the `ModalFlow` of A; built once per matrix and kept."""
     owned = np.ascontiguousarray(A, dtype=np.float64)
     return _cached(owned.shape[0], owned.tobytes())
 
 
 @lru_cache(maxsize=128)
-def _cached(n: int, data: bytes) -> Flow:
-    return Flow(np.frombuffer(data).reshape(n, n))
+def _cached(n: int, data: bytes) -> ModalFlow:
+    return ModalFlow(np.frombuffer(data).reshape(n, n))
 
 
 def _wide(blocks: list[_Block], A: Array) -> list[_Block]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sampling_design import _balls as balls
-from sampling_design._ball_flow import Clock, Flow, OutOfTime, highest
+from sampling_design._ball_flow import BallFlow, Clock, OutOfTime, highest
 from sampling_design.errors import MissingExtraError
 from tests.oracles import balls as oracle
 
@@ -113,7 +113,7 @@ def test_flow_contains_the_sixty_digit_solution(name, duration):
     S, Y = np.eye(n) * 0.25, np.diag(np.arange(1.0, n + 1))
     exact = oracle.flow(A.tolist(), S.tolist(), Y.tolist(), duration)
     with balls.precision(400):
-        found = Flow(balls.matrix(A), balls.matrix(S)).step(balls.matrix(Y), balls.ball(duration))
+        found = BallFlow(balls.matrix(A), balls.matrix(S)).step(balls.matrix(Y), balls.ball(duration))
         assert all(oracle.inside(exact[i, j], found[i, j]) for i in range(n) for j in range(n))
 
 
@@ -126,7 +126,7 @@ def test_highest_holds_everywhere_and_is_close(name):
     times = np.append(np.linspace(0, duration, 60), np.geomspace(1e-4, 1e-1, 20))
     tops = [float(oracle.largest(A.tolist(), S.tolist(), Y.tolist(), float(t))) for t in times]
     with balls.precision():
-        flow = Flow(balls.matrix(A), balls.matrix(S))
+        flow = BallFlow(balls.matrix(A), balls.matrix(S))
         limit = balls.ball(max(tops) * (1 + 1e-2))
         proven = highest(flow, balls.matrix(Y), balls.ball(duration), Clock(60), limit=limit)
         assert proven is not None
@@ -138,7 +138,7 @@ def test_highest_holds_everywhere_and_is_close(name):
 def test_a_bulge_between_equal_ends_is_seen():
     """Y turns by a half circle: both ends are the same, the middle is ten times as high."""
     with balls.precision():
-        flow = Flow(balls.matrix([[0.0, 1.0], [-1.0, 0.0]]), balls.matrix(np.zeros((2, 2))))
+        flow = BallFlow(balls.matrix([[0.0, 1.0], [-1.0, 0.0]]), balls.matrix(np.zeros((2, 2))))
         Y, half = balls.matrix(np.diag([1.0, 10.0])), balls.ball(3.141592653589793)
         first = lambda M: M[0, 0].upper()  # noqa: E731
         assert first(flow.step(Y, half)) < 1.0000001
@@ -148,6 +148,6 @@ def test_a_bulge_between_equal_ends_is_seen():
 
 def test_a_spent_budget_stops_the_search():
     with balls.precision():
-        flow = Flow(balls.matrix([[0.0, 1.0], [-1.0, 0.0]]), balls.identity(2))
+        flow = BallFlow(balls.matrix([[0.0, 1.0], [-1.0, 0.0]]), balls.identity(2))
         with pytest.raises(OutOfTime, match="the budget ran out"):
             highest(flow, balls.identity(2) * balls.ball(0.1), balls.ball(1.0), Clock(-1.0), limit=balls.ball(9.0))

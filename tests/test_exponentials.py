@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sampling_design._linalg import expm_batch
-from sampling_design._modal import Flow, exponential
+from sampling_design._modal import ModalFlow, exponential
 from sampling_design.plants import library
 from tests.oracles.observability import exponential_50_digits
 
@@ -62,7 +62,7 @@ def error(A, flow, t):
 
 def balanced_times(A, factors):
     """Times with t |A| equal to each factor, |A| after balancing."""
-    return np.array(factors) / np.linalg.norm(Flow(A)._balanced, 2)
+    return np.array(factors) / np.linalg.norm(ModalFlow(A)._balanced, 2)
 
 
 def test_oracle_agrees_with_mpmath():
@@ -138,15 +138,15 @@ def test_rows_are_those_of_the_full_exponential():
 def test_route_is_named():
     assert exponential(library.satellite().A).route == "modal"
     wide = np.triu(-np.ones((8, 8))) + np.diag(-0.2 * np.arange(8))
-    assert Flow(wide).route == "mixed"
-    large = Flow(np.diag(-np.arange(70.0)))
+    assert ModalFlow(wide).route == "mixed"
+    large = ModalFlow(np.diag(-np.arange(70.0)))
     assert (large.route, large.reason) == ("dense", "more than 64 states")
-    assert Flow(rotation(6)).reason == ""
+    assert ModalFlow(rotation(6)).reason == ""
 
 
 def test_wide_block_beyond_its_reach():
     wide = np.triu(-np.ones((8, 8))) + np.diag(-0.2 * np.arange(8))
-    flow = Flow(wide)
+    flow = ModalFlow(wide)
     reach = min(block.reach for block in flow._blocks)
     for t in (0.9 * reach, 1.1 * reach, 10 * reach):
         assert error(wide, flow([t])[0], t) < 1e-12

@@ -24,7 +24,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
-from sampling_design.design.search.local_search import Found, search
+from sampling_design.design.search.local_search import FoundSchedule, search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
 from sampling_design.evidence import SolverRecord
@@ -413,7 +413,7 @@ def _status(sigma: float, bound: float, finished: bool) -> str:
     return "complete" if sigma > 0 or bound == 0 else "blind"
 
 
-def _candidates(problem: DesignProblem, found: Found, chosen: Mask) -> list[tuple[Array, Mask]]:
+def _candidates(problem: DesignProblem, found: FoundSchedule, chosen: Mask) -> list[tuple[Array, Mask]]:
     """What to prove: the best found, and even spacing where samples may enter at the instant at which others leave.
 
     Even spacing is best there if its times are exact to the last bit; the search does not count on that.

@@ -13,7 +13,7 @@ from sampling_design._checks import freeze
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import Flow
+from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Sample
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
@@ -117,7 +117,7 @@ class KalmanFilter(OpenLoopEstimator):
         self,
         state: State,
         measured: tuple[Sample, Array, Array, Array],
-        held: tuple[Array, Array, Flow, Array],
+        held: tuple[Array, Array, GapFlow, Array],
         found: Verdict,
         details: dict[str, Any],
     ) -> Node:

@@ -137,7 +137,7 @@ def read_measurements(
     header = rows[0][1]
     stamp = _check_header(where, header, plant)
     clock = _Clock(where, plant, None if origin is None else _date(where, 0, origin))
-    table = _Table(where, plant)
+    table = _MeasurementTable(where, plant)
     for k, cells in rows[1:]:
         if len(cells) != len(header):
             raise FileFormatError(f"{where}: line {k} has {len(cells)} cells, expected {len(header)}.", where)
@@ -174,7 +174,7 @@ class _Clock:
         return (date - self.zero).total_seconds() / self.unit
 
 
-class _Table:
+class _MeasurementTable:
     """Rows that were read so far; a time may come twice if the rows agree."""
 
     def __init__(self, where: str, plant: Plant):

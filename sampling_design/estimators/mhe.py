@@ -16,7 +16,7 @@ from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
 from sampling_design.estimators.constraints.window_constraints import Constraints
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import Flow
+from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Sample
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
@@ -288,7 +288,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
         self.table.get([gap for gap in gaps if gap > 0])
 
-    def _last_gap(self, state: State, t: float) -> tuple[Flow, Array]:
+    def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
         last = state.last
         return self.table.get([t - last.t])[0], self._drift.between(state, last.t, t)
 
@@ -379,7 +379,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     def _path(
         self, state: State, start: Start, inside: list[Node], times: list[float]
-    ) -> tuple[list[Flow], Array, Array]:
+    ) -> tuple[list[GapFlow], Array, Array]:
         """Return flows and drifts between the nodes, and the online estimates as reference."""
         n = self.plant.n_states
         if len(times) == 1:
@@ -399,7 +399,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     def _refined(
         self, state: State, times: list[float], rows: list[tuple[Array, Array, Array]], reference: Array
-    ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[Flow], Array, Array]:
+    ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[GapFlow], Array, Array]:
         """Put unmeasured nodes between those given, at most `check_spacing` apart."""
         assert self.check_spacing is not None
         zero = np.zeros(self.plant.n_outputs)

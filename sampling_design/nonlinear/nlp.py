@@ -41,7 +41,7 @@ class WindowData(NamedTuple):
     prior: Array
 
 
-class Point(NamedTuple):
+class ProgramPoint(NamedTuple):
     """Values of the unknowns, or of their multipliers: z0 (n,), v (K+1, r), w (K, q), z (K, degree, n)."""
 
     z0: Array
@@ -54,8 +54,8 @@ class WindowSolution(NamedTuple):
     """What came out: the unknowns and the multipliers (of bounds, dynamics, outputs), and how."""
 
     edges: Array
-    point: Point
-    bound_multipliers: Point
+    point: ProgramPoint
+    bound_multipliers: ProgramPoint
     row_multipliers: Array
     output_multipliers: Array
     cost: float
@@ -224,7 +224,7 @@ class WindowProgram:
             x, w, v = (plant.bounds[key][k] / plant.signals[key].scales for key in ("states", "disturbances", "noises"))
             v = v if self.keeps_v else v[:0]
             z = np.broadcast_to(x, (N, self.degree, x.size))
-            sides.append(self._pack(Point(x, np.tile(v, (N + 1, 1)), np.tile(w, (N, 1)), z)))
+            sides.append(self._pack(ProgramPoint(x, np.tile(v, (N + 1, 1)), np.tile(w, (N, 1)), z)))
         return sides[0], sides[1]
 
     def _row_bounds(self, data: WindowData) -> tuple[Array, Array]:
@@ -241,7 +241,7 @@ class WindowProgram:
             np.concatenate([dynamics, np.where(rows, upper, np.inf).ravel()]),
         )
 
-    def _pack(self, point: Point, idle: float | None = None) -> Array:
+    def _pack(self, point: ProgramPoint, idle: float | None = None) -> Array:
         """Return a point as one vector; idle intervals repeat the first state (or hold the value `idle`)."""
         K, N = len(point.w), self.capacity
         still = np.broadcast_to(point.z0, (N - K, self.degree, point.z0.size))
@@ -260,7 +260,7 @@ class WindowProgram:
         outputs[self.capacity + 1 - len(guess.output_multipliers) :] = guess.output_multipliers
         return np.concatenate([rows.ravel(), outputs.ravel()])
 
-    def _split(self, vector: Any, used: int) -> Point:
+    def _split(self, vector: Any, used: int) -> ProgramPoint:
         """Return the used part of a vector of unknowns."""
         n, q, r, N = self.plant.n_states, self.plant.n_disturbances, self.n_noises, self.capacity
         flat = np.array(vector).ravel()
@@ -268,7 +268,7 @@ class WindowProgram:
         states = body[:, q : q + n * self.degree].reshape(N, self.degree, n)
         v = np.vstack([flat[None, n : n + r], body[:, q + n * self.degree :]])
         first = states[N - used - 1, -1] if used < N else flat[:n]
-        return Point(first, v[N - used :], body[N - used :, :q], states[N - used :])
+        return ProgramPoint(first, v[N - used :], body[N - used :, :q], states[N - used :])
 
     def _unpack(self, edges: Array, found: Any, stats: Any, seconds: float) -> WindowSolution:
         K, N = edges.size - 1, self.capacity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.nonlinear.nlp import Point, WindowSolution
+from sampling_design.nonlinear.nlp import ProgramPoint, WindowSolution
 
 Array = npt.NDArray[np.float64]
 
@@ -17,7 +17,7 @@ def open_loop_guess(edges: Array, states: Array, points: Array, sizes: tuple[int
     """Return w = 0, v = 0 and the trajectory through the scaled `states` at the edges; sizes of w, v and y."""
     K, n, degree = edges.size - 1, states.shape[1], points.size
     q, r, p = sizes
-    zero = Point(np.zeros(n), np.zeros((K + 1, r)), np.zeros((K, q)), np.zeros((K, degree, n)))
+    zero = ProgramPoint(np.zeros(n), np.zeros((K + 1, r)), np.zeros((K, q)), np.zeros((K, degree, n)))
     point = zero._replace(z0=states[0], z=_at(edges, states, _collocation_times(edges, points)))
     rows, outputs = np.zeros((K, degree * n)), np.zeros((K + 1, p))
     return WindowSolution(edges, point, zero, rows, outputs, np.nan, "solver failed", "not solved", 0, 0.0)
@@ -35,14 +35,14 @@ def moved(previous: WindowSolution, guess: WindowSolution, points: Array) -> Win
     known = np.concatenate([old[:1], _collocation_times(old, points).ravel()])
     path = np.vstack([previous.point.z0[None], previous.point.z.reshape(-1, previous.point.z0.size)])
     late = times > old[-1]
-    point = Point(
+    point = ProgramPoint(
         _at(known, path, new[:1])[0] if new[0] <= old[-1] else guess.point.z0,
         _kept(previous.point.v, node, same),
         _kept(previous.point.w, piece, inside),
         np.where(late[:, :, None], guess.point.z, _at(known, path, times)),
     )
     force = previous.bound_multipliers
-    bound = Point(
+    bound = ProgramPoint(
         np.zeros_like(force.z0),
         _kept(force.v, node, same),
         _kept(force.w, piece, inside),

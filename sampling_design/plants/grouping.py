@@ -96,7 +96,7 @@ def invariant_subspace(form: SchurForm, group: Sequence[int]) -> tuple[Complex, 
 def group_eigenvalues(form: SchurForm, error: float, cap: float) -> list[list[int]]:
     """Groups of positions that rounding cannot tell apart, alike for conjugates."""
     values = form.eigenvalues
-    trees: dict[int, _Tree] = {k: _leaf(form, [k], error) for k in range(values.size)}
+    trees: dict[int, _GroupTree] = {k: _leaf(form, [k], error) for k in range(values.size)}
     home = list(range(values.size))
     for i, j, length in _spanning_tree(values):
         a, b = home[i], home[j]
@@ -118,17 +118,17 @@ def group_eigenvalues(form: SchurForm, error: float, cap: float) -> list[list[in
 
 
 @dataclass(frozen=True, eq=False)
-class _Tree:
+class _GroupTree:
     """Some positions, how far rounding may move or scatter them, and the two groups they were joined from."""
 
     group: list[int]
     spread: float
-    parts: tuple[_Tree, ...]
+    parts: tuple[_GroupTree, ...]
 
 
-def _leaf(form: SchurForm, group: list[int], error: float, parts: tuple[_Tree, ...] = ()) -> _Tree:
+def _leaf(form: SchurForm, group: list[int], error: float, parts: tuple[_GroupTree, ...] = ()) -> _GroupTree:
     spread = error * form.norm * _projector_norm(form, group)[0] + radius(form.eigenvalues[group])
-    return _Tree(group, spread, parts)
+    return _GroupTree(group, spread, parts)
 
 
 def radius(values: Complex) -> float:

@@ -14,10 +14,10 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.bounds import Bounds
-from sampling_design.recovery.chain import Chain, endless_chain
-from sampling_design.recovery.rows import Rows, Wanted, wanted_rows
-from sampling_design.recovery.search import Node, RowSearch, Search
+from sampling_design.recovery.bounds import SignalBounds
+from sampling_design.recovery.chain import SampleChain, endless_chain
+from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.recovery.search import ChainSearch, RowSearch, SolvedOffset
 from sampling_design.recovery.unknown import Known, known_part
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -77,7 +77,7 @@ class Accuracy(Record):
     ----------
     plant : Plant
     schedule : PeriodicSchedule
-    rows : Rows
+    rows : WantedRows
         Matrix, names and units of what is wanted.
     lower : (r,) array
         No estimator whatsoever guarantees less: attained by `witnesses`.
@@ -98,8 +98,8 @@ class Accuracy(Record):
 
     plant: Plant
     schedule: PeriodicSchedule
-    rows: Rows
-    bounds: Bounds
+    rows: WantedRows
+    bounds: SignalBounds
     lower: Array
     upper: Array
     worst: Array
@@ -118,7 +118,7 @@ class Accuracy(Record):
         known, row = _known(self.plant, self.schedule, self.bounds), self.rows.matrix[k]
         if known.touches(row):
             return bool(np.isinf(self.upper[k]))
-        search = Search(_chain(known.plant, self.schedule, self.bounds))
+        search = ChainSearch(_chain(known.plant, self.schedule, self.bounds))
         found = search.opened(row @ known.lift)
         if sorted(part.sample for part in self.proof[k]) != list(range(len(found.opened))):
             return False
@@ -264,10 +264,10 @@ def accuracy(
     schedule = meet(plant, schedule)
     tolerance = _checks.positive("rtol", rtol)
     rows = wanted_rows(plant, of)
-    bounds = Bounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound)
+    bounds = SignalBounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound)
     known = _known(plant, schedule, bounds)
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    search = Search(_chain(known.plant, schedule, bounds)) if safe else None
+    search = ChainSearch(_chain(known.plant, schedule, bounds)) if safe else None
     found: dict[int, RowSearch] = {}
     if search is not None:
         for k in safe:
@@ -276,13 +276,13 @@ def accuracy(
     return _record(plant, schedule, rows, bounds, known, search, found, tolerance)
 
 
-def _known(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Known:
+def _known(plant: Plant, schedule: PeriodicSchedule, bounds: SignalBounds) -> Known:
     """The plant without what the schedule can never show."""
     outputs = [bounds.measured(j) for j in range(len(schedule))]
     return known_part(plant, schedule.times, schedule.period, outputs)
 
 
-def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Chain:
+def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: SignalBounds) -> SampleChain:
     """The chain whose gap j lies behind sample j."""
     return endless_chain(plant, np.roll(schedule.gaps, -1), bounds)
 
@@ -290,10 +290,10 @@ def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: Bounds) -> Chain:
 def _record(
     plant: Plant,
     schedule: PeriodicSchedule,
-    rows: Rows,
-    bounds: Bounds,
+    rows: WantedRows,
+    bounds: SignalBounds,
     known: Known,
-    finder: Search | None,
+    finder: ChainSearch | None,
     found: dict[int, RowSearch],
     rtol: float,
 ) -> Accuracy:
@@ -336,7 +336,7 @@ def _record(
     )
 
 
-def _flown(finder: Search, row: Array, bounds: Bounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
+def _flown(finder: ChainSearch, row: Array, bounds: SignalBounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
     """The strongest attack as a witness that is flown anew and made admissible, and its offset."""
     best: tuple[AccuracyWitness, int] | None = None
     for attack in sorted(found.attacks, key=lambda a: -float(np.max(a.values))):
@@ -359,6 +359,6 @@ def _finite(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values]
 
 
-def _proof(j: int, nodes: dict[int, Node]) -> GapProof:
+def _proof(j: int, nodes: dict[int, SolvedOffset]) -> GapProof:
     offsets = sorted(nodes)
     return GapProof(j, np.array(offsets), tuple(nodes[o].gains.gains for o in offsets))

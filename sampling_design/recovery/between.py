@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
-from sampling_design.recovery.chain import Chain
+from sampling_design.recovery.chain import SampleChain
 
 Array = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Open:
         return float(bound[k]), a + k
 
 
-def open_row(chain: Chain, j: int, row: Array) -> Open:
+def open_row(chain: SampleChain, j: int, row: Array) -> Open:
     """Return one row (n,) of x after sample j, over the whole gap."""
     gap, A = chain.gaps[j], chain.A
     size = float(np.linalg.norm(A, 2))
@@ -77,7 +77,7 @@ def open_row(chain: Chain, j: int, row: Array) -> Open:
     return Open(d, flown @ L, above, below, turn)
 
 
-def _open_integrals(chain: Chain, d: Array, row: Array) -> tuple[Array, Array, Array, Array]:
+def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Array, Array, Array]:
     """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds on |c'Phi A^3| per panel."""
     A, G, n = chain.A, chain.G, chain.D.size
     step = float(d[-1] - d[0]) / (d.size - 1)
@@ -103,7 +103,7 @@ def _sums(x: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(x)])
 
 
-def open_integral(chain: Chain, length: float, row: Array) -> float:
+def open_integral(chain: SampleChain, length: float, row: Array) -> float:
     """Return a bound on int_0^length h_W(G'Phi(s)'c) ds for a row (n,) of x."""
     size = float(np.linalg.norm(chain.A, 2))
     number = int(np.clip(np.ceil(size * length / FINENESS), *GRID))

@@ -17,7 +17,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class SignalBounds:
     """|w(t)| <= w and |v_j| <= v_j in the Euclidean norm ("ball"), or entry by entry ("box").
 
     Attributes
@@ -39,7 +39,7 @@ class Bounds:
     @classmethod
     def of(
         cls, plant: Plant, samples: int, mask: Mask | None, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None
-    ) -> Bounds:
+    ) -> SignalBounds:
         """Return the bounds as typed by a user: numbers (Euclidean), vectors (boxes), or for v one row per sample.
 
         Raises

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sampling_design._linalg import discounted_flow, expm_batch
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.riccati import CovarianceMap, limit, updated
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ LAPS = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Panels:
+class GapPanels:
     """M(s) = (e^{A_z s} G_z)' at panel ends s back from the end of a gap; errors of the trapezoidal rule."""
 
     s: Array  # (Q+1,)
@@ -77,7 +77,7 @@ class Gap:
 
     length: float
     F: Array
-    panels: Panels
+    panels: GapPanels
     edges: Array
     """Ends of the cells on which the adversary's w is constant, back from the end of the gap."""
     cells: Array
@@ -85,7 +85,7 @@ class Gap:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class ChainSample:
     """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
 
     outputs: npt.NDArray[np.intp]
@@ -96,16 +96,16 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class SampleChain:
     """Samples j = 0..N-1 and the gaps behind them; endless: after the last comes the first."""
 
     plant: Plant
-    bounds: Bounds
+    bounds: SignalBounds
     D: Array
     L: Array
     A: Array
     G: Array
-    samples: tuple[Sample, ...]
+    samples: tuple[ChainSample, ...]
     gaps: tuple[Gap, ...]
 
     def __len__(self) -> int:
@@ -119,7 +119,7 @@ class Chain:
         """Indices of the `count` samples up to and with j, the latest last."""
         return [(j - k) % len(self) for k in range(count - 1, -1, -1)]
 
-    def refined(self, loss: float) -> Chain:
+    def refined(self, loss: float) -> SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
@@ -158,7 +158,7 @@ def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
     return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
 
 
-def endless_chain(plant: Plant, gaps: Array, bounds: Bounds) -> Chain:
+def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds) -> SampleChain:
     """Return the chain of a periodic schedule; gaps[j] lies behind sample j."""
     balance = balanced_schur(plant.A).d
     A = plant.A * balance / balance[:, None]
@@ -177,15 +177,17 @@ def endless_chain(plant: Plant, gaps: Array, bounds: Bounds) -> Chain:
     for j, H in enumerate(rows):
         gain = np.linalg.solve(H @ P[j] @ H.T + np.eye(len(H)), H @ P[j]).T
         K = np.linalg.solve(L[j], gain)
-        samples.append(Sample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
     steps = []
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
         steps.append(make_gap(A, G, float(h), L[j], following, F[j]))
-    return Chain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps))
+    return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps))
 
 
-def noise_units(C: Array, bounds: Bounds, W: Array) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
+def noise_units(
+    C: Array, bounds: SignalBounds, W: Array
+) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
     """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
     driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
     stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
@@ -244,7 +246,7 @@ def make_gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array,
     middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
     grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
     third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
-    panels = Panels(s, M, bend, third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
+    panels = GapPanels(s, M, bend, third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
     return Gap(
         h,
         np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),
@@ -253,7 +255,7 @@ def make_gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array,
     )
 
 
-def _cells(A: Array, G: Array, following: Array, panels: Panels, loss: float) -> tuple[Array, Array]:
+def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:
     """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
     s, n, q = panels.s, len(A), G.shape[1]
     size, curve = (np.linalg.norm(X, axis=(1, 2)) for X in (panels.M, panels.bend))

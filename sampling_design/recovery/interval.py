@@ -17,11 +17,11 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.between import open_integral
-from sampling_design.recovery.bounds import Bounds
-from sampling_design.recovery.chain import Chain, Gap, Sample, make_gap, noise_units, state_scales
-from sampling_design.recovery.program import StartSet, Window
+from sampling_design.recovery.bounds import SignalBounds
+from sampling_design.recovery.chain import ChainSample, Gap, SampleChain, make_gap, noise_units, state_scales
+from sampling_design.recovery.program import ConeWindow, StartSet
 from sampling_design.recovery.riccati import updated
-from sampling_design.recovery.rows import Rows, Wanted, wanted_rows
+from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 
 Array = npt.NDArray[np.float64]
 Arrived = tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]
@@ -72,7 +72,7 @@ class Interval(Record):
     Attributes
     ----------
     t : float
-    rows : Rows
+    rows : WantedRows
     lower, upper : (r,) arrays
     contradiction : float
         0 where the data agree with the bounds; else the least factor by which all bounds together would have to grow,
@@ -84,10 +84,10 @@ class Interval(Record):
     """
 
     plant: Plant
-    bounds: Bounds
+    bounds: SignalBounds
     data: Data
     t: float
-    rows: Rows
+    rows: WantedRows
     lower: Array
     upper: Array
     gains: tuple[tuple[tuple[Array, ...], tuple[Array, ...]], ...] = field(repr=False)
@@ -174,7 +174,7 @@ class Engine:
     `gaps` keeps gaps by length, for records that grow or slide in the same coordinates.
     """
 
-    def __init__(self, plant: Plant, bounds: Bounds, data: Data, coordinates: Array | None = None):
+    def __init__(self, plant: Plant, bounds: SignalBounds, data: Data, coordinates: Array | None = None):
         self.plant, self.bounds, self.data = plant, bounds, data
         merged = data.times.size > 0 and data.times[0] == data.start
         marks = data.times if merged else np.concatenate([[data.start], data.times])
@@ -193,7 +193,7 @@ class Engine:
         count = len(lengths) + 1
         gaps = self._gaps(A, G, lengths, L, F)
         no_gain: Array = np.zeros((len(A), 0))
-        blank = Sample(
+        blank = ChainSample(
             np.zeros(0, dtype=np.intp),
             np.zeros(0),
             np.zeros((0, A.shape[0])),
@@ -202,14 +202,16 @@ class Engine:
         )
         measured = self._samples(rows, sizes, exact, L, gaps, merged)
         samples = tuple(measured if merged else [blank, *measured])
-        self.chain = Chain(plant, bounds, self.D, np.broadcast_to(L, (count, *L.shape)), A, G, samples, gaps)
+        self.chain = SampleChain(plant, bounds, self.D, np.broadcast_to(L, (count, *L.shape)), A, G, samples, gaps)
         start = StartSet(None, False)
         if data.size is not None:
             start = StartSet(
                 self.D[:, None] * L / np.where(data.size > 0, data.size, NO_ERROR * self.D)[:, None], data.ball
             )
         shown = [data.y[k, s.outputs] / s.size for k, s in enumerate(measured)]
-        self.window = Window(self.chain, list(range(count)), start, shown if merged else [np.zeros(0), *shown], LOOSE)
+        self.window = ConeWindow(
+            self.chain, list(range(count)), start, shown if merged else [np.zeros(0), *shown], LOOSE
+        )
 
     def _scales(self, F: Array, W: Array, rows: list[Array], merged: bool) -> Array:
         if not len(F):
@@ -245,7 +247,7 @@ class Engine:
         L: Array,
         gaps: tuple[Gap, ...],
         merged: bool,
-    ) -> list[Sample]:
+    ) -> list[ChainSample]:
         """Samples with the gains of the filter, in the coordinates of the record."""
         found, n = [], len(L)
         P = np.eye(n) * DIFFUSE
@@ -256,7 +258,7 @@ class Engine:
             Hz = H @ L
             gain = np.asarray(np.linalg.solve(Hz @ P @ Hz.T + np.eye(len(Hz)), Hz @ P).T, dtype=np.float64)
             P = updated((P + P.T) / 2, Hz.T @ Hz)
-            found.append(Sample(self.bounds.measured(j), sizes[j], Hz, exact[j], gain))
+            found.append(ChainSample(self.bounds.measured(j), sizes[j], Hz, exact[j], gain))
         return found
 
     def ahead(self, t: float, row: Array) -> tuple[Array, float, float]:
@@ -356,11 +358,11 @@ def interval(
     at = float(data.times[-1]) if t is None else _checks.number("t", t)
     if at < data.times[-1]:
         raise ArgumentError(f"`t` must not lie before the last sample {float(data.times[-1])!r}, got {at!r}.")
-    bounds = Bounds.of(plant, data.times.size, np.isfinite(data.y), w_bound, v_bound)
+    bounds = SignalBounds.of(plant, data.times.size, np.isfinite(data.y), w_bound, v_bound)
     return prove(Engine(plant, bounds, data), at, wanted_rows(plant, of))
 
 
-def prove(engine: Engine, t: float, rows: Rows) -> Interval:
+def prove(engine: Engine, t: float, rows: WantedRows) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
     lower, upper, gains = [], [], []
     for row in rows.matrix:

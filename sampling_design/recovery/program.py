@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._conic import INFEASIBLE, UNBOUNDED, ConeSolver
-from sampling_design.recovery.chain import Chain, noise_cost
+from sampling_design.recovery.chain import SampleChain, noise_cost
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class StartSet:
         return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
 
 
-class _Table:
+class _ConeRows:
     """Rows of b - A x in a cone, gathered block by block: zero first, then nonnegative, then second order."""
 
     def __init__(self, columns: int):
@@ -138,7 +138,7 @@ class _Table:
         )
 
 
-class Window:
+class ConeWindow:
     """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
     `data` are the measurements less what they would be without error, one array for each sample, in units of its noise.
@@ -146,7 +146,7 @@ class Window:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: SampleChain,
         nodes: list[int],
         start: Array | StartSet,
         data: list[Array] | None = None,
@@ -162,7 +162,7 @@ class Window:
         K = len(self.nodes)
         gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
         self._w_at = K * n + q * np.concatenate([[0], np.cumsum([len(g.cells) for g in gaps])]).astype(int)
-        table = _Table(int(self._w_at[-1]))
+        table = _ConeRows(int(self._w_at[-1]))
         for k, gap in enumerate(gaps):
             flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
             parts = [((k + 1) * n, np.eye(n)), (k * n, -gap.F), (int(self._w_at[k]), -flat)]

@@ -20,7 +20,7 @@ Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class WantedRows:
     """z = matrix x with a name and a unit for each entry."""
 
     matrix: Array
@@ -35,7 +35,7 @@ class Rows:
         return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
 
 
-def wanted_rows(plant: Plant, of: Wanted = None) -> Rows:
+def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
     """Return the rows named by `of`: None (all states), names of states or outputs, or an (r, n) matrix.
 
     Parameters
@@ -46,7 +46,7 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> Rows:
 
     Returns
     -------
-    Rows
+    WantedRows
 
     Raises
     ------
@@ -55,17 +55,17 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> Rows:
         or a matrix has another shape.
     """
     if of is None:
-        return Rows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
+        return WantedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
     names = (of,) if isinstance(of, str) else tuple(of) if isinstance(of, Sequence) else ()
     if names and all(isinstance(name, str) for name in names):
         texts = tuple(str(name) for name in names)
         found = [_named(plant, name) for name in texts]
-        return Rows(freeze([row for row, _ in found]), texts, tuple(unit for _, unit in found))
+        return WantedRows(freeze([row for row, _ in found]), texts, tuple(unit for _, unit in found))
     matrix = _checks.matrix("of", of, None, plant.n_states)
     if not matrix.shape[0]:
         raise ArgumentError("`of` must name at least one row, got none.")
     count = matrix.shape[0]
-    return Rows(matrix, tuple(f"z{i + 1}" for i in range(count)), ("",) * count)
+    return WantedRows(matrix, tuple(f"z{i + 1}" for i in range(count)), ("",) * count)
 
 
 def _named(plant: Plant, name: str) -> tuple[Array, str]:

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.recovery.between import Open, open_row
-from sampling_design.recovery.chain import CELL_LOSS, Chain
-from sampling_design.recovery.program import Adversary, Gains, Window
+from sampling_design.recovery.chain import CELL_LOSS, SampleChain
+from sampling_design.recovery.program import Adversary, ConeWindow, Gains
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ LONGEST = 4096
 
 
 @dataclass(eq=False)
-class Node:
+class SolvedOffset:
     """One offset at which the program was solved: what its gains prove."""
 
     offset: int
@@ -56,7 +56,7 @@ class RowSearch:
     """Everything found about one row: solved offsets per gap, adversaries, and the bracket."""
 
     opened: list[Open]
-    nodes: list[dict[int, Node]] = field(default_factory=list)
+    nodes: list[dict[int, SolvedOffset]] = field(default_factory=list)
     attacks: list[Attack] = field(default_factory=list)
     lower: float = 0.0
     upper: float = np.inf
@@ -84,23 +84,23 @@ class RowSearch:
         return np.concatenate(parts)
 
 
-class Search:
+class ChainSearch:
     """Windows of a chain, made once for each phase and remembered."""
 
-    def __init__(self, chain: Chain, solved: Callable[[], None] = lambda: None):
+    def __init__(self, chain: SampleChain, solved: Callable[[], None] = lambda: None):
         self.chain, self._tell = chain, solved
-        self._windows: dict[tuple[int, int, bool], Window] = {}
+        self._windows: dict[tuple[int, int, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
 
-    def window(self, j: int, count: int, from_zero: bool) -> Window:
+    def window(self, j: int, count: int, from_zero: bool) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
         key = (j, count, from_zero)
         if key not in self._windows:
             nodes = self.chain.nodes(j, count)
             start = np.zeros(self.chain.D.size) if from_zero else self.chain.reach[nodes[0]]
-            self._windows[key] = Window(self.chain, nodes, start)
+            self._windows[key] = ConeWindow(self.chain, nodes, start)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array) -> Gains:
@@ -152,7 +152,7 @@ class Search:
         """Evaluate given gains at offsets after sample j; no solver."""
         for offset, given in zip(offsets, gains, strict=True):
             window = self.window(j, len(given), False)
-            found.nodes[j][offset] = Node(offset, window.upper(found.opened[j].mu[offset], list(given)))
+            found.nodes[j][offset] = SolvedOffset(offset, window.upper(found.opened[j].mu[offset], list(given)))
 
     def profile(self, found: RowSearch) -> None:
         """Attack every gap where its two bounds are furthest apart: the lower one, too, is known at all times."""
@@ -232,7 +232,7 @@ class Search:
     def _node(self, found: RowSearch, j: int, offset: int) -> None:
         gains, old = self.gains(j, found.opened[j].mu[offset]), found.nodes[j].get(offset)
         if old is None or gains.value < old.gains.value or len(gains.gains) > len(old.gains.gains):
-            found.nodes[j][offset] = Node(offset, gains)
+            found.nodes[j][offset] = SolvedOffset(offset, gains)
 
     def strike(self, found: RowSearch, j: int, offset: int) -> tuple[Gains, Attack]:
         """Attack a row at an offset after sample j: what its gains prove, and what it attains all along the gap."""
@@ -248,7 +248,7 @@ class Search:
         found.attacks.append(attack)
         found.lower = max(found.lower, float(np.max(values)))
         if gains.value < found.nodes[j][offset].gains.value:
-            found.nodes[j][offset] = Node(offset, gains)
+            found.nodes[j][offset] = SolvedOffset(offset, gains)
         return float(values[offset]), found.nodes[j][offset].gains.value + float(opened.above[offset])
 
     def segments(self, found: RowSearch) -> list[tuple[float, int, int, int, int]]:

@@ -14,8 +14,8 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.between import Open
-from sampling_design.recovery.bounds import Bounds
-from sampling_design.recovery.chain import Chain
+from sampling_design.recovery.bounds import SignalBounds
+from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.search import Attack
 
 KEPT = 1e-9
@@ -132,7 +132,7 @@ class AccuracyWitness(Record):
         }
 
 
-def attains(witness: AccuracyWitness, bounds: Bounds) -> tuple[float, float]:
+def attains(witness: AccuracyWitness, bounds: SignalBounds) -> tuple[float, float]:
     """Return row'x at the end of a witness flown anew, and the factor by which w and v exceed their bounds."""
     v, x, moved = witness.simulate()
     lap = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
@@ -153,7 +153,7 @@ def _excess(size: Array, limit: Array) -> float:
     return float(np.max(ratio, initial=0.0))
 
 
-def physical(chain: Chain, row: Array, opened: Open, attack: Attack, offset: int) -> AccuracyWitness:
+def physical(chain: SampleChain, row: Array, opened: Open, attack: Attack, offset: int) -> AccuracyWitness:
     """Return an attack with its best end after the last sample, in the plant's units."""
     count = len(attack.adversary.w) + 1
     nodes = chain.nodes(attack.sample, count)

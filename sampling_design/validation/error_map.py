@@ -38,7 +38,7 @@ class Absorb(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class SolveWindow:
     """One solve: from event `start` to event `end`; `absorbs` by event; `given` if the prior is the given one.
 
     `worst` is lambda_max(P, Y) at the start, `known` the part of the radius that noise bounds give.
@@ -54,7 +54,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ErrorRows:
     """Where errors are looked at: every break point, a sample's both before and after it."""
 
     at: Index
@@ -83,8 +83,8 @@ class ErrorMap:
     timeline : Timeline
     F, decay : (K, n, n), (K,) arrays
         Flow and discount between events.
-    windows : tuple of Window, one per sample
-    rows : Rows
+    windows : tuple of SolveWindow, one per sample
+    rows : ErrorRows
     half : (R, n, n) array
         |half e|^2 = |e|^2_Pi at each row.
     H : (N, p, n), weigh : (N, p, p) arrays
@@ -96,8 +96,8 @@ class ErrorMap:
     timeline: Timeline
     F: Array
     decay: Array
-    windows: tuple[Window, ...]
-    rows: Rows
+    windows: tuple[SolveWindow, ...]
+    rows: ErrorRows
     half: Array
     H: Array
     weigh: Array
@@ -136,7 +136,7 @@ class ErrorMap:
         return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted(self.eta, h))
 
     def _solve(
-        self, window: Window, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]
+        self, window: SolveWindow, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]
     ) -> tuple[Array, Array]:
         e0, d, v = given
         e, radius = (e0, np.full(e0.shape[0], self.prior_energy)) if window.given else online[window.start]
@@ -226,7 +226,7 @@ class _Builder:
         self.energies = self.weights.sample_energy(bounds.v, False, line.masks)
         self.w_energy = self.weights.disturbance_energy(bounds.w)
 
-    def build(self) -> tuple[list[Window], Array, Rows]:
+    def build(self) -> tuple[list[SolveWindow], Array, ErrorRows]:
         line, eta = self.line, self.weights.eta
         noise = discounted_flow(line.plant.A, self.weights.noise, line.lengths, eta)[1]
         Y, windows, kept, at, after = self.prior, [], [], [], []
@@ -247,10 +247,10 @@ class _Builder:
             at.append(b)
             after.append(True)
         half = np.asarray(np.linalg.solve(np.linalg.cholesky(np.array(kept)), np.eye(Y.shape[0])))
-        rows = Rows(np.array(at), np.array(after), line.times[at])
+        rows = ErrorRows(np.array(at), np.array(after), line.times[at])
         return windows, half, rows
 
-    def _window(self, end: int, online: dict[int, Array]) -> tuple[Window, Array]:
+    def _window(self, end: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
         j, times = self.sample_of[end], self.line.times[self.line.events]
         start = self.place[int(self.line.starts[j])]
         given = start == 0
@@ -268,7 +268,7 @@ class _Builder:
             if k in self.sample_of and (k > start or given or self.closed):
                 absorbs[k], Y = self._absorbed(self.sample_of[k], Y)
                 known += self.energies[self.sample_of[k]] * float(np.exp(self.weights.eta * (times[k] - times[end])))
-        return Window(start, end, given, absorbs, float(np.exp(-self.weights.eta * length)), worst, known), Y
+        return SolveWindow(start, end, given, absorbs, float(np.exp(-self.weights.eta * length)), worst, known), Y
 
     def _absorbed(self, j: int, Y: Array) -> tuple[Absorb, Array]:
         H = self.H[j]

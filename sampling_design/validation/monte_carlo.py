@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design._workers import Workers, mapped
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 
 Array = npt.NDArray[np.float64]
 
@@ -21,11 +21,11 @@ BLOCK = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class RunBlock:
     """Runs with these seeds through one error map. Small enough to send, and it carries all it needs."""
 
     found: ErrorMap
-    bounds: Bounds
+    bounds: ScenarioBounds
     promise: Promise | None
     measure: Array
     seeds: tuple[np.random.SeedSequence, ...]
@@ -44,7 +44,7 @@ class Trials(NamedTuple):
     plain: Array
 
 
-def run_block(block: Block) -> Trials:
+def run_block(block: RunBlock) -> Trials:
     """Draw, apply and compare one block."""
     found, line = block.found, block.found.timeline
     return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
@@ -69,7 +69,7 @@ def ratio(observed: Array, promised: Array) -> Array:
 
 def monte_carlo(
     found: ErrorMap,
-    bounds: Bounds,
+    bounds: ScenarioBounds,
     promise: Promise | None,
     measure: Array,
     seeds: Sequence[np.random.SeedSequence],
@@ -81,7 +81,7 @@ def monte_carlo(
     Parameters
     ----------
     found, bounds, promise, measure
-        As in `Block`.
+        As in `RunBlock`.
     seeds : sequence of SeedSequence
         A run depends on its own seed alone.
     workers : Executor, Client, int or str, optional
@@ -97,7 +97,9 @@ def monte_carlo(
     ArgumentError
         If `workers` is none of these.
     """
-    blocks = [Block(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)]
+    blocks = [
+        RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
+    ]
     parts = []
     for part in mapped(run_block, blocks, workers):
         parts.append(part)

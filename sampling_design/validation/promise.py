@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
-from sampling_design.validation.error_map import Inputs, Rows, discounted
+from sampling_design.validation.error_map import ErrorRows, Inputs, discounted
 from sampling_design.validation.timeline import Timeline
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +30,7 @@ class Promise:
     rate: float
     gain: float
 
-    def along(self, line: Timeline, rows: Rows, inputs: Inputs) -> Array:
+    def along(self, line: Timeline, rows: ErrorRows, inputs: Inputs) -> Array:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)
@@ -52,7 +52,7 @@ class Promise:
         """Return the weight of v at each of N samples, (N, p, p): what is not measured is free."""
         return np.array([marginal(self.v, mask > 0) for mask in masks])
 
-    def at_most(self, line: Timeline, rows: Rows, energies: tuple[float, float, Array]) -> Array:
+    def at_most(self, line: Timeline, rows: ErrorRows, energies: tuple[float, float, Array]) -> Array:
         """Return the right side at every row for the largest |e0|^2, |w|^2 and (per sample) |v|^2 in these weights."""
         e0, w, v = energies
         t, when = rows.times, line.times[line.samples]

@@ -29,7 +29,7 @@ UNMOVED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class ScenarioBounds:
     """Bounds on w(t), v and x(0) - prior: 0-d arrays bound the Euclidean norm, vectors each entry."""
 
     w: Array
@@ -37,7 +37,7 @@ class Bounds:
     e0: Array
 
     @classmethod
-    def of(cls, plant: Plant, w_bound: Any = None, v_bound: Any = None, initial_error: Any = None) -> Bounds:
+    def of(cls, plant: Plant, w_bound: Any = None, v_bound: Any = None, initial_error: Any = None) -> ScenarioBounds:
         """Return checked bounds; where None is given, the plant's scales, entry by entry.
 
         Raises
@@ -106,7 +106,7 @@ def norm_of(bound: Array) -> float:
     return float(bound) if bound.ndim == 0 else float(np.linalg.norm(bound))
 
 
-def draw_inputs(line: Timeline, bounds: Bounds, seeds: Sequence[np.random.SeedSequence]) -> Inputs:
+def draw_inputs(line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.random.SeedSequence]) -> Inputs:
     """Return random inputs within the bounds, one run per seed; each kind of disturbance in turn."""
     plant = line.plant
     n, q, p = plant.n_states, plant.n_disturbances, plant.n_outputs
@@ -137,7 +137,7 @@ def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Arra
     return np.asarray(wave * most_along(bound, rng.normal(size=q)))
 
 
-def resonant_inputs(line: Timeline, bounds: Bounds) -> tuple[Inputs, tuple[str, ...]]:
+def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[Inputs, tuple[str, ...]]:
     """Return disturbances in step with each mode (two phases for a swinging one), from rest and without noise.
 
     The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; pushed with
@@ -166,7 +166,7 @@ def resonant_inputs(line: Timeline, bounds: Bounds) -> tuple[Inputs, tuple[str, 
     return Inputs(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(names)
 
 
-def initial_inputs(line: Timeline, bounds: Bounds) -> Inputs:
+def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> Inputs:
     """Return initial errors along each state, both at once with all signs of the first two, and nothing else."""
     n = line.plant.n_states
     directions = np.vstack([np.eye(n), np.ones(n), np.where(np.arange(n) % 2, -1.0, 1.0)])
@@ -259,7 +259,7 @@ def simulate_record(
     (10, True)
     """
     seed = (np.random.default_rng(0) if rng is None else rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
-    bounds = Bounds.of(plant, w_bound, v_bound)
+    bounds = ScenarioBounds.of(plant, w_bound, v_bound)
     line = build_timeline(plant, schedule, duration)
     drawn = draw_inputs(line, bounds, seed)
     changes = _inputs(plant, inputs)

@@ -22,7 +22,7 @@ from sampling_design.validation.pairs import random_pairs, worst_pair
 from sampling_design.validation.promise import Promise, promise_of
 from sampling_design.validation.report import ROUNDING, Course, Example, Finding, ValidationReport
 from sampling_design.validation.scenario import (
-    Bounds,
+    ScenarioBounds,
     draw_inputs,
     initial_inputs,
     largest_square,
@@ -68,7 +68,7 @@ class Study:
         plant: Plant,
         schedule: Any,
         certificate: SampledCertificate | None,
-        bounds: Bounds,
+        bounds: ScenarioBounds,
         options: dict[str, Any],
         duration: Any,
     ):

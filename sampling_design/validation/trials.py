@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.estimators.online.estimator import Estimate, Estimator
 from sampling_design.plants.plant import Plant
-from sampling_design.validation.error_map import Inputs, Rows
+from sampling_design.validation.error_map import ErrorRows, Inputs
 from sampling_design.validation.timeline import Timeline, exact_flow
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,7 @@ class Run(NamedTuple):
     estimates: tuple[Estimate, ...]
     truth: Truth
 
-    def errors(self, rows: Rows) -> Array:
+    def errors(self, rows: ErrorRows) -> Array:
         """Errors at the rows, (R, n)."""
         return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
 
@@ -75,7 +75,7 @@ def true_run(line: Timeline, inputs: Inputs, run: int = 0) -> Truth:
     return Truth(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
 
 
-def real_run(line: Timeline, rows: Rows, truth: Truth, estimator: Estimator) -> Run:
+def real_run(line: Timeline, rows: ErrorRows, truth: Truth, estimator: Estimator) -> Run:
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:

@@ -16,7 +16,7 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.report import ValidationReport
-from sampling_design.validation.scenario import Bounds
+from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.study import SCENARIOS, Study
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +109,7 @@ def validate(
     check_workers(workers)
     if rng is not None and not isinstance(rng, np.random.Generator):
         raise ArgumentError(f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}.")
-    bounds = Bounds.of(plant, w_bound, v_bound, initial_error)
+    bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
     source = np.random.default_rng(0) if rng is None else rng
     root: Any = source.bit_generator.seed_seq
     count = _checks.whole("runs", runs, 1)

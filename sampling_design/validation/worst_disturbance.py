@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.validation.error_map import ErrorMap, Inputs, Window, discounted
+from sampling_design.validation.error_map import ErrorMap, Inputs, SolveWindow, discounted
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import Bounds, most_along
+from sampling_design.validation.scenario import ScenarioBounds, most_along
 
 Array = npt.NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def _through_cell(found: ErrorMap, c: int, functional: Array, result: Sensitivit
     return np.asarray(functional @ found.timeline.F[c])
 
 
-def _through_window(found: ErrorMap, window: Window, functional: Array, result: Sensitivity) -> Array:
+def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, result: Sensitivity) -> Array:
     events = found.timeline.events
     for k in range(window.end, window.start - 1, -1):
         absorb = window.absorbs.get(k)
@@ -126,7 +126,7 @@ def _weighted(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -
     return flat
 
 
-def worst_push(found: ErrorMap, bounds: Bounds, root: Array) -> Inputs:
+def worst_push(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> Inputs:
     """Return the inputs within the bounds that push the last error furthest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.

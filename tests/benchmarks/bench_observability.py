@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import PeriodicSchedule, Plant, observability_matrix, window_sigma
-from sampling_design._modal import Flow
+from sampling_design._modal import ModalFlow
 from sampling_design.plants import library
 
 RNG = np.random.default_rng(0)
@@ -36,12 +36,12 @@ def test_rows_through_modal_blocks(benchmark, name):
 @pytest.mark.parametrize("name", PLANTS)
 def test_rows_through_modal_blocks_first_call(benchmark, name):
     plant = PLANTS[name]
-    benchmark(lambda: Flow(plant.A).rows(plant.C, TIMES[name]))
+    benchmark(lambda: ModalFlow(plant.A).rows(plant.C, TIMES[name]))
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_rows_by_scaling_and_squaring(benchmark, name):
-    plant, flow = PLANTS[name], Flow(PLANTS[name].A)
+    plant, flow = PLANTS[name], ModalFlow(PLANTS[name].A)
     benchmark(lambda: flow._dense(plant.C, TIMES[name]))
 
 

@@ -9,7 +9,7 @@ import pytest
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.monte_carlo import monte_carlo
-from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import real_run, true_run
 from sampling_design.validation.worst_disturbance import sensitivity
@@ -17,7 +17,7 @@ from sampling_design.validation.worst_disturbance import sensitivity
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
 SCHEDULE = PeriodicSchedule([0.7, 1.2, 0.9, 1.2])
-BOUNDS = Bounds.of(PLANT, 0.5, 0.5, 3.0)
+BOUNDS = ScenarioBounds.of(PLANT, 0.5, 0.5, 3.0)
 SAMPLES = 100
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design.certificates.rigorous.ball_problem import Frame, Laps, Unproven, Weights, noise
-from sampling_design.certificates.rigorous.ball_proof import Windows, settled
+from sampling_design.certificates.rigorous.ball_problem import BallFrame, BallLaps, BallWeights, Unproven, noise
+from sampling_design.certificates.rigorous.ball_proof import BallWindows, settled
 from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.errors import CertificateError, MissingExtraError
@@ -300,14 +300,14 @@ def test_chosen_weights_are_proven():
     [
         (lambda data: targets(data | {"margin": -0.1}), "margin must be non-negative, got -0.1"),
         (lambda data: targets(data | {"lam": np.inf}), "lam must be positive and finite, got inf"),
-        (lambda data: Weights(data | {"Qv": [[-1.0]]}), "Qv is not positive definite"),
+        (lambda data: BallWeights(data | {"Qv": [[-1.0]]}), "Qv is not positive definite"),
         (
-            lambda data: Laps(data["times"] | {"first": 5.0}, 1),
+            lambda data: BallLaps(data["times"] | {"first": 5.0}, 1),
             "times must increase strictly, the first within the period",
         ),
         (lambda data: targets(data | {"P2": None}), "the data are no certificate"),
         (
-            lambda data: Frame(Weights(data), Laps(data["times"], 1), -Weights(data).P2, "0 < -1"),
+            lambda data: BallFrame(BallWeights(data), BallLaps(data["times"], 1), -BallWeights(data).P2, "0 < -1"),
             "the left side is not",
         ),
         (
@@ -364,9 +364,9 @@ def test_a_recursion_that_grows_has_no_family():
         eta=0.4,
     ).to_dict()
     with balls.precision():
-        weights = Weights(made_up)
-        frame = Frame(weights, Laps(made_up["times"], 1), weights.P2, "aliased")
-        flows = Windows(frame, Clock(60.0)).flows
+        weights = BallWeights(made_up)
+        frame = BallFrame(weights, BallLaps(made_up["times"], 1), weights.P2, "aliased")
+        flows = BallWindows(frame, Clock(60.0)).flows
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
             settled(frame, flows, 1e-2)
 
@@ -374,10 +374,10 @@ def test_a_recursion_that_grows_has_no_family():
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
     data = made("oscillator").to_dict()
     with balls.precision():
-        weights = Weights(data)
+        weights = BallWeights(data)
 
         def make():
-            return Frame(weights, Laps(data["times"], 1), weights.P2, "out of reach")
+            return BallFrame(weights, BallLaps(data["times"], 1), weights.P2, "out of reach")
 
         with pytest.raises(OutOfTime, match="the budget ran out"):
             refute(make, Clock(-1.0))

@@ -21,9 +21,9 @@ from sampling_design import (
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock
 from sampling_design.certificates.families.certify_family import certify_family
-from sampling_design.certificates.rigorous.ball_problem import Unproven, Weights
+from sampling_design.certificates.rigorous.ball_problem import BallWeights, Unproven
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.certificates.rigorous.family_balls import Intervals
+from sampling_design.certificates.rigorous.family_balls import BallIntervals
 from sampling_design.checkers.cover import covers
 from tests.checkers.test_sampled import redigested
 from tests.oracles import riccati as oracle
@@ -203,7 +203,7 @@ def test_coverage_by_closed_intervals():
 def test_an_interval_that_is_exactly_tight_is_undecided(made):
     data = made("oscillator, gap range").to_dict()
     with balls.precision():
-        weights = Weights(data)
-        tight = Intervals(weights, weights.P2, [], "P2 <= P2", Clock(60.0))
+        weights = BallWeights(data)
+        tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", Clock(60.0))
         with pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
             tight.prove(weights.P2, None, Fraction(0), Fraction(0))

@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.recovery.bounds import Bounds
+from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.interval import Engine, interval, read_record
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
@@ -106,7 +106,7 @@ def test_one_row_takes_milliseconds():
     plant = sd.Plant(A, [[1.0, 0.0, 1.0, 0.0]])
     record = [(t, [np.sin(t)], None) for t in np.cumsum(np.random.default_rng(0).uniform(0.3, 1, 20))]
     data = read_record(plant, record, None, None, None)
-    engine, taken = Engine(plant, Bounds.of(plant, 20, None, 0.05, 0.5), data), []
+    engine, taken = Engine(plant, SignalBounds.of(plant, 20, None, 0.05, 0.5), data), []
     for _ in range(10):
         for row in np.eye(4):
             begun = time.process_time()

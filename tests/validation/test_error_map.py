@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator
 from sampling_design.validation.error_map import Inputs, build_error_map
-from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from tests.oracles.validation import integrate, moving_horizon
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
@@ -14,7 +14,7 @@ OPTIONS = {"plain": {}, "carried": {"arrival_cost": "filtered"}, "paper": {"cost
 
 
 def built(name, duration, **options):
-    plant, bounds = PLANTS[name], Bounds.of(PLANTS[name], 0.4, 0.3, 1.5)
+    plant, bounds = PLANTS[name], ScenarioBounds.of(PLANTS[name], 0.4, 0.3, 1.5)
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
     line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon)

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Plant, simulate_record
 from sampling_design.validation.scenario import (
-    Bounds,
+    ScenarioBounds,
     draw_inputs,
     initial_inputs,
     largest_square,
@@ -29,7 +29,7 @@ def excess(bound, values):
 
 @pytest.mark.parametrize("bounds", [(0.4, 0.3, 1.5), ([0.1, 0.7], [0.3], [1.0, 2.0])], ids=["norms", "entries"])
 def test_every_scenario_stays_within_its_bounds_and_reaches_them(bounds):
-    chosen = Bounds.of(OSCILLATOR, *bounds)
+    chosen = ScenarioBounds.of(OSCILLATOR, *bounds)
     line = build_timeline(OSCILLATOR, SCHEDULES["oscillator"], 15.0, 4.0)
     seeds = np.random.SeedSequence(0).spawn(40)
     for inputs in (draw_inputs(line, chosen, seeds), resonant_inputs(line, chosen)[0], initial_inputs(line, chosen)):
@@ -42,7 +42,7 @@ def test_every_scenario_stays_within_its_bounds_and_reaches_them(bounds):
 
 def test_a_resonant_disturbance_drives_an_oscillator_at_the_fastest_rate():
     line = build_timeline(OSCILLATOR, PeriodicSchedule([1.0]), 40.0)
-    inputs, names = resonant_inputs(line, Bounds.of(OSCILLATOR, 1.0))
+    inputs, names = resonant_inputs(line, ScenarioBounds.of(OSCILLATOR, 1.0))
     assert len(names) == 2
     assert names[0].startswith("1 rad per s")
     for w in inputs.w:
@@ -108,11 +108,11 @@ def test_default_durations():
 
 def test_bad_input_is_refused():
     with pytest.raises(ArgumentError, match="`w_bound` must not be negative"):
-        Bounds.of(OSCILLATOR, [-1.0, 1.0])
+        ScenarioBounds.of(OSCILLATOR, [-1.0, 1.0])
     with pytest.raises(ArgumentError, match="`v_bound` must not be negative"):
-        Bounds.of(OSCILLATOR, None, -1.0)
+        ScenarioBounds.of(OSCILLATOR, None, -1.0)
     with pytest.raises(ArgumentError, match="`initial_error` must have 2 entries"):
-        Bounds.of(OSCILLATOR, None, None, [1.0])
+        ScenarioBounds.of(OSCILLATOR, None, None, [1.0])
     with pytest.raises(ArgumentError, match="`schedule` holds no sample in"):
         simulate_record(OSCILLATOR, PeriodicSchedule([5.0]), 3.0)
     with pytest.raises(ArgumentError, match="`duration` must be positive"):

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
 from sampling_design.validation.error_map import build_error_map
-from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import driven, extent, real_run, true_run
 from tests.oracles.validation import integrate
@@ -21,7 +21,7 @@ def line_of(plant, duration, first):
 @pytest.mark.parametrize("first", [0.0, 0.4])
 def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     line = line_of(UNSTABLE, 30.0, first)
-    inputs = draw_inputs(line, Bounds.of(UNSTABLE, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))
+    inputs = draw_inputs(line, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))
     truth = true_run(line, inputs)
     assert np.max(np.abs(truth.states)) < 10.0
     n, marks = 2, np.unique(np.concatenate([[0], line.samples]))
@@ -31,7 +31,7 @@ def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     states = integrate(UNSTABLE.A, both, -inputs.e0[0], line.times[: head + 1], forces[:head])
     assert truth.states[: head + 1] == pytest.approx(states, abs=1e-8)
     mhe = MovingHorizonEstimator(driven(UNSTABLE), **WEIGHTS)
-    found = build_error_map(line, mhe, Bounds.of(UNSTABLE, 0.1, 0.1, 1.0))
+    found = build_error_map(line, mhe, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0))
     run = real_run(line, found.rows, truth, mhe)
     assert run.errors(found.rows) == pytest.approx(found.apply(inputs).e[0], abs=1e-10)
 
@@ -39,7 +39,7 @@ def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
 def test_a_calm_truth_is_left_alone():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     line = line_of(plant, 10.0, 0.4)
-    inputs = draw_inputs(line, Bounds.of(plant, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))
+    inputs = draw_inputs(line, ScenarioBounds.of(plant, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))
     truth = true_run(line, inputs)
     assert truth.u is None
     low, high = extent(truth)

@@ -6,7 +6,7 @@ import pytest
 from sampling_design import MovingHorizonEstimator
 from sampling_design.validation.error_map import Inputs, build_error_map
 from sampling_design.validation.promise import promise_of
-from sampling_design.validation.scenario import Bounds, draw_inputs
+from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.worst_disturbance import sensitivity, worst_energy, worst_push
 from tests.oracles.validation import promised
@@ -17,7 +17,7 @@ CASES += [("oscillator", "paper"), ("unstable", "carried")]
 
 
 def built(name, kind, duration=6.0):
-    plant, bounds = PLANTS[name], Bounds.of(PLANTS[name], 0.4, 0.3, 1.5)
+    plant, bounds = PLANTS[name], ScenarioBounds.of(PLANTS[name], 0.4, 0.3, 1.5)
     options = {"arrival_cost": "filtered"} if kind == "carried" else {"cost": kind}
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)

@@ -14,7 +14,7 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.families.certify_family import Proposal, Search, certified
+from sampling_design.certificates.families.certify_family import FamilySearch, Proposal, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.seal import RESOLUTION
@@ -38,7 +38,7 @@ MOST_UNKNOWNS = 1200
 
 
 @dataclass(frozen=True)
-class Trial:
+class TimingTrial:
     """One timing error: its lambda with the unchanged weights, and whether it survives.
 
     Where it does not, lambda is that of the semidefinite program on its grid of gaps (infinite: none).
@@ -51,7 +51,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Losses:
-    """At most `most` of any `of` consecutive samples lost: lambda and verdict as for `Trial`."""
+    """At most `most` of any `of` consecutive samples lost: lambda and verdict as for `TimingTrial`."""
 
     most: int
     of: int
@@ -78,7 +78,7 @@ class Robustness(Record):
         Proven: every sample may be this much early or late.
     broken : float [time]
         The least radius that was tried without success, or where samples could change places.
-    trials : tuple of Trial
+    trials : tuple of TimingTrial
         Radii in order, with their lambda.
     losses : tuple of Losses
         All counts that were tried.
@@ -95,7 +95,7 @@ class Robustness(Record):
     limit: float
     radius: float
     broken: float
-    trials: tuple[Trial, ...]
+    trials: tuple[TimingTrial, ...]
     losses: tuple[Losses, ...]
     jittered: FamilyCertificate | None
     thinned: tuple[FamilyCertificate, ...]
@@ -110,7 +110,7 @@ class Robustness(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the certificates; a lambda that does not exist is None."""
 
-        def plain(entry: Trial | Losses) -> dict[str, Any]:
+        def plain(entry: TimingTrial | Losses) -> dict[str, Any]:
             data = asdict(entry)
             return {**data, "lam": data["lam"] if np.isfinite(data["lam"]) else None}
 
@@ -171,7 +171,7 @@ class _Breaker:
                 self.late = True
                 break
             within = in_plant_terms(self.plant, family)
-            search = Search(self.plant, within, self.weights, self.certificate.P2, np.inf, self.deadline)
+            search = FamilySearch(self.plant, within, self.weights, self.certificate.P2, np.inf, self.deadline)
             try:
                 found = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
             except SamplingDesignError:
@@ -284,17 +284,17 @@ def _proven(breaker: _Breaker, family: Any, found: Proposal) -> FamilyCertificat
 
 def _largest_radius(
     breaker: _Breaker, schedule: PeriodicSchedule, report: Progress
-) -> tuple[float, float, list[Trial], Proposal | None]:
+) -> tuple[float, float, list[TimingTrial], Proposal | None]:
     top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
     low, high, best = 0.0, top, None
-    trials = [Trial(0.0, breaker.certificate.lam, True)]
+    trials = [TimingTrial(0.0, breaker.certificate.lam, True)]
     radius = top
     while high - low > RADIUS_RTOL * top and not breaker.late:
         report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
         lam, found = breaker.judge(Jitter(schedule, radius), list(range(JITTER_MEMORY)))
         if breaker.late:
             break
-        trials.append(Trial(radius, lam, found is not None))
+        trials.append(TimingTrial(radius, lam, found is not None))
         low, high, best = (radius, high, found) if found is not None else (low, radius, best)
         if low == top:
             break

@@ -110,7 +110,7 @@ class Setting:
         return P, self.windows.value(P)
 
 
-class Search:
+class WeightSearch:
     """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
 
     def __init__(self, canon: Canonical) -> None:
@@ -210,7 +210,7 @@ def _value(choice: Choice) -> float:
 class _State:
     """Variables z = (ln lam, entries of T, ln eta); constraints: every window, and every eigenvalue of (P2, B)."""
 
-    def __init__(self, search: Search, L: Array, eta: float, bounds: tuple[float, float], budget: float) -> None:
+    def __init__(self, search: WeightSearch, L: Array, eta: float, bounds: tuple[float, float], budget: float) -> None:
         self.search, self.L, self.eta, self.bounds, self.budget = search, L, eta, bounds, budget
         self.lower = np.tril_indices(len(L))
         self.known: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
@@ -331,7 +331,7 @@ def choose_weights(
     UndecidedError
         If the windows of every rate are lost in rounding.
     """
-    search = Search(canon)
+    search = WeightSearch(canon)
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
@@ -372,7 +372,7 @@ def choose_weights(
     return [_ordered(search, shapes, budget) for budget in budgets]
 
 
-def _ordered(search: Search, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:
+def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:
     """The shapes of references up to the budget, each scaled to it, the best first."""
     found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
     return sorted((choice for choice in found if choice is not None), key=_value)

@@ -92,7 +92,7 @@ class Shortfall:
     lam: float
 
 
-class Search:
+class FamilySearch:
     """The semidefinite program of one plant, family and choice of weights, for one rate and memory after the other."""
 
     def __init__(
@@ -320,7 +320,7 @@ def certify_family(
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     least = refute(plant, family, bounds[0], quick=True)
-    found = Search(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
+    found = FamilySearch(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
     return certified(plant, family, weights, given, found)
 
 
@@ -364,7 +364,7 @@ def without_states(plant: Plant, family: Any, weights: Weights, rate: float, gra
     )
 
 
-def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:
+def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
     part = None
     low, high = 0.0, 1.0
@@ -373,7 +373,7 @@ def _undecided(search: Search, eta: float, missed: list[Shortfall], least: tuple
         smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
-        found = Search(search.plant, smaller, search.weights, search.P2, search.budget).propose(eta, 0)
+        found = FamilySearch(search.plant, smaller, search.weights, search.P2, search.budget).propose(eta, 0)
         low, high, part = (fraction, high, smaller) if isinstance(found, Proposal) else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"

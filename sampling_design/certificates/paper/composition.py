@@ -10,7 +10,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.paper.observable_case import SAFE, Chain, _in_range
+from sampling_design.certificates.paper.observable_case import SAFE, ProofChain, _in_range
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 
@@ -54,7 +54,7 @@ def _lyapunov(A: Array, Q: Array) -> Array:
     return symmetrise(np.asarray(solve_continuous_lyapunov(A.T, -Q), dtype=np.float64))
 
 
-def compose(split: ModalSplit, chain: Chain, decay: ResidualDecay, window: float, kappa: int) -> Chain:
+def compose(split: ModalSplit, chain: ProofChain, decay: ResidualDecay, window: float, kappa: int) -> ProofChain:
     """Put the retained part's chain and the residual's decay together (theory 3.3).
 
         eta = min(eta_u, .9 eta_s),  S = kappa/(1 - e^{-(eta_s - eta) T}),  beta = 2 R0u |C_s|^2 S/lambda_min(P_s),
@@ -88,10 +88,10 @@ def compose(split: ModalSplit, chain: Chain, decay: ResidualDecay, window: float
     )
     _in_range(steps)
     constants = ConstantList((*chain.constants, *steps))
-    return Chain(symmetrise(P1), symmetrise(P2), symmetrise(Qw), 2 * chain.R0, eta, constants)
+    return ProofChain(symmetrise(P1), symmetrise(P2), symmetrise(Qw), 2 * chain.R0, eta, constants)
 
 
-def residual_alone(plant: Plant, decay: ResidualDecay) -> Chain:
+def residual_alone(plant: Plant, decay: ResidualDecay) -> ProofChain:
     """Chain of a plant of which nothing is retained: no sample is needed, lambda = 1 but for SLACK."""
     eta = decay.eta
     sizes = np.diagonal(decay.W)
@@ -100,4 +100,4 @@ def residual_alone(plant: Plant, decay: ResidualDecay) -> Chain:
         Constant("eta_s", eta, r"1/(2\lambda_{\max}(P_s))", "Theorem 16 with an empty retained part", r"\eta_s"),
         Constant("R0", 1.0, r"\text{any positive number}", "Theorem 16 with an empty retained part", "R_0"),
     )
-    return Chain((1 - SLACK) * decay.P, decay.P, decay.W + floor, 1.0, eta, ConstantList(steps))
+    return ProofChain((1 - SLACK) * decay.P, decay.P, decay.W + floor, 1.0, eta, ConstantList(steps))

@@ -18,8 +18,8 @@ from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.composition import RATE_SHARE, compose, residual_alone, residual_decay
 from sampling_design.certificates.paper.gain_sweep import best_gain
 from sampling_design.certificates.paper.observable_case import (
-    Chain,
     Hypotheses,
+    ProofChain,
     paper_chain,
     tightened_chain,
     within_range,
@@ -317,7 +317,7 @@ def _record(
     schedule: Schedule | PeriodicSchedule,
     variant: str,
     split: ModalSplit,
-    chain: Chain,
+    chain: ProofChain,
     found: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
@@ -337,7 +337,7 @@ def _record(
     )
 
 
-def _gains(chain: Chain) -> tuple[Constant, ...]:
+def _gains(chain: ProofChain) -> tuple[Constant, ...]:
     """Noise weight, lambda, horizon and gains of Theorem 9."""
     lam = max(chain.lam, 1.0)
     horizon = 2 * float(np.log(2 * lam)) / chain.eta

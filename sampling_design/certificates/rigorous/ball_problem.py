@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Flow
+from sampling_design._ball_flow import BallFlow
 from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ def positive_definite(name: str, M: Matrix) -> None:
         raise Unproven(verdict, f"{name} > 0", f"{name} {word} positive definite")
 
 
-class Weights:
+class BallWeights:
     """Plant and weights of a certificate: A, C, S = G Qw^-1 G', V = R^-1 + Qv^-1, P2, eta; forms by symmetric part."""
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -110,7 +110,7 @@ def positive(name: str, value: Any) -> float:
     return number
 
 
-class Laps:
+class BallLaps:
     """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
 
     def __init__(self, times: dict[str, Any], p: int) -> None:
@@ -140,20 +140,20 @@ class Laps:
         return (i + 1) % self.N
 
 
-class Frame:
+class BallFrame:
     """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I.
 
     Of `laps` only `seen` is used here, which outputs each kind of sample measures.
     """
 
-    def __init__(self, weights: Weights, laps: Any, target: Matrix, inequality: str) -> None:
+    def __init__(self, weights: BallWeights, laps: Any, target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
             raise Unproven(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
         self.weights, self.laps, self.n, self.inequality = weights, laps, weights.n, inequality
         self.L, Lt = L, L.transpose()
         A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2
-        self.flow = Flow(A, Lt * weights.S * L)
+        self.flow = BallFlow(A, Lt * weights.S * L)
         self.start = Lt * weights.prior * L
         turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
         self.rows, self.noises = [], []

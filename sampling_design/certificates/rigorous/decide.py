@@ -18,15 +18,15 @@ from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
     REFUTED,
     UNDECIDED,
-    Frame,
-    Laps,
+    BallFrame,
+    BallLaps,
+    BallWeights,
     Unproven,
-    Weights,
     positive,
     positive_definite,
     reading,
 )
-from sampling_design.certificates.rigorous.ball_proof import Windows
+from sampling_design.certificates.rigorous.ball_proof import BallWindows
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
@@ -167,13 +167,13 @@ def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated = targets(data)
     with reading():
-        Laps(data["times"], Weights(data).p)
+        BallLaps(data["times"], BallWeights(data).p)
     slack = 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
 
-        def make(k: int = k, inequality: str = inequality) -> Frame:
-            weights = Weights(data)
-            return Frame(weights, Laps(data["times"], weights.p), targets(data)[k][0], inequality)
+        def make(k: int = k, inequality: str = inequality) -> BallFrame:
+            weights = BallWeights(data)
+            return BallFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k][0], inequality)
 
         slack = min(slack, prove(make, samples_only, clock))
     if stated and data["witness"] is not None:
@@ -184,9 +184,9 @@ def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
 
 def attained(data: dict[str, Any]) -> None:
     """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
-    weights = Weights(data)
-    laps = Laps(data["times"], weights.p)
-    frame = Frame(weights, laps, weights.P2, "witness")
+    weights = BallWeights(data)
+    laps = BallLaps(data["times"], weights.p)
+    frame = BallFrame(weights, laps, weights.P2, "witness")
     with reading():
         seen = data["witness"]
         start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
@@ -201,7 +201,7 @@ def attained(data: dict[str, Any]) -> None:
         raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: Frame, start: float, t: float) -> Matrix:
+def flown(frame: BallFrame, start: float, t: float) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
     laps, Y, now = frame.laps, frame.start, ball(start)
     near, lap = NEAR * max(t, 1e-300), 0 * laps.period
@@ -217,10 +217,10 @@ def flown(frame: Frame, start: float, t: float) -> Matrix:
     return lowered(frame.flow.step(Y, ball(t) - now))
 
 
-def prove(make: Callable[[], Frame], samples_only: bool, clock: Clock) -> float:
+def prove(make: Callable[[], BallFrame], samples_only: bool, clock: Clock) -> float:
     """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
     frame = make()
-    windows = Windows(frame, clock)
+    windows = BallWindows(frame, clock)
     windows.propose()
     halved: list[int] = []
 

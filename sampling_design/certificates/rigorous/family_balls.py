@@ -29,9 +29,9 @@ from sampling_design._balls import (
 from sampling_design.certificates.rigorous.ball_problem import (
     REFUTED,
     UNDECIDED,
-    Frame,
+    BallFrame,
+    BallWeights,
     Unproven,
-    Weights,
     positive_definite,
     reading,
 )
@@ -44,14 +44,14 @@ Pattern = tuple[bool, ...]
 SUBJECT = "every schedule of the family, every real window start and every later t"
 
 
-class Intervals:
+class BallIntervals:
     """Proofs of Y <= I after a sample of some outputs, or without one, for all times of an interval."""
 
     def __init__(
-        self, weights: Weights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Clock
+        self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Clock
     ) -> None:
         seen = [np.array(pattern, dtype=bool) for pattern in patterns]
-        self.frame = Frame(weights, SimpleNamespace(seen=seen), target, name)
+        self.frame = BallFrame(weights, SimpleNamespace(seen=seen), target, name)
         self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
 
     def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:
@@ -110,20 +110,20 @@ def family(data: dict[str, Any], stated: list[tuple[Matrix, str, bool]], clock: 
     except Refused as error:
         raise Unproven(REFUTED, error.inequality, error.reason) from None
     with reading():
-        weights = Weights(data)
+        weights = BallWeights(data)
     P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
         positive_definite(f"P_{u}", node)
     slack = 1.0
     patterns = sorted({edge.outputs for edge in graph.edges if any(edge.outputs)})
     for v in sorted({edge.target for edge in graph.edges}) if weights.n else ():
-        into = Intervals(weights, P[v], patterns, f"Phi_h(P_u) + C'R~C >= P_{v}", clock)
+        into = BallIntervals(weights, P[v], patterns, f"Phi_h(P_u) + C'R~C >= P_{v}", clock)
         for edge in graph.edges:
             if edge.target == v:
                 into.prove(P[edge.source], edge.outputs, Fraction(edge.low), Fraction(edge.high))
         slack = min(slack, 1.0 - into.reached)
     for target, name, _ in stated:
-        along = Intervals(weights, target, [], name, clock)
+        along = BallIntervals(weights, target, [], name, clock)
         for u, node in enumerate(P):
             along.prove(node, None, Fraction(0), Fraction(graph.top(u)))
         slack = min(slack, 1.0 - along.reached)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import ball, definite, floats, lowered, precision
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, Frame, Unproven
+from sampling_design.certificates.rigorous.ball_problem import REFUTED, BallFrame, Unproven
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +33,7 @@ DOUBT = 1e-6
 
 
 @dataclass(frozen=True)
-class Point:
+class WindowPoint:
     """One window and time, with the largest eigenvalue of Y there as floats see it."""
 
     i: int
@@ -43,10 +43,10 @@ class Point:
     value: float
 
 
-class Search:
+class RefutationSearch:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
-    def __init__(self, frame: Frame, samples_only: bool, clock: Clock) -> None:
+    def __init__(self, frame: BallFrame, samples_only: bool, clock: Clock) -> None:
         self.frame, self.laps, self.samples_only, self.clock = frame, frame.laps, samples_only, clock
         self.gaps = [float(gap) for gap in self.laps.gaps]
         self.reach = [float(gap) for gap in self.laps.reach]
@@ -63,7 +63,7 @@ class Search:
         left = np.eye(self.frame.n) - K @ C
         return np.asarray(left @ Y @ np.swapaxes(left, -1, -2) + K @ V @ np.swapaxes(K, -1, -2))
 
-    def grid(self) -> list[Point]:
+    def grid(self) -> list[WindowPoint]:
         """Best points of a grid, the best first: one for each cell of starts and gap in which it is looked at."""
         parts, start = np.arange(PARTS + 1) / PARTS, floats(self.frame.start)
         pairs = [[self.frame.flow.over(gap * float(part)) for part in parts] for gap in self.laps.gaps]
@@ -77,7 +77,7 @@ class Search:
             found += self._followed(Y, i, r, flows)
         return sorted(found, key=lambda point: (-round(point.value, 12), point.k))
 
-    def _followed(self, Y: Array, i: int, r: Array, flows: list[tuple[Array, Array]]) -> list[Point]:
+    def _followed(self, Y: Array, i: int, r: Array, flows: list[tuple[Array, Array]]) -> list[WindowPoint]:
         """Best points along the windows that start r before sample i, until a lap changes nothing."""
         laps, found, before, parts = self.laps, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
         for k in range(1, LAPS * laps.N + 1):
@@ -96,10 +96,10 @@ class Search:
             Y = stack[-1]
         return found
 
-    def _best(self, Y: Array, i: int, r: Array, k: int, times: Array) -> Point:
+    def _best(self, Y: Array, i: int, r: Array, k: int, times: Array) -> WindowPoint:
         values = np.linalg.eigvalsh(Y)[:, -1].reshape(times.size, r.size)
         row, column = np.unravel_index(int(np.argmax(values)), values.shape)
-        return Point(i, float(r[column]), k, float(times[row]), float(values[row, column]))
+        return WindowPoint(i, float(r[column]), k, float(times[row]), float(values[row, column]))
 
     def value(self, i: int, r: float, k: int, s: float) -> float:
         """Largest eigenvalue of Y at a point."""
@@ -111,7 +111,7 @@ class Search:
             Y = self.step(Y, s if last else self.gaps[(i + j + 1) % self.laps.N])
         return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
 
-    def polished(self, point: Point) -> Point:
+    def polished(self, point: WindowPoint) -> WindowPoint:
         """The point moved to the nearest local maximum over r and s."""
         from scipy.optimize import minimize
 
@@ -137,10 +137,10 @@ class Search:
         if -result.fun <= point.value:
             return point
         r, s = at(result.x)
-        return Point(point.i, float(r), point.k, float(s), float(-result.fun))
+        return WindowPoint(point.i, float(r), point.k, float(s), float(-result.fun))
 
 
-def fails_at(frame: Frame, point: Point) -> bool:
+def fails_at(frame: BallFrame, point: WindowPoint) -> bool:
     """Whether Y <= I certainly fails at a point: a lower bound of Y is carried along, for the recursion is monotone."""
     laps = frame.laps
     Y = frame.flow.step(frame.start, ball(point.r).min(laps.reach[point.i]))
@@ -152,10 +152,10 @@ def fails_at(frame: Frame, point: Point) -> bool:
     return definite(frame.identity - Y) is False
 
 
-def refute(make: Callable[[], Frame], clock: Clock, samples_only: bool = False) -> None:
+def refute(make: Callable[[], BallFrame], clock: Clock, samples_only: bool = False) -> None:
     """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
-    search = Search(frame, samples_only, clock)
+    search = RefutationSearch(frame, samples_only, clock)
     for point in [search.polished(point) for point in search.grid()[:POLISHES]]:
         for bits in BITS if point.value > 1 - DOUBT else ():
             with precision(bits):
@@ -164,7 +164,7 @@ def refute(make: Callable[[], Frame], clock: Clock, samples_only: bool = False) 
                 raise _refutation(frame, point)
 
 
-def _refutation(frame: Frame, point: Point) -> Unproven:
+def _refutation(frame: BallFrame, point: WindowPoint) -> Unproven:
     """The exception that names the window, the time and by how much."""
     laps = frame.laps
     times, gaps = [float(t) for t in laps.times], [float(gap) for gap in laps.gaps]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sampling_design import _conic
 from sampling_design.design.bounds.relaxation import TOLERANCE, Relaxation, feasible_multipliers, grams_at
 from sampling_design.design.bounds.weak_duality import (
-    Cells,
+    TimeCells,
     best_layers,
     cell_values,
     cells,
@@ -84,7 +84,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
         return rooted(alone)
     zone = follower_zones(problem, zones)
     width = cells(problem, 0.0, P)
-    arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), width.width, width.apart)
+    arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), width.width, width.apart)
     marks = np.concatenate([jump_times(problem, starts), arc.edges])
     edges = piece_edges(P, np.concatenate([marks, P - marks]))
     g = profile(problem, starts, Z, edges)

@@ -63,7 +63,7 @@ def narrowed(
         roots += [] if root is None else [root]
     if not roots or time.perf_counter() > deadline:
         return bound
-    tree = _Tree(problem, target * (1 + rtol), min(roots))
+    tree = _BoxTree(problem, target * (1 + rtol), min(roots))
     if turn(problem) == 0:
         tree.split_by_lateness(deadline)
     else:
@@ -76,7 +76,7 @@ def narrowed(
     return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 
-class _Tree:
+class _BoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
     def __init__(self, problem: DesignProblem, enough: float, root: _Box) -> None:

@@ -134,7 +134,7 @@ def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> A
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class TimeCells:
     """Time cells of one width h from `start` to `stop`; samples in admissible cells differ by at least `apart`."""
 
     start: float
@@ -149,11 +149,11 @@ class Cells:
         return np.append(self.start + self.width * np.arange(count), self.stop)
 
 
-def cells(problem: DesignProblem, start: float, stop: float) -> Cells:
+def cells(problem: DesignProblem, start: float, stop: float) -> TimeCells:
     """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
     fine = problem.period / cell_count(problem)
     parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    return Cells(start, stop, problem.spacing / parts if parts else fine, parts)
+    return TimeCells(start, stop, problem.spacing / parts if parts else fine, parts)
 
 
 def cell_count(problem: DesignProblem) -> int:
@@ -162,7 +162,7 @@ def cell_count(problem: DesignProblem) -> int:
     return int(np.clip(CELLS_PER_RATE * rate, CELLS, 40 * CELLS))
 
 
-def cell_values(found: Cells, edges: Array, values: Array) -> Array:
+def cell_values(found: TimeCells, edges: Array, values: Array) -> Array:
     """Largest value of the pieces that overlap each cell."""
     ends = found.edges
     middle = (edges[:-1] + edges[1:]) / 2
@@ -204,7 +204,7 @@ def best_cycle(values: Array, apart: int, count: int, period_cells: float) -> fl
     return float(layer.max())
 
 
-def best_layers(layers: list[Array], arc: Cells, high: float) -> float:
+def best_layers(layers: list[Array], arc: TimeCells, high: float) -> float:
     """Largest sum of one cell value per layer, successive cells `arc.apart` apart and at most `high` in time."""
     reach = max(int(np.floor(high / arc.width + 1e-9)) + 1, arc.apart)
     best = layers[0]
@@ -267,7 +267,7 @@ def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     return rooted(float(value_at(problem, starts, Z, np.zeros(1)).sum())) if problem.samples == 1 else np.inf
 
 
-def _arcs(problem: DesignProblem) -> list[Cells]:
+def _arcs(problem: DesignProblem) -> list[TimeCells]:
     """Stretches for free samples: the whole circle, or what lies between fixed times, up to two periods."""
     if not problem.fixed.size:
         return [cells(problem, 0.0, problem.period)]

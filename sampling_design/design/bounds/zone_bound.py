@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at, least_points, solve_relaxation
 from sampling_design.design.bounds.weak_duality import (
-    Cells,
+    TimeCells,
     best_layers,
     cell_count,
     cell_values,
@@ -180,7 +180,7 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
     wide = float(np.max(zone[:, 1] - zone[:, 0]))
     fine = float(np.clip(wide / 6, P / _FINEST, P / cell_count(problem)))
     apart = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    arc = Cells(float(zone[0, 0]), float(zone[-1, 1]), problem.spacing / apart if apart else fine, apart)
+    arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), problem.spacing / apart if apart else fine, apart)
     ends = arc.edges
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])

@@ -25,7 +25,7 @@ from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import even, rounded
-from sampling_design.design.search.local_search import Found, Trial
+from sampling_design.design.search.local_search import FoundSchedule, SearchTrial
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 
@@ -89,8 +89,8 @@ def _costs(problem: DesignProblem) -> Array:
 
 
 def affordable(
-    problem: DesignProblem, found: Found, relaxation: Relaxation, deadline: float = np.inf
-) -> tuple[Found, Mask]:
+    problem: DesignProblem, found: FoundSchedule, relaxation: Relaxation, deadline: float = np.inf
+) -> tuple[FoundSchedule, Mask]:
     """The best schedule within the limit from several starts, and what each of its samples measures.
 
     Raises
@@ -116,7 +116,9 @@ def affordable(
             if again is None or value <= after * (1 + 1e-6):
                 break
             chosen, after = again, value
-        trials.append(Trial(f"cost limit, {name}", float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        trials.append(
+            SearchTrial(f"cost limit, {name}", float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0))))
+        )
         if best is None or after > best[0]:
             best = after, times, chosen
     if best is None:
@@ -128,7 +130,7 @@ def affordable(
             {"cost_limit": least},
         )
     value, times, chosen = best
-    return Found(times, float(np.sqrt(max(value, 0.0))), tuple(trials), found.complete), chosen
+    return FoundSchedule(times, float(np.sqrt(max(value, 0.0))), tuple(trials), found.complete), chosen
 
 
 def cheapest(problem: DesignProblem, times: Array) -> Array:

@@ -48,7 +48,7 @@ _EXCHANGES = 1200  # schedules that exchange looks at, about: each costs in prop
 
 
 @dataclass(frozen=True)
-class Trial:
+class SearchTrial:
     """One start and where it led: sigma at the start and after refinement."""
 
     start: str
@@ -57,12 +57,12 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundSchedule:
     """The best schedule of the search, sigma as the search sees it, and all trials."""
 
     times: Array
     sigma: float
-    trials: tuple[Trial, ...]
+    trials: tuple[SearchTrial, ...]
     complete: bool
 
 
@@ -74,7 +74,7 @@ def search(
     deadline: float = np.inf,
     progress: Progress | None = None,
     enough: float = np.inf,
-) -> Found:
+) -> FoundSchedule:
     """Refine the best starts and return the best schedule.
 
     Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better.
@@ -110,7 +110,7 @@ def search(
         _restart(run, rng)
     _kick(run, rng, KICKS * starts)
     complete = run.is_best or time.perf_counter() <= deadline
-    return Found(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
+    return FoundSchedule(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
 
 
 @dataclass
@@ -122,7 +122,7 @@ class _Refinement:
     enough: float
     best: Array
     value: float
-    trials: list[Trial]
+    trials: list[SearchTrial]
 
     @property
     def is_best(self) -> bool:
@@ -138,7 +138,7 @@ class _Refinement:
         """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""
         times, after = refined(self.problem, times, value, deadline=self.deadline)
         first = value if before is None else before
-        self.trials.append(Trial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
+        self.trials.append(SearchTrial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
         better = after > self.value * (1 + _GAIN) or len(self.trials) == 1
         if after > self.value or len(self.trials) == 1:
             self.best, self.value = times, after

@@ -103,7 +103,7 @@ class Signal:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ConstraintRows:
     """Inequalities lower <= row of a signal <= upper: an entry at a place each, or where `mix` is given that mixture.
 
     `entries` counts half-spaces, and after them the rows of balls that are points, after the signal's own entries.
@@ -128,11 +128,11 @@ class Rows:
         """Return the size of what each row sees, for sizes (k,) of the signal's entries."""
         return sizes[self.entries] if self.mix is None else np.asarray(np.abs(self.mix) @ sizes)
 
-    def only(self, chosen: Mask) -> Rows:
+    def only(self, chosen: Mask) -> ConstraintRows:
         """Return some of the rows."""
         mix = None if self.mix is None else self.mix[chosen]
         parts = (self.places[chosen], self.entries[chosen], self.lower[chosen], self.upper[chosen])
-        return Rows(self.signal, *parts, mix)
+        return ConstraintRows(self.signal, *parts, mix)
 
     def gradients(self, states: int, size: int) -> Array:
         """Return the rows as rows over the stacked states, `states` in all, then the noise: (r, size)."""
@@ -163,7 +163,7 @@ class Rows:
         return f"{signal.entries[entry]} {bound} at {where} ({signal.name})"
 
 
-def rows_of(signal: Signal) -> Iterator[Rows]:
+def rows_of(signal: Signal) -> Iterator[ConstraintRows]:
     """Yield the bounds on entries, then what else is linear."""
     K, k = signal.base.shape
     lower, upper = np.empty((K, k)), np.empty((K, k))
@@ -174,11 +174,11 @@ def rows_of(signal: Signal) -> Iterator[Rows]:
         kept &= signal.seen
     places, entries = np.nonzero(kept)
     if places.size:
-        yield Rows(signal, places, entries, lower[kept], upper[kept])
+        yield ConstraintRows(signal, places, entries, lower[kept], upper[kept])
     for chosen, at in () if signal.boxed else signal.groups():
         matrix, low, up = chosen.inequalities
         count = matrix.shape[0]
         if count and at.size:
             places, entries = np.repeat(at, count), np.tile(k + np.arange(count), at.size)
             repeated = (np.tile(low, at.size), np.tile(up, at.size), np.tile(matrix, (at.size, 1)))
-            yield Rows(signal, places, entries, *repeated)
+            yield ConstraintRows(signal, places, entries, *repeated)

@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet, normed
 from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, Flow, FlowTable, discounted_length
+from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ class DisturbanceReach:
                 'Bound every entry of w, or use w_model="constant" (not certified).'
             )
 
-    def over(self, flows: Sequence[Flow]) -> list[ConvexSet]:
+    def over(self, flows: Sequence[GapFlow]) -> list[ConvexSet]:
         """Return the sets that provably hold omega over these gaps (for a constant w: the exact ones)."""
         known = self._sets
         missing = {flow.gap: flow for flow in flows if flow.gap not in known}
@@ -80,7 +80,7 @@ class DisturbanceReach:
                 best = min(best, float(np.linalg.norm(half @ ball.centre)) + ball.radius * gain)
         return best
 
-    def _outer(self, flows: list[Flow]) -> Iterator[ConvexSet]:
+    def _outer(self, flows: list[GapFlow]) -> Iterator[ConvexSet]:
         n, boxed = self.plant.n_states, self.w.rows.shape[0] or self.w.bounded.size
         lower, upper = np.full((len(flows), n), -np.inf), np.full((len(flows), n), np.inf)
         if boxed:
@@ -92,7 +92,7 @@ class DisturbanceReach:
                 balls = (Ball(self._radius * length, np.zeros(n), np.eye(n)),)
             yield ConvexSet.known(low, high, np.zeros((0, n)), np.zeros(0), balls)
 
-    def _exact(self, flow: Flow) -> ConvexSet:
+    def _exact(self, flow: GapFlow) -> ConvexSet:
         """The set of w itself, in the coordinates w = half omega."""
         w, width = self.w, flow.root.shape[1]
         length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
@@ -152,7 +152,7 @@ class Responses:
 
 
 def support_boxes(
-    responses: Responses, weights: Weights, flows: Sequence[Flow], lower: Array, upper: Array
+    responses: Responses, weights: Weights, flows: Sequence[GapFlow], lower: Array, upper: Array
 ) -> tuple[Array, Array]:
     """Return lower and upper bounds on omega, per flow, over all w with `lower` <= w(t) <= `upper`.
 

@@ -30,7 +30,7 @@ STILL = 1e-9
 NEWTON_STEPS = 10
 
 
-class Found(NamedTuple):
+class NearestPoint(NamedTuple):
     """A point z, how far it is from feasible, |z|^2, a lower bound on the least |z|^2, and the engine."""
 
     z: Array
@@ -50,9 +50,9 @@ class Found(NamedTuple):
         return self.excess <= ACCEPTED * max(1.0, self.square**0.5) and self.gap <= ACCEPTED
 
 
-def judged(problem: LeastDistance, z: Array, rows: Array, cones: Array, engine: str) -> Found:
+def judged(problem: LeastDistance, z: Array, rows: Array, cones: Array, engine: str) -> NearestPoint:
     """Return the point z with what multipliers prove of it."""
-    return Found(z, infeasibility(problem, z), float(z @ z), dual_value(problem, rows, cones), engine)
+    return NearestPoint(z, infeasibility(problem, z), float(z @ z), dual_value(problem, rows, cones), engine)
 
 
 def infeasibility(problem: LeastDistance, z: Array) -> float:
@@ -92,7 +92,7 @@ def dual_value(problem: LeastDistance, rows: Array, cones: Array) -> float:
     return 2 * constant - float(half @ half)
 
 
-def active_set(problem: LeastDistance) -> Found | None:
+def active_set(problem: LeastDistance) -> NearestPoint | None:
     """Solve the problem without cones by a dual active-set method."""
     import daqp
 
@@ -106,7 +106,7 @@ def active_set(problem: LeastDistance) -> Found | None:
     return judged(problem, np.asarray(z, dtype=np.float64), rows, np.zeros(0), "active set")
 
 
-def conic(problem: LeastDistance) -> Found | None:
+def conic(problem: LeastDistance) -> NearestPoint | None:
     """Solve the problem, cones and all, by an interior-point method."""
     from scipy import sparse
 
@@ -140,7 +140,7 @@ def conic(problem: LeastDistance) -> Found | None:
     return _refined(problem, judged(problem, z, rows, cones, "conic"), cones)
 
 
-def _refined(problem: LeastDistance, found: Found, cones: Array) -> Found:
+def _refined(problem: LeastDistance, found: NearestPoint, cones: Array) -> NearestPoint:
     """Newton's method from an interior-point answer, taken if it settles and proves as much.
 
     A duality gap e leaves the point right to sqrt(e) only; Newton's step, whose size says how far it was, does not.
@@ -158,7 +158,7 @@ def _refined(problem: LeastDistance, found: Found, cones: Array) -> Found:
     return found
 
 
-def _newton(problem: LeastDistance, z: Array, cones: Array) -> tuple[Found, Array] | None:
+def _newton(problem: LeastDistance, z: Array, cones: Array) -> tuple[NearestPoint, Array] | None:
     """Return the next point and its cones' multipliers, which rows and cones are active being the solver's to find.
 
     min |x|^2 + sum mu_i |M_i (x - z)|^2 under the rows and a_i'M_i (x - z) <= (r_i^2 - |a_i|^2)/2, a_i = M_i z + c_i,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.constraints.constrained_signals import Mask, Rows, Signal, rows_of
+from sampling_design.estimators.constraints.constrained_signals import ConstraintRows, Mask, Signal, rows_of
 from sampling_design.estimators.window.solution import Spread
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ class LeastDistance:
     upper: Array
     cones: list[tuple[Array, Array, float]]
     scales: Array
-    blocks: list[Rows]
+    blocks: list[ConstraintRows]
     cone_owners: list[tuple[Signal, int]]
 
     def row_label(self, index: int, below: bool) -> str:
@@ -110,7 +110,7 @@ class Demands:
             T = np.concatenate([T, np.zeros((*T.shape[:2], self.size - self.states))], axis=2)
         return {signal: signal.maps(T, self.states) for signal in self.signals}
 
-    def _spread(self, rows: Rows) -> Array:
+    def _spread(self, rows: ConstraintRows) -> Array:
         """The rows over z: those over the states times T, those over the noise as they are."""
         found = rows.gradients(self.states, self.size)
         if self.size == self.states:

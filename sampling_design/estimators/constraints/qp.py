@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sampling_design.estimators.constraints.constrained_signals import Mask
-from sampling_design.estimators.constraints.least_distance import Found, active_set, conic
+from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic
 from sampling_design.estimators.constraints.least_distance_problem import Demands
 from sampling_design.estimators.constraints.reference import find_obstacle, solve_reference
 from sampling_design.estimators.constraints.window_constraints import Constraints
@@ -60,7 +60,7 @@ def solve_constrained(window: Window, constraints: Constraints, free: Solution, 
     return replace(free, status="solver failed", note="No engine reached its tolerance.", engine="conic")
 
 
-def row_by_row(demands: Demands, violated: list[Mask]) -> Found | None:
+def row_by_row(demands: Demands, violated: list[Mask]) -> NearestPoint | None:
     """Solve under the rows that are `violated`, take in those that this breaks, and so on until none is.
 
     Every answer is a lower bound for the whole problem, so the last one, which keeps all rows, is the minimiser.

@@ -25,7 +25,7 @@ LONGEST = 700.0
 """Exponents from here on count as overflows: e^709 is the largest double."""
 
 
-class Flow:
+class GapFlow:
     """Transition over one gap h.
 
     Attributes
@@ -65,13 +65,13 @@ class FlowTable:
 
     def __init__(self, weights: Weights, constant_w: bool = False):
         self.weights, self.constant_w = weights, constant_w
-        self._table: OrderedDict[float, Flow] = OrderedDict()
+        self._table: OrderedDict[float, GapFlow] = OrderedDict()
         self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta, weights.units)
 
     def __len__(self) -> int:
         return len(self._table)
 
-    def get(self, gaps: Sequence[float]) -> list[Flow]:
+    def get(self, gaps: Sequence[float]) -> list[GapFlow]:
         """Return the flow of every gap; those not known yet are computed in one batch."""
         table = self._table
         missing = [gap for gap in dict.fromkeys(gaps) if gap not in table]
@@ -100,7 +100,7 @@ class FlowTable:
         parts = zip(F, W, root, whiten, integral, integral @ weights.plant.B, strict=True)
         for gap, matrices, info in zip(gaps, parts, information, strict=True):
             growth = math.exp(weights.eta * gap) if weights.eta * gap < LONGEST else math.inf
-            self._table[gap] = Flow(gap, growth, matrices, info)
+            self._table[gap] = GapFlow(gap, growth, matrices, info)
 
     def _constant_root(self, integral: Array, gaps: list[float]) -> Array:
         """Root of the noise that is constant over each gap: cost |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2."""

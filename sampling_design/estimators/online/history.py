@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.gap_flows.flows import Flow, FlowTable
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimator import Estimate, Sample
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ class Node(NamedTuple):
     x: Array
     Y: Array
     beta: float
-    flow: Flow | None
+    flow: GapFlow | None
     drift: Array
     scheduled: bool
     sound: bool

@@ -14,7 +14,7 @@ from sampling_design._linalg import symmetrise
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
-from sampling_design.estimators.gap_flows.flows import Flow, FlowTable, discounted_length
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, Sample, Status
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
@@ -139,7 +139,7 @@ class OpenLoopEstimator(OnlineEstimator):
         note = " ".join(filter(None, notes))
         return Estimate(t, x, Y, beta, status, certified=certified, on_schedule=scheduled, note=note, **details)
 
-    def _flown(self, node: Node, flow: Flow, drift: Array) -> tuple[Array, Array, float]:
+    def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
         beta = node.beta / flow.growth + self._lost(flow.gap) if flow.gap > 0 else node.beta
         return flow.F @ node.x + drift, flow.covariance(node.Y), beta
@@ -169,18 +169,18 @@ class OpenLoopEstimator(OnlineEstimator):
         )
 
     @staticmethod
-    def _moved(node: Node, flow: Flow, drift: Array) -> Array:
+    def _moved(node: Node, flow: GapFlow, drift: Array) -> Array:
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(flow.F @ node.x + drift)
 
-    def _refuse_overflow(self, flow: Flow, x: Array, t: float) -> None:
+    def _refuse_overflow(self, flow: GapFlow, x: Array, t: float) -> None:
         if not (np.isfinite(flow.F).all() and np.isfinite(x).all()):
             raise ArgumentError(
                 f"`t` = {t!r} lies {flow.gap:.6g} {self.plant.time_unit} after the last sample: what is not measured "
                 "for so long grows beyond double precision. Start again near it: reset(prior, prior_time)."
             )
 
-    def _ahead(self, node: Node, flow: Flow, drift: Array) -> tuple[Array, Array, float]:
+    def _ahead(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`: of the two ellipsoids the smaller one."""
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, beta = self._flown(node, flow, drift)
@@ -196,7 +196,7 @@ class OpenLoopEstimator(OnlineEstimator):
         scale = beta if beta > 0 else 1.0
         return x, whole / scale, scale
 
-    def _undiscounted(self, node: Node, flow: Flow) -> Array | None:
+    def _undiscounted(self, node: Node, flow: GapFlow) -> Array | None:
         """Return the matrix of an ellipsoid z'M^-1 z <= 1 that holds the error after `flow`; None without bounds."""
         if not (np.isfinite(node.beta) and np.isfinite(self._w_energy)) or flow.gap == 0:
             return None

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, Flow
+from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, GapFlow
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Window:
 
     weights: Weights
     times: Array
-    flows: list[Flow]
+    flows: list[GapFlow]
     reference: Array
     defect: Array
     residual: Array
@@ -113,7 +113,7 @@ class Window:
 def build_window(
     weights: Weights,
     times: Array,
-    flows: list[Flow],
+    flows: list[GapFlow],
     drift: Array,
     reference: Array,
     y: Array,

@@ -32,7 +32,7 @@ ON_THE_LINE = 1e-9  # a mode this near Re = -eta/2, relative to its size, counts
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ModeBlock:
     """An invariant subspace: A X = X T in balanced coordinates, T = mean I + N, and the clusters that it holds."""
 
     mean: complex
@@ -57,7 +57,7 @@ class Sight(NamedTuple):
 class LapModes:
     """The modes of a plant that do not fade at rate eta, as blocks that do not drive each other."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[ModeBlock, ...]
     d: Array
     C: Array
 
@@ -96,7 +96,7 @@ class LapModes:
         assert best is not None
         return best
 
-    def _rows(self, block: Block, times: Array, schedule: PeriodicSchedule) -> Complex:
+    def _rows(self, block: ModeBlock, times: Array, schedule: PeriodicSchedule) -> Complex:
         """C X e^{N t} at the given times, (N, p, m), unmeasured outputs as zeros; what may be rounding is zero."""
         out = self.C @ block.X
         out = np.where(np.abs(out) > RANK_TOLERANCE * (np.abs(self.C) @ np.abs(block.X)), out, 0)
@@ -128,7 +128,7 @@ def _scales(size: Array) -> tuple[Array, Array]:
     return outputs, 1 / positive_or_one(np.linalg.norm(outputs[:, None] * size, axis=0))
 
 
-def _ladder(block: Block, period: float) -> Array:
+def _ladder(block: ModeBlock, period: float) -> Array:
     """Scales s^k of the columns of a block in which the couplings of its triangle move by 1 in a period."""
     steps = np.arange(len(block.N))
     coupling = float(np.max(np.abs(np.triu(block.N, 1)), initial=0.0)) * period
@@ -165,14 +165,14 @@ def lap_modes(plant: Plant, eta: float) -> LapModes:
     return LapModes(tuple(blocks), form.d, balanced_rows(plant.C, form.d))
 
 
-def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> Block:
+def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> ModeBlock:
     X, T = invariant_subspace(form, group)
     mean = clusters[0].value if len(clusters) == 1 else complex(np.mean(np.diag(T)))
     N = T - mean * np.eye(len(group))
     noise = SPREAD * len(X) * EPS * form.norm * clusters[0].projector_norm
     if len(clusters) == 1 and np.linalg.norm(N) <= noise:
         N = np.zeros_like(N)
-    return Block(mean, N, X, clusters)
+    return ModeBlock(mean, N, X, clusters)
 
 
 def _stays(cluster: EigenvalueCluster, eta: float) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock, Flow, OutOfTime, highest
+from sampling_design._ball_flow import BallFlow, Clock, OutOfTime, highest
 from sampling_design._balls import Ball, Matrix, ball, flint, matrix, precision
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
@@ -128,7 +128,7 @@ def _proven(
     """The largest of the shaved guesses that holds on every piece, or 0."""
     n = plant.n_states
     zero = matrix(np.zeros((n, n)))
-    flow, rows = Flow(matrix(plant.A), zero), Rows(plant)
+    flow, rows = BallFlow(matrix(plant.A), zero), BallRows(plant)
     starts = []
     for g in range(len(pieces)):
         left, right = _ends(schedule, pieces, g)
@@ -149,7 +149,7 @@ def fraction(time: Fraction) -> Ball:
     return flint().arb(time.numerator) / time.denominator
 
 
-class Rows:
+class BallRows:
     """C'C of each set of outputs, in balls."""
 
     def __init__(self, plant: Plant) -> None:
@@ -164,7 +164,7 @@ class Rows:
             self._kept[key] = C.transpose() * C
         return self._kept[key]
 
-    def gramian(self, flow: Flow, times: list[Fraction], start: Fraction, mask: Any) -> Matrix:
+    def gramian(self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: Any) -> Matrix:
         """Sum of e^{A'(tau - start)} C'C e^{A (tau - start)}, from the last sample back to the first."""
         n = self.C.shape[1]
         G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)

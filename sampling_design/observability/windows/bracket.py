@@ -155,7 +155,7 @@ class _Pieced:
         return np.asarray(np.fmin(second, first))
 
 
-class _Search:
+class _BracketSearch:
     """Open intervals, all nodes so far, and the least proven bound of the closed ones."""
 
     def __init__(self, pieced: _Pieced, rtol: float) -> None:
@@ -223,7 +223,7 @@ def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, pro
         return _nothing_to_see(pieces)
     require_moderate(plant)
     short = _too_few(plant, pieces)
-    search = _Search(_Pieced(plant, pieces), rtol)
+    search = _BracketSearch(_Pieced(plant, pieces), rtol)
     if short is not None:
         status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
     elif search.zero.any():
@@ -240,7 +240,7 @@ def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, pro
     return _bracket(plant, search, status, g, start)
 
 
-def _bracket(plant: Plant, search: _Search, status: str, g: int, start: float) -> Bracket:
+def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float) -> Bracket:
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
     rows = _rows(plant, pieces, g, start)

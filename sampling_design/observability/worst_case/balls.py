@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock, Flow, OutOfTime
+from sampling_design._ball_flow import BallFlow, Clock, OutOfTime
 from sampling_design._balls import Ball, ball, definite, flint, matrix, precision
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
@@ -47,7 +47,7 @@ UP = 1 + 2.0**-40
 """Factor that covers the rounding of a few products of positive doubles."""
 
 
-class Cells(NamedTuple):
+class BallCells(NamedTuple):
     """Boxes of directions on the faces z_face = 1 of a cube: centre, halvings of each side, halvings of time."""
 
     centre: Array  # (m, n)
@@ -55,9 +55,9 @@ class Cells(NamedTuple):
     face: npt.NDArray[np.int_]  # (m,)
     grid: npt.NDArray[np.int_]  # (m,)
 
-    def take(self, index: npt.NDArray[np.bool_] | npt.NDArray[np.int_]) -> Cells:
+    def take(self, index: npt.NDArray[np.bool_] | npt.NDArray[np.int_]) -> BallCells:
         """The cells at `index`."""
-        return Cells._make(part[index] for part in self)
+        return BallCells._make(part[index] for part in self)
 
     @property
     def half(self) -> Array:
@@ -67,7 +67,7 @@ class Cells(NamedTuple):
         return half
 
 
-class Table(NamedTuple):
+class BallTable(NamedTuple):
     """Per sample and grid point vec G and vec (h^2/8) G''; for |X| = 1 the rounding of both and the bend's bend."""
 
     gram: Array  # (k, N + 1, q)
@@ -85,7 +85,7 @@ class WorstCase:
         self.offsets = [Fraction(family.spacing) * i for i in range(self.k)]
         self.slack = max(Fraction(family.window) - self.offsets[-1], Fraction(0))
         L, A = matrix(basis), matrix(plant.A)
-        self.flow = Flow(L.solve(A * L), matrix(np.zeros((self.n, self.n))))
+        self.flow = BallFlow(L.solve(A * L), matrix(np.zeros((self.n, self.n))))
         rows = [matrix(plant.C) * L]
         for _ in range(4):
             rows.append(rows[-1] * self.flow.A)
@@ -99,15 +99,15 @@ class WorstCase:
         signs = np.array(list(product((-1.0, 1.0), repeat=self.n - 1))).reshape(2 ** (self.n - 1), self.n - 1)
         signs = np.vstack([signs, np.zeros((1, self.n - 1))])  # the centre too: it tells a claim that is false
         self.signs = np.stack([np.insert(signs, f, 0.0, axis=1) for f in range(self.n)])
-        self._tables: dict[int, Table] = {}
+        self._tables: dict[int, BallTable] = {}
 
-    def table(self, cells: int) -> Table:
+    def table(self, cells: int) -> BallTable:
         """The table of a grid of `cells` cells."""
         if cells not in self._tables:
             self._tables[cells] = self._made(cells)
         return self._tables[cells]
 
-    def _made(self, cells: int) -> Table:
+    def _made(self, cells: int) -> BallTable:
         step = fraction(self.slack / cells)
         E = self.flow.over(step)[0]
         y = np.empty((self.k, cells + 1, 5, self.p, self.n))
@@ -129,7 +129,7 @@ class WorstCase:
         bent = (2 * size[:, :, 1] ** 2 + 2 * size[:, :, 0] * size[:, :, 2]) * eighth
         lost = self.terms * UNIT
         rounding = lost * size[:, :, 0] ** 2
-        return Table(self._vec(gram), self._vec(bend), rounding, lost * bent, fourth[:, :-1] * eighth**2 * UP)
+        return BallTable(self._vec(gram), self._vec(bend), rounding, lost * bent, fourth[:, :-1] * eighth**2 * UP)
 
     def _reach(self, step: Ball) -> float:
         """At least sup |e^{Bs}|^2 over a step."""
@@ -145,7 +145,7 @@ class WorstCase:
         lost = self.terms * UNIT * np.sum(np.abs(z), axis=-1) ** 2 * np.abs(self.metric).max()
         return np.asarray(np.einsum("...i,ij,...j->...", z, self.metric, z) + lost)
 
-    def least(self, cells: Cells) -> tuple[Array, Array, Array]:
+    def least(self, cells: BallCells) -> tuple[Array, Array, Array]:
         """Least sums at the corners (m, c): proven; the same without the bend of time; and at least |L z|^2 there."""
         z = cells.centre[:, None, :]
         d = self.signs[cells.face] * cells.half[:, None, :]
@@ -185,7 +185,7 @@ class WorstCase:
         if self.slack == 0:
             return self.only(mu)
         n = self.n
-        pending = Cells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
+        pending = BallCells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
         while pending.face.size:
             if pending.face.size > MOST_CELLS:
                 raise OutOfTime("too many cells are open")
@@ -198,10 +198,10 @@ class WorstCase:
             cut = self._cut(pending.take(same), mu)
             if cut is None:
                 return False
-            pending = Cells._make(np.concatenate(parts) for parts in zip(pending.take(rest), *cut, strict=True))
+            pending = BallCells._make(np.concatenate(parts) for parts in zip(pending.take(rest), *cut, strict=True))
         return True
 
-    def _cut(self, cells: Cells, mu: float) -> list[Cells] | None:
+    def _cut(self, cells: BallCells, mu: float) -> list[BallCells] | None:
         """The cells that stay open, cut in two or with a finer grid; None where one can be cut no further."""
         proven, flat, norms = self.least(cells)
         needed = mu * norms * UP

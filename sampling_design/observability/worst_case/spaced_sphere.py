@@ -39,7 +39,7 @@ _THINNEST = 1e-12  # half-width below which a cell of directions is not cut agai
 _TIME_SHARE = 0.5  # the grid is refined where time costs more than this part of what direction costs
 
 
-class Cells(NamedTuple):
+class SphereCells(NamedTuple):
     """Boxes of directions on the faces z_face = 1 of a cube, each with its own grid and windows in time."""
 
     centre: Array  # (m, n)
@@ -50,9 +50,9 @@ class Cells(NamedTuple):
     last: Indices  # (m, k)
     bound: Array  # (m,) proven lambda
 
-    def take(self, index: Indices | npt.NDArray[np.bool_]) -> Cells:
+    def take(self, index: Indices | npt.NDArray[np.bool_]) -> SphereCells:
         """The cells at `index`."""
-        return Cells._make(a[index] for a in self)
+        return SphereCells._make(a[index] for a in self)
 
     def volume(self) -> float:
         """Share of the sphere, as the share of the cube's faces."""
@@ -69,19 +69,19 @@ class Proof(NamedTuple):
     cells: int
 
 
-def joined(parts: list[Cells]) -> Cells:
+def joined(parts: list[SphereCells]) -> SphereCells:
     """All cells of several sets."""
-    return Cells._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return SphereCells._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def prove_worst(
     rows: SpacedRows, found: Attained, rtol: float, seconds: float, progress: Progress | None = None
 ) -> Proof:
     """Prove a lower bound of sigma that lies within `rtol` below the attained one, or as near as time allows."""
-    return _Search(rows, found, rtol).run(seconds, progress)
+    return _SphereSearch(rows, found, rtol).run(seconds, progress)
 
 
-class _Search:
+class _SphereSearch:
     """The open cells, the least bound of the closed ones, and the attained schedule, which may still improve."""
 
     def __init__(self, rows: SpacedRows, found: Attained, rtol: float) -> None:
@@ -93,7 +93,9 @@ class _Search:
         self.signs = np.stack([np.insert(signs, f, 0.0, axis=1) for f in range(n)])
         cells = self.tables.first_cells()
         zeros = np.zeros((n, k), dtype=int)
-        self.open = Cells(np.eye(n), 1 - np.eye(n), np.arange(n), np.full(n, cells), zeros, zeros + cells, np.zeros(n))
+        self.open = SphereCells(
+            np.eye(n), 1 - np.eye(n), np.arange(n), np.full(n, cells), zeros, zeros + cells, np.zeros(n)
+        )
         self.stuck = self.open.take(np.zeros(0, dtype=int))
         self.closed_at, self.cells = np.inf, 0
 
@@ -133,7 +135,7 @@ class _Search:
     def _verdict(self) -> str:
         return "closed" if self.lower >= (1 - self.rtol) * self.best.sigma else "rounding"
 
-    def _round(self) -> Cells:
+    def _round(self) -> SphereCells:
         """Take the cells below the present stage out of the pool, lowest bounds first."""
         bound = self.open.bound
         stage = next(s for s in _STAGES if s == 1.0 or np.min(bound) < s * s * self.wanted)
@@ -145,7 +147,7 @@ class _Search:
         self.open = self.open.take(rest)
         return taken
 
-    def _batches(self, cells: Cells) -> list[Cells]:
+    def _batches(self, cells: SphereCells) -> list[SphereCells]:
         """Groups of one grid and windows of about one width."""
         width = np.max(cells.last - cells.first, axis=1) + 1
         order = np.lexsort((width, cells.grid))
@@ -159,7 +161,7 @@ class _Search:
             low = stop
         return parts
 
-    def _worked(self, cells: Cells) -> Cells:
+    def _worked(self, cells: SphereCells) -> SphereCells:
         """Bound a batch; return what stays open, cut in two or with a finer grid."""
         self.cells += cells.face.size
         work = _Batch(self, cells)
@@ -177,7 +179,7 @@ class _Search:
         loss = cells.half * np.sqrt(work.stretch())
         return self._cut(cells.take(~hopeless), by_time[~hopeless], by_direction[~hopeless], loss[~hopeless])
 
-    def _improve(self, cells: Cells, value: Array) -> None:
+    def _improve(self, cells: SphereCells, value: Array) -> None:
         """Follow a centre whose best schedule on the grid already beats the attained one."""
         i = int(np.argmin(value))
         if value[i] < self.best.sigma**2 * (1 - 1e-9):
@@ -185,7 +187,7 @@ class _Search:
             if found.sigma < self.best.sigma:
                 self.best = found
 
-    def _cut(self, cells: Cells, by_time: Array, by_direction: Array, loss: Array) -> Cells:
+    def _cut(self, cells: SphereCells, by_time: Array, by_direction: Array, loss: Array) -> SphereCells:
         """Halve the costliest side, double the grid, or both, whichever costs most."""
         row, axis = np.arange(cells.face.size), np.argmax(loss, axis=1)
         wide = cells.half[row, axis] > _THINNEST
@@ -210,7 +212,7 @@ class _Search:
 class _Batch:
     """Bounds at the corners of a batch of cells on one grid."""
 
-    def __init__(self, search: _Search, cells: Cells) -> None:
+    def __init__(self, search: _SphereSearch, cells: SphereCells) -> None:
         self.tables, self.metric, self.count = search.tables, search.metric, search.rows.count
         self.cells = cells
         grid = int(cells.grid[0])
@@ -262,7 +264,7 @@ class _Batch:
         bent = np.maximum(np.maximum(bent[..., :-2], bent[..., 2:]), bent[..., 1:-1])
         return value, np.maximum(bent + beyond[:, :, None, :] * nuclear[:, None, :, None], 0.0)
 
-    def narrowed(self, cells: Cells, wanted: float) -> Cells:
+    def narrowed(self, cells: SphereCells, wanted: float) -> SphereCells:
         """Windows without the times through which no schedule comes below `wanted` at any corner."""
         through = self.so_far + sums_to_go(self.cost, self.start) - (wanted * self.norm)[:, None, :, None]
         alive = np.any(through < 0.0, axis=2)

@@ -14,7 +14,7 @@ _EPS = float(np.finfo(float).eps)
 _NUMBERS = 12_000_000  # most numbers in one table
 
 
-class Table(NamedTuple):
+class SlackTable(NamedTuple):
     """What a grid of N + 1 slacks holds for each of the k samples.
 
     With vec the upper triangle of a symmetric matrix, off-diagonal entries doubled, so that
@@ -56,7 +56,7 @@ class Tables:
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
         self.growth = max(0.0, float(np.abs(np.linalg.eigvalsh((inner + inner.T) / 2)).max(initial=0.0)))
         self.most_cells = max(2, _NUMBERS // (2 * rows.count * self.weight.size))
-        self._kept: dict[int, Table] = {}
+        self._kept: dict[int, SlackTable] = {}
 
     def triangle(self, X: Array) -> Array:
         """Upper triangles (..., q) of symmetric matrices (..., n, n)."""
@@ -67,13 +67,13 @@ class Tables:
         wanted = 2 ** np.ceil(np.log2(max(2 * self.speed * self.rows.slack, 16.0)))
         return int(min(wanted, 2 ** np.floor(np.log2(self.most_cells))))
 
-    def at(self, cells: int) -> Table:
+    def at(self, cells: int) -> SlackTable:
         """The table of a grid of `cells` cells."""
         if cells not in self._kept:
             self._kept[cells] = self._made(cells)
         return self._kept[cells]
 
-    def _made(self, cells: int) -> Table:
+    def _made(self, cells: int) -> SlackTable:
         rows = self.rows
         h = rows.slack / cells
         _, times = rows.grid(cells)
@@ -90,7 +90,7 @@ class Tables:
         a = [np.linalg.norm(d, axis=(1, 2)) * reach for d in derivative]
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
         rounding = 8 * (rows.count + self.weight.size) * _EPS * np.linalg.norm(gram, axis=(1, 2))
-        return Table(
+        return SlackTable(
             self._padded(gram, rows.count),
             self._padded(bend, rows.count),
             (fourth * (h * h / 8) ** 2).reshape(rows.count, -1),

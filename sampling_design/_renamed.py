@@ -2,6 +2,7 @@
 
 ARGUMENTS = {
     "carried_weight": 'arrival_cost="filtered"',
+    "every_lap": "every_period",
     "feedthrough": "input_side",
     "lateness": "maximum_delay",
 }

@@ -82,7 +82,7 @@ COMMANDS = {
     "sigma": (("plant", "schedule"), {"--window": "4", "--rigorous": None}),
     "worst-case": (("plant",), {"--window": "4", "--count": "3", "--spacing": "0.5", "--rtol": "0.1"}),
     "pareto": (("plant", "requirement"), {"--counts": "2,3", "--workers": "1"}),
-    "losses": (("plant", "requirement"), {"--every-lap": None}),
+    "losses": (("plant", "requirement"), {"--every-period": None}),
     "certify": (
         ("plant", "schedule"),
         {"--eta": "0.4", "--noise-budget": "3", "--jitter": "0.01", "--gap-range": "0.9 1.1", "--detectability": None},

@@ -227,7 +227,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: ThyroidReport(("a",), 0, 1.0, 0, ()).ratio("b"), "`case` must be one of a, got 'b'"),
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=([[1.0]], 2.0)), "of 2 entries each"),
         (lambda: sd.from_linear(OSCILLATOR).with_bounds(states=3), "must be a pair .lower, upper., got int 3"),
-        (lambda: replace(family(), graph=3), "`graph` must be a GapGraph, got int 3"),
+        (lambda: replace(family(), graph=3), "`graph` must be a PathCompleteGraph, got int 3"),
         (
             lambda: sd.EstimateRecord.collect(sd.Plant([[1.0]], [[1.0]]), [estimator().update(0.5, [0.3])]),
             "`estimates` must be of the plant's 1 states",
@@ -254,6 +254,7 @@ def test_a_gap_beyond_all_count_is_one_sentence():
         (lambda: sd.standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), 'arrival_cost="filtered"'),
         (lambda: sd.validate(OSCILLATOR, GAPS, None, horizon=3.0, feedthrough="left"), "input_side"),
         (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
+        (lambda: sd.sample_losses(None, every_lap=True), "every_period"),
         (lambda: sd.KalmanFilter(OSCILLATOR, lateness=2.0), "maximum_delay"),
     ],
 )

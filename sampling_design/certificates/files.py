@@ -12,7 +12,7 @@ from sampling_design._door import door
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.families.path_complete import Edge, GapGraph
+from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.checkers import grammar
 from sampling_design.checkers.strict import Altered, BadFile
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
@@ -113,7 +113,7 @@ def _sampled(data: dict[str, Any], plant: Plant) -> Certificate:
 def _of_family(data: dict[str, Any], plant: Plant, found: grammar.OfFamily) -> FamilyCertificate:
     edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in found.graph.edges]
     # words as they were written: whole numbers and others
-    graph = GapGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
+    graph = PathCompleteGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
     values = _values(data)
     n = plant.n_states
     P = [_checks.definite("P2", values["P2"], n), *(_checks.definite("graph.P", M, n) for M in found.graph.P[1:])]

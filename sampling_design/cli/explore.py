@@ -92,8 +92,8 @@ def losses(
     requirement_file: Annotated[
         Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
-    every_lap: Annotated[
-        bool, typer.Option("--every-lap", help="Leave the sample out of every lap, not once.")
+    every_period: Annotated[
+        bool, typer.Option("--every-period", help="Leave the sample out of every period, not once.")
     ] = False,
 ) -> None:
     """Design, then say what the loss of each single sample costs: sigma without it, and what none can exceed.
@@ -111,7 +111,7 @@ def losses(
         if design.schedule is None:
             settings.show({"without": []}, design.explain())
             return
-        result = sd.sample_losses(design, every_lap=every_lap, budget=half, progress=progress)
+        result = sd.sample_losses(design, every_period=every_period, budget=half, progress=progress)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "losses.json", result.to_dict())

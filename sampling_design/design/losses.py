@@ -1,4 +1,4 @@
-"""What one sample is worth: sigma where it is missed once, or left out of every lap."""
+"""What one sample is worth: sigma where it is missed once, or left out of every period."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampleLosses(Table):
-    """Sigma after the loss of each single sample of a lap.
+    """Sigma after the loss of each single sample of a period.
 
     Attributes
     ----------
     times : (k,) array
-        The lap's sample times.
+        The period's sample times.
     sigma : float
         Proven sigma of the whole schedule.
     lower, upper : (k,) array
         Proven and attained sigma without sample i, the others where they are.
     bound : (k,) array
         No admissible schedule with one sample fewer exceeds this, wherever its samples lie: so much could
-        planning for the loss save at most. One sample fewer in every lap, or in as many laps as a window
+        planning for the loss save at most. One sample fewer in every period, or in as many periods as a window
         can touch, plus one.
-    every_lap : bool
-        Whether the sample is missing from every lap, or from a single one.
+    every_period : bool
+        Whether the sample is missing from every period, or from a single one.
     """
 
     times: Array
@@ -49,7 +49,7 @@ class SampleLosses(Table):
     lower: Array
     upper: Array
     bound: Array
-    every_lap: bool
+    every_period: bool
 
     @property
     def price(self) -> Array:
@@ -68,17 +68,17 @@ class SampleLosses(Table):
         """Plain data, one entry per sample."""
         columns = zip(*(a.tolist() for a in (self.times, self.lower, self.upper, self.bound)), strict=True)
         rows = [{"time": t, "lower": low, "upper": up, "bound": top} for t, low, up, top in columns]
-        return {"sigma": self.sigma, "every_lap": self.every_lap, "without": rows}
+        return {"sigma": self.sigma, "every_period": self.every_period, "without": rows}
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("lost", "in every lap" if self.every_lap else "once"), ("sigma with all", short(self.sigma))]
+        rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", short(self.sigma))]
         columns = zip(self.times, self.lower, self.bound, strict=True)
         return rows + [(f"without t = {short(t)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns]
 
     def explain(self) -> str:
         """Say which sample matters most."""
         i = self.dearest
-        how = "left out of every lap" if self.every_lap else "missed once"
+        how = "left out of every period" if self.every_period else "missed once"
         return (
             f"If the sample at {short(self.times[i])} is {how}, sigma falls from {short(self.sigma)} "
             f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
@@ -90,7 +90,7 @@ class SampleLosses(Table):
 def sample_losses(
     design: ScheduleDesign,
     *,
-    every_lap: bool = False,
+    every_period: bool = False,
     rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
@@ -100,8 +100,8 @@ def sample_losses(
     Parameters
     ----------
     design : ScheduleDesign
-    every_lap : bool
-        Leave the sample out of every lap (its price), or miss it once (a window that spans several laps
+    every_period : bool
+        Leave the sample out of every period (its price), or miss it once (a window that spans several periods
         then keeps the sample of the others).
     rtol : float
         As for `window_sigma`.
@@ -118,8 +118,8 @@ def sample_losses(
     -----
     *Claim.* `lower` is proven as in `window_sigma`. `bound` holds for every schedule that meets the
     requirement with one sample fewer, a fixed time that is lost being free of its duty; where a sample is
-    missed once, over the laps that a window can touch, plus one, as one long period. Where a sample is lost in
-    every lap and there is always room for one more, `bound` is never above `design.upper_bound`.
+    missed once, over the periods that a window can touch, plus one, as one long period. Where a sample is lost in
+    every period and there is always room for one more, `bound` is never above `design.upper_bound`.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def sample_losses(
     began, count = time.perf_counter(), len(design.schedule)
     proofs: list[WindowSigma | None] = []
     for i in range(count):
-        rest = _without(design, i, every_lap)
+        rest = _without(design, i, every_period)
         left = max(began + 0.7 * seconds - time.perf_counter(), 0.0) / (count - i)
         share = left if np.isfinite(left) else None
         asked = design.requirement
@@ -142,17 +142,17 @@ def sample_losses(
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
     bound = np.maximum(
-        _bounds(design, every_lap, began + seconds), lower
+        _bounds(design, every_period, began + seconds), lower
     )  # a bound may round to just below a tight proof
     lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
-    return SampleLosses(design.schedule.times, design.sigma, lower, upper, bound, every_lap)
+    return SampleLosses(design.schedule.times, design.sigma, lower, upper, bound, every_period)
 
 
-def _bounds(design: ScheduleDesign, every_lap: bool, deadline: float) -> Array:
+def _bounds(design: ScheduleDesign, every_period: bool, deadline: float) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
-    laps = 1 if every_lap else _laps(design)
+    laps = 1 if every_period else _laps(design)
     plant = designed_plant(design.split, requirement)
     known: dict[float | None, float] = {}
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
@@ -175,11 +175,11 @@ def _laps(design: ScheduleDesign) -> int:
     return int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1
 
 
-def _without(design: ScheduleDesign, i: int, every_lap: bool) -> PeriodicSchedule | None:
-    """The schedule without sample i of each lap, or of one lap in as many as a window can touch, plus one."""
+def _without(design: ScheduleDesign, i: int, every_period: bool) -> PeriodicSchedule | None:
+    """The schedule without sample i of each period, or of one period in as many as a window can touch, plus one."""
     schedule = design.schedule
     assert schedule is not None
-    laps = 1 if every_lap else _laps(design)
+    laps = 1 if every_period else _laps(design)
     times = (schedule.times + schedule.period * np.arange(laps)[:, None]).ravel()
     if times.size == 1:
         return None

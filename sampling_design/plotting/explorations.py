@@ -64,6 +64,6 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.set_ylim(0.0, 1.2 * max(losses.sigma, float(np.max(losses.bound))))
     ax.set_xlabel("time of the lost sample")
     ax.set_ylabel("sigma")
-    ax.set_title("missing in every lap" if losses.every_lap else "missed once", loc="left")
+    ax.set_title("missing in every period" if losses.every_period else "missed once", loc="left")
     ax.legend(loc="lower right", fontsize="small", frameon=False)
     return ax

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, Signals, certify, certify_family
-from sampling_design.certificates.exact.riccati import at_peak, located, push, steady_lap, supremum, sweep, update
+from sampling_design.certificates.exact.riccati import (
+    at_peak,
+    located,
+    periodic_riccati_solution,
+    push,
+    supremum,
+    sweep,
+    update,
+)
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, SolverError
 from tests.oracles import riccati as oracle
@@ -81,18 +89,18 @@ def test_worst_start_may_lie_inside_a_gap():
     assert other.lam > 29.9
 
 
-def test_steady_lap_is_a_fixed_point_and_windows_tend_to_it():
+def test_periodic_riccati_solution_is_a_fixed_point_and_windows_tend_to_it():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     problem = window_problem(
         plant, PeriodicSchedule([0.8, 1.1]), np.eye(2), np.eye(2), 2 * np.eye(1), 2 * np.eye(1), 0.4
     )
-    lap = steady_lap(problem)
+    lap = periodic_riccati_solution(problem)
     F, W = problem.flow(problem.gaps)
     assert np.allclose(update(push(lap[0], F[1], W[1]), problem.rows[1]), lap[1], rtol=1e-8)
     assert np.allclose(update(push(lap[1], F[0], W[0]), problem.rows[0]), lap[0], rtol=1e-8)
 
 
-def test_a_large_prior_is_bound_by_the_steady_lap():
+def test_a_large_prior_is_bound_by_the_periodic_riccati_solution():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     made = certify(plant, PeriodicSchedule([1.0]), eta=0.4, P2=1e4 * np.eye(2))
     dense, _, _ = oracle.worst_ratio(made.to_dict(), made.P2, fine=16, laps=40)
@@ -104,7 +112,7 @@ def test_an_unseen_growing_mode_never_settles():
     plant = Plant([[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]])
     problem = window_problem(plant, PeriodicSchedule([1.0]), np.eye(2), np.eye(2), np.eye(1), np.eye(1), 0.4)
     with pytest.raises(SolverError, match="the information did not settle over 2"):
-        steady_lap(problem)
+        periodic_riccati_solution(problem)
 
 
 def test_located_finds_the_window_again():

@@ -55,10 +55,10 @@ def test_counts_that_are_none_are_refused(shell, counts):
 
 def test_losses_say_what_each_sample_is_worth(shell, tmp_path):
     requirement = EXAMPLES / "requirements" / "oscillator.toml"
-    result = shell("losses", OSCILLATOR, requirement, "--every-lap", "--seed", 1, "-o", tmp_path)
+    result = shell("losses", OSCILLATOR, requirement, "--every-period", "--seed", 1, "-o", tmp_path)
     assert result.code == 0
     data = json.loads((tmp_path / "losses.json").read_text())
-    assert data["every_lap"] is True
+    assert data["every_period"] is True
     assert len(data["without"]) == 4
     assert all(0 < row["lower"] <= row["bound"] < data["sigma"] for row in data["without"])
     assert (tmp_path / "losses.png").read_bytes().startswith(b"\x89PNG")

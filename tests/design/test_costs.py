@@ -115,7 +115,7 @@ def test_the_limit_is_kept_in_files_and_words(tmp_path):
 
 def test_losses_of_a_design_that_chooses_outputs():
     design = design_schedule(PLANT, asked(samples=5, cost_limit=11.0), starts=2)
-    losses = sample_losses(design, every_lap=True)
+    losses = sample_losses(design, every_period=True)
     times, mask = design.schedule.times, design.schedule.outputs
     for i in range(5):
         scan = window_sigma_scan(A, C, np.delete(times, i), 4.0, 4.0, mask=np.delete(mask, i, axis=0))

@@ -16,7 +16,7 @@ def designed(**more):
 
 def test_a_price_is_what_a_scan_without_the_sample_says():
     design = designed(fixed=[0.0], forbidden=[[1.0, 2.0]])
-    losses = sample_losses(design, every_lap=True)
+    losses = sample_losses(design, every_period=True)
     times = design.schedule.times
     for i in range(times.size):
         scan = window_sigma_scan(A, C, np.delete(times, i), 4.0, 4.0)
@@ -28,25 +28,25 @@ def test_a_price_is_what_a_scan_without_the_sample_says():
     assert "without t" in str(losses)
 
 
-@pytest.mark.parametrize("every_lap", [True, False])
-def test_no_schedule_with_one_sample_fewer_exceeds_the_bound(every_lap):
+@pytest.mark.parametrize("every_period", [True, False])
+def test_no_schedule_with_one_sample_fewer_exceeds_the_bound(every_period):
     design = designed(samples=3)
-    losses = sample_losses(design, every_lap=every_lap)
-    laps = 1 if every_lap else 2
+    losses = sample_losses(design, every_period=every_period)
+    laps = 1 if every_period else 2
     assert np.all(losses.lower <= losses.bound)
     assert np.all(losses.bound <= design.upper_bound)
     count, period = 3 * laps - 1, 4.0 * laps
     best, _ = best_on_grid(A, C, period, 4.0, 0.4, count, 6 * laps)
     assert 0 < best <= losses.bound.min()
-    if every_lap:
+    if every_period:
         fewer = designed(samples=2)
         assert fewer.sigma <= losses.bound[0] <= fewer.upper_bound * 1.2
 
 
 def test_a_lost_fixed_sample_has_a_bound_of_its_own():
-    free = sample_losses(designed(samples=3), every_lap=True).bound
+    free = sample_losses(designed(samples=3), every_period=True).bound
     design = designed(samples=3, fixed=[0.0, 0.5])
-    losses = sample_losses(design, every_lap=True)
+    losses = sample_losses(design, every_period=True)
     where = np.isin(design.schedule.times, [0.0, 0.5])
     assert losses.bound[~where][0] < losses.bound[where].max()  # without the free one two close ones remain
     assert losses.bound.max() <= free[0] * (1 + 1e-3)
@@ -56,14 +56,14 @@ def test_a_lost_fixed_sample_has_a_bound_of_its_own():
 
 def test_missing_once_costs_less_where_a_window_spans_laps():
     design = designed(window=4.0, period=2.0, samples=2)
-    once, always = sample_losses(design), sample_losses(design, every_lap=True)
+    once, always = sample_losses(design), sample_losses(design, every_period=True)
     assert np.all(once.lower >= always.lower)
     assert np.any(once.lower > always.upper)
 
 
 def test_the_only_sample_of_a_lap_is_worth_everything():
     design = designed(window=4.0, period=1.0, samples=1)
-    assert sample_losses(design, every_lap=True).lower.tolist() == [0.0]
+    assert sample_losses(design, every_period=True).lower.tolist() == [0.0]
     assert sample_losses(design).lower[0] > 0
 
 

@@ -71,7 +71,7 @@ def push(Y: Array, F: Array, W: Array) -> Array:
     return symmetrise(F @ Y @ np.swapaxes(F, -1, -2) + W)
 
 
-def steady_lap(problem: WindowProblem) -> Array:
+def periodic_riccati_solution(problem: WindowProblem) -> Array:
     """Return Y just after each sample of the lap in the long run, shape (N, n, n).
 
     The lap is Y -> F Y (I + H Y)^-1 F' + W; two laps are again of that form, so that 2^k laps cost k
@@ -98,7 +98,7 @@ def steady_lap(problem: WindowProblem) -> Array:
 
 
 def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The steady lap by following it: slower, but no composition of laps is lost in rounding."""
+    """The periodic solution by following it: slower, but no composition of laps is lost in rounding."""
     Y = np.eye(problem.size)
     for _ in range(LONGEST_WALK // problem.count + 1):
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
@@ -116,7 +116,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
 
 
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The steady lap by composing laps, twice as many in each step."""
+    """The periodic solution by composing laps, twice as many in each step."""
     n = problem.size
     lap = (np.eye(n), np.zeros((n, n)), np.zeros((n, n)))
     for i in range(problem.count):
@@ -244,7 +244,7 @@ def supremum(problem: WindowProblem, finer: int = 1) -> tuple[Peak, Peak]:
     for the checker to prove, which names a window where something was missed. `finer` multiplies both grids.
     """
     index, remaining = problem.sample_starts()
-    steady = None if problem.period is None else steady_lap(problem)
+    steady = None if problem.period is None else periodic_riccati_solution(problem)
     inner = np.arange(1, finer * max(START_CELLS, -(-MIN_STARTS // problem.count)))
     parts = np.arange(1, 4 * finer + 1) / (4 * finer)
     more = np.repeat(np.arange(problem.count), inner.size)

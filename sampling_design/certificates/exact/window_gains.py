@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.riccati import push, steady_lap, update
+from sampling_design.certificates.exact.riccati import periodic_riccati_solution, push, update
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
 
 Array = npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ class WindowSet:
         parts = np.asarray(PARTS)
         F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
         shape = (problem.count, parts.size, problem.size, problem.size)
-        steady = None if problem.period is None else steady_lap(problem)
+        steady = None if problem.period is None else periodic_riccati_solution(problem)
         return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady)
 
     def least_floor(self, size: Array) -> float:

@@ -15,7 +15,7 @@ from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded
 from sampling_design.errors import CertificateError
-from sampling_design.observability.count.lap_modes import lap_modes
+from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
@@ -116,7 +116,7 @@ def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
 
 def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
     """Return the counterexample that a failed existence test stands for, if its equations hold to `RESIDUAL`."""
-    modes = lap_modes(plant, float(eta))
+    modes = period_modes(plant, float(eta))
     if not modes.blocks or stays_bounded(plant, schedule, eta):
         return None
     sight = modes.least_seen(schedule)
@@ -227,13 +227,13 @@ def _suspects(
 ) -> Iterator[PeriodicSchedule]:
     """Periodic members worth a look: the nominal one, and those that the family suspects."""
     yield period_of(family.nominal)
-    laps = sorted({*_aliasing_laps(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
+    laps = sorted({*_aliasing_periods(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
     yield from family.suspects(laps, rng, quick)
 
 
-def _aliasing_laps(plant: Plant, eta: float, longest: float) -> list[float]:
+def _aliasing_periods(plant: Plant, eta: float, longest: float) -> list[float]:
     """Laps 2 pi k/|Im(a - b)| up to `longest` over the eigenvalues that do not fade by themselves at rate eta."""
-    values = np.array([c.value for block in lap_modes(plant, float(eta)).blocks for c in block.clusters])
+    values = np.array([c.value for block in period_modes(plant, float(eta)).blocks for c in block.clusters])
     if values.size < 2:
         return []
     first, second = np.triu_indices(values.size, 1)

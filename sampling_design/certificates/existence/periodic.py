@@ -13,7 +13,7 @@ from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.errors import CertificateError, UndecidedError
-from sampling_design.observability.count.lap_modes import LapModes, Sight, lap_modes
+from sampling_design.observability.count.period_modes import PeriodModes, Sight, period_modes
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
@@ -143,7 +143,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
 
 def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     """Return what the lifted pair says alone, for searches that ask about many schedules."""
-    modes = lap_modes(plant, float(eta))
+    modes = period_modes(plant, float(eta))
     if not modes.blocks:
         return Existence(True, float("inf"), period=schedule.period, reason="every mode fades by itself at that rate")
     sight = modes.least_seen(schedule)
@@ -207,7 +207,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dic
     *Method.* Every gap is lengthened and shortened by 28 fractions from 0.1 % to 50 %, smallest change first;
     the first change with margin at least 0.01 is returned, so the answer is checked.
     """
-    schedule, modes = meet(plant, schedule), lap_modes(plant, float(eta))
+    schedule, modes = meet(plant, schedule), period_modes(plant, float(eta))
     if not modes.blocks:
         return None
     changes = np.outer(schedule.gaps, REPAIR_FRACTIONS)
@@ -228,7 +228,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dic
     return None
 
 
-def _involved(modes: LapModes, sight: Sight, period: float) -> tuple[complex, tuple[complex, ...]]:
+def _involved(modes: PeriodModes, sight: Sight, period: float) -> tuple[complex, tuple[complex, ...]]:
     """The eigenvalues of A of which the unseen direction is made, the largest share first."""
     shares = [
         (float(share), c) for block, share in zip(modes.blocks, sight.shares, strict=True) for c in block.clusters

@@ -15,13 +15,13 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
 from sampling_design.certificates.exact.given_weights import weights_of
-from sampling_design.certificates.exact.riccati import steady_lap
+from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.counterexample import refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import graph_of, in_plant_terms
-from sampling_design.certificates.families.path_complete import GapGraph, unrolled
+from sampling_design.certificates.families.path_complete import PathCompleteGraph, unrolled
 from sampling_design.certificates.families.program import Program
 from sampling_design.certificates.families.step_proof import (
     Doubles,
@@ -72,7 +72,7 @@ class Proposal:
     """Matrices of every node (P2 first) in the coordinates of `dynamics`, with the lambda that they reach."""
 
     dynamics: Dynamics
-    graph: GapGraph
+    graph: PathCompleteGraph
     P: Array
     lam: float
     solver: SolverRecord
@@ -114,7 +114,7 @@ class FamilySearch:
         room = MOST_UNKNOWNS // ((graph.count - 1) * n * (n + 1) // 2)
         graph = unrolled(graph, max(1, min(room, layers if self.P2 is None else LAYERS_GIVEN)))
         nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
-        K = np.linalg.cholesky(np.mean(steady_lap(nominal), axis=0))
+        K = np.linalg.cholesky(np.mean(periodic_riccati_solution(nominal), axis=0))
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, root, graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
@@ -355,7 +355,9 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
     return made
 
 
-def without_states(plant: Plant, family: Any, weights: Weights, rate: float, graph: GapGraph) -> FamilyCertificate:
+def without_states(
+    plant: Plant, family: Any, weights: Weights, rate: float, graph: PathCompleteGraph
+) -> FamilyCertificate:
     """The certificate where there is nothing to prove."""
     empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))
     Qw, R, Qv = weights

@@ -12,7 +12,7 @@ from sampling_design import _checks
 from sampling_design._record import short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
-from sampling_design.certificates.families.path_complete import GapGraph
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.seal import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
@@ -29,7 +29,7 @@ class FamilyCertificate(SampledCertificate):
     Attributes
     ----------
     family : GapRange, SpacedWindows, LostSamples or Jitter
-    graph : GapGraph
+    graph : PathCompleteGraph
         Its schedules as paths of gap words, window starts at any real time included.
     P : (graph.count, n, n) array
         Information that is kept at each node; P[0] = P2. `gap_graph` lists the inequalities.
@@ -46,14 +46,14 @@ class FamilyCertificate(SampledCertificate):
     """
 
     family: SamplingFamily
-    graph: GapGraph = field(default_factory=lambda: GapGraph(((),), ()), kw_only=True)
+    graph: PathCompleteGraph = field(default_factory=lambda: PathCompleteGraph(((),), ()), kw_only=True)
     P: Array = field(default_factory=lambda: np.zeros((1, 0, 0)), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "family", in_plant_terms(self.plant, self.family))
-        if not isinstance(self.graph, GapGraph):
-            raise ArgumentError(f"`graph` must be a GapGraph, got {_checks.described(self.graph)}.")
+        if not isinstance(self.graph, PathCompleteGraph):
+            raise ArgumentError(f"`graph` must be a PathCompleteGraph, got {_checks.described(self.graph)}.")
         P = _checks.floats("P", self.P)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sampling_design.certificates.families.path_complete import Edge, GapGraph
+from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -38,7 +38,7 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
     return family
 
 
-def graph_of(family: SamplingFamily, memory: int, outputs: int) -> GapGraph:
+def graph_of(family: SamplingFamily, memory: int, outputs: int) -> PathCompleteGraph:
     """Return the graph of a family with level `memory` of memory (0 is the least) for a plant with `outputs` outputs.
 
     Raises
@@ -52,7 +52,7 @@ def graph_of(family: SamplingFamily, memory: int, outputs: int) -> GapGraph:
     return _walk(family.steps(memory, outputs))
 
 
-def _walk(steps: Steps) -> GapGraph:
+def _walk(steps: Steps) -> PathCompleteGraph:
     """All words that can be reached from the start."""
     words: dict[Word, int] = {START: 0}
     edges: list[Edge] = []
@@ -65,4 +65,4 @@ def _walk(steps: Steps) -> GapGraph:
                 if len(words) > MOST_NODES:
                     raise ArgumentError(f"`memory`: the graph of this family has more than {MOST_NODES} nodes.")
             edges.append(Edge(words[word], words[step.word], step.low, step.high, step.outputs))
-    return GapGraph(((), *list(words)[1:]), tuple(edges))
+    return PathCompleteGraph(((), *list(words)[1:]), tuple(edges))

@@ -36,7 +36,7 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
-class GapGraph:
+class PathCompleteGraph:
     """Nodes named by what they remember of the schedule since the window's start, and edges between them.
 
     `words[0]` is the start itself. What the other words mean depends on the family: lower ends of the last gaps
@@ -77,7 +77,7 @@ class GapGraph:
         }
 
 
-def unrolled(graph: GapGraph, layers: int) -> GapGraph:
+def unrolled(graph: PathCompleteGraph, layers: int) -> PathCompleteGraph:
     """Return the graph that also remembers how many samples ago the window started, up to `layers`.
 
     Without this one matrix per word has to lie below the whole transient that starts at P2.
@@ -92,4 +92,4 @@ def unrolled(graph: GapGraph, layers: int) -> GapGraph:
             for edge in graph.edges
             if edge.source
         ]
-    return GapGraph(words, tuple(edges))
+    return PathCompleteGraph(words, tuple(edges))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sampling_design import _conic
 from sampling_design._linalg import psd_root
-from sampling_design.certificates.families.path_complete import GapGraph
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.families.step_proof import Dynamics
 from sampling_design.evidence import SolverRecord
 
@@ -44,7 +44,7 @@ class Program:
     """The inequalities of one graph on a grid that grows; `P2` None means that it is a variable."""
 
     dynamics: Dynamics
-    graph: GapGraph
+    graph: PathCompleteGraph
     unit: Array
     P2: Array | None = None
     deadline: float = np.inf

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.window_problem import growing_flow, noise_input, whitened_rows
-from sampling_design.certificates.families.path_complete import GapGraph
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.floating[Any]]
@@ -70,7 +70,7 @@ class Dynamics:
         return symmetrise(self.root @ X @ self.root.T)
 
 
-def dynamics_of(plant: Plant, weights: Weights, eta: float, root: Array, graph: GapGraph) -> Dynamics:
+def dynamics_of(plant: Plant, weights: Weights, eta: float, root: Array, graph: PathCompleteGraph) -> Dynamics:
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
@@ -96,7 +96,7 @@ class Conditions:
         return self.low.size
 
 
-def edge_conditions(dynamics: Dynamics, graph: GapGraph, P: Array) -> Conditions:
+def edge_conditions(dynamics: Dynamics, graph: PathCompleteGraph, P: Array) -> Conditions:
     """Every edge: Phi_h(P_u) >= P_v - C_e'R~C_e."""
     edges = graph.edges
     targets = np.stack([P[e.target] - dynamics.information(e.outputs) for e in edges])
@@ -104,7 +104,7 @@ def edge_conditions(dynamics: Dynamics, graph: GapGraph, P: Array) -> Conditions
     return Conditions(P[[e.source for e in edges]], targets, ends[:, 0], ends[:, 1])
 
 
-def node_conditions(graph: GapGraph, P: Array, target: Array) -> Conditions:
+def node_conditions(graph: PathCompleteGraph, P: Array, target: Array) -> Conditions:
     """Every node: Phi_s(P_u) >= target for s up to its longest edge."""
     repeated = np.broadcast_to(target, P.shape)
     return Conditions(P, repeated, np.zeros(graph.count), graph.tops)

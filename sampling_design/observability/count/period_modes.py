@@ -54,7 +54,7 @@ class Sight(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class LapModes:
+class PeriodModes:
     """The modes of a plant that do not fade at rate eta, as blocks that do not drive each other."""
 
     blocks: tuple[ModeBlock, ...]
@@ -143,10 +143,10 @@ def _less(lap: Complex, own: complex, other: complex) -> Complex:
 
 
 @lru_cache(maxsize=32)
-def lap_modes(plant: Plant, eta: float) -> LapModes:
+def period_modes(plant: Plant, eta: float) -> PeriodModes:
     """Return the modes of `plant` with Re >= -eta/2; kept, since a search asks for many schedules of one plant."""
     if not plant.n_states:
-        return LapModes((), np.ones(0), plant.C)
+        return PeriodModes((), np.ones(0), plant.C)
     form = balanced_schur(plant.A, plant.C)
     clusters, places = clusters_of(form, plant.n_states * EPS, CLUSTER_CAP)
     kept = [(c, g) for c, g in zip(clusters, places, strict=True) if _stays(c, eta)]
@@ -162,7 +162,7 @@ def lap_modes(plant: Plant, eta: float) -> LapModes:
         )
         joined = (groups[i][0] + groups[j][0], sorted(groups[i][1] + groups[j][1]))
         groups = [g for k, g in enumerate(groups) if k not in (i, j)] + [joined]
-    return LapModes(tuple(blocks), form.d, balanced_rows(plant.C, form.d))
+    return PeriodModes(tuple(blocks), form.d, balanced_rows(plant.C, form.d))
 
 
 def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list[int]) -> ModeBlock:

@@ -13,7 +13,7 @@ OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 BIASED = Plant(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), [[1.0, 0.0, 1.0]])
 
 
-def refusal_of(plant, family, eta=0.1):
+def counterexample_of(plant, family, eta=0.1):
     with pytest.raises(CertificateError, match=r"no certificate with rate .* exists for this family") as caught:
         sd.certify(plant, family, eta=eta)
     assert not isinstance(caught.value, UndecidedError)
@@ -26,14 +26,14 @@ def refusal_of(plant, family, eta=0.1):
 
 @pytest.mark.parametrize("gaps", [(3.0, 3.3), (0.5, 4.0), (np.pi, np.pi), (1.0, 100.0)])
 def test_an_oscillator_with_a_range_that_holds_pi_returns_pi(gaps):
-    found = refusal_of(OSCILLATOR, GapRange(*gaps))
+    found = counterexample_of(OSCILLATOR, GapRange(*gaps))
     assert found.schedule.gaps == pytest.approx([np.pi], rel=1e-15)
     assert abs(found.eigenvalue) == pytest.approx(1.0)
     assert found.verify()
 
 
 def test_the_equations_of_a_counterexample_hold_by_themselves():
-    found = refusal_of(OSCILLATOR, GapRange(3.0, 3.3))
+    found = counterexample_of(OSCILLATOR, GapRange(3.0, 3.3))
     v, mu = np.array(found.direction), found.multiplier
     M = expm(OSCILLATOR.A * np.pi)
     assert np.linalg.norm(M @ v - mu * v) < 1e-12
@@ -44,7 +44,7 @@ def test_the_equations_of_a_counterexample_hold_by_themselves():
 
 
 def test_lambda_grows_without_bound_along_a_counterexample():
-    found = refusal_of(OSCILLATOR, GapRange(3.0, 3.3), eta=0.4)
+    found = counterexample_of(OSCILLATOR, GapRange(3.0, 3.3), eta=0.4)
     weights = (np.eye(2), np.eye(1), np.eye(1))
     lams = [
         largest_lambda(
@@ -61,14 +61,14 @@ def test_units_of_the_states_neither_make_nor_hide_a_counterexample():
     scale = np.array([2.0**30, 2.0**-20])
     D = np.diag(scale)
     there = Plant(D @ OSCILLATOR.A @ np.linalg.inv(D), OSCILLATOR.C / scale, G=D)
-    found = refusal_of(there, GapRange(3.0, 3.3))
+    found = counterexample_of(there, GapRange(3.0, 3.3))
     assert found.schedule.gaps == pytest.approx([np.pi])
     assert found.verify()
     assert sd.find_counterexample(there, GapRange(0.5, 1.5), 0.1)[0] is None
 
 
 def test_a_false_counterexample_is_not_believed():
-    found = refusal_of(OSCILLATOR, GapRange(3.0, 3.3))
+    found = counterexample_of(OSCILLATOR, GapRange(3.0, 3.3))
     from dataclasses import replace
 
     assert not replace(found, schedule=PeriodicSchedule([3.1])).verify()
@@ -78,7 +78,7 @@ def test_a_false_counterexample_is_not_believed():
 
 
 def test_losses_that_leave_a_blind_pattern_are_named():
-    found = refusal_of(OSCILLATOR, LostSamples(PeriodicSchedule([np.pi / 2]), 1, 2))
+    found = counterexample_of(OSCILLATOR, LostSamples(PeriodicSchedule([np.pi / 2]), 1, 2))
     assert found.schedule.period == pytest.approx(np.pi)
     # one loss in three leaves a pair a quarter turn apart: certified
     assert sd.certify(OSCILLATOR, LostSamples(PeriodicSchedule([np.pi / 2]), 1, 3), eta=0.1).verify().passed
@@ -86,19 +86,19 @@ def test_losses_that_leave_a_blind_pattern_are_named():
 
 def test_words_of_several_gaps_are_found():
     # an oscillator with a bias: two samples per turn alias all three modes, whatever the gaps between them
-    found = refusal_of(BIASED, GapRange(2.0, 2.0 * np.pi - 2.0 + 1e-9))
+    found = counterexample_of(BIASED, GapRange(2.0, 2.0 * np.pi - 2.0 + 1e-9))
     assert len(found.schedule) in (1, 2)
     assert found.schedule.period == pytest.approx(2 * np.pi, rel=1e-9) or found.schedule.period == pytest.approx(np.pi)
     only_pairs = GapRange(3.1, 3.12), GapRange(2.9, 3.13)
     for family in only_pairs:
         assert not family.contains(PeriodicSchedule([np.pi]))
-    pair = refusal_of(BIASED, SpacedWindows(2 * np.pi, 2, 1.0))
+    pair = counterexample_of(BIASED, SpacedWindows(2 * np.pi, 2, 1.0))
     assert pair.schedule.period == pytest.approx(2 * np.pi) or pair.schedule.period == pytest.approx(np.pi)
 
 
 def test_an_unseen_mode_is_a_counterexample_at_every_schedule():
     plant = Plant(np.diag([-0.1, 0.0]), [[0.0, 1.0]])
-    found = refusal_of(plant, Jitter(PeriodicSchedule([1.0]), 0.2), eta=0.3)
+    found = counterexample_of(plant, Jitter(PeriodicSchedule([1.0]), 0.2), eta=0.3)
     assert found.eigenvalue == pytest.approx(-0.1)
     assert sd.certify(plant, Jitter(PeriodicSchedule([1.0]), 0.2), eta=0.15).verify().passed
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .signals import signals_of
 from .strict import (
     Altered,
     Array,
@@ -331,6 +332,7 @@ def plant_of(read: dict[str, Any]) -> Plant:
     A, C, G = sized(m["A"], "plant.matrices.A", n), m["C"], m.get("G", np.eye(n))
     if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
         raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
+    signals_of(read, n, p, G.shape[1])
     return Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
 
 
@@ -418,11 +420,12 @@ def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
         raise refuse(f"{place}.output_names", "must be left out: the columns are the plant's outputs, without names")
     found = laps(read, plant, place)
     room = 1e-9 * found.period
+    if ("times" in read) != ("period" in read):
+        raise refuse(place, "must have `times` and `period` together, or neither")
     times, period = read.get("times"), read.get("period", found.period)
-    if (times is not None and len(times) != len(found.times)) or abs(period - found.period) > room:
+    wrong = times is not None and (len(times) != len(found.times) or np.abs(found.times - times).max() > room)
+    if wrong or abs(period - found.period) > room:
         raise refuse(place, "must have times and period that do not contradict its gaps")
-    if times is not None and np.abs(found.times - times).max() > room:
-        raise refuse(place, "must have times that do not contradict its gaps")
     return found
 
 

@@ -167,6 +167,11 @@ def test_nominal_schedules_are_judged_too():
     data = data_of("jitter")
     data["times"]["schedule"]["gaps"] = [-1.0, 3.5]
     assert "`times.schedule.gaps[0]` must be positive" in verdict(data)["reason"]
+    data = data_of("jitter")
+    del data["times"]["schedule"]["period"]
+    data["digest"] = seal.digest(data)
+    with pytest.raises(BadFile, match="must have `times` and `period` together, or neither"):
+        grammar.certificate(data)
 
 
 @pytest.mark.parametrize(

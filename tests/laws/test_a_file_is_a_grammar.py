@@ -1,68 +1,286 @@
-"""No change of a certificate file's structure is passed, or ends in anything but one sentence.
+"""A changed file is refused in one sentence, or read as exactly what stands there; what it then proves is true.
 
-Every value of one file of each kind is replaced by a boolean, a text, nothing, a list or a table, every key and list
-entry is left out, and unknown keys are added: the digest is made anew, so that only the grammar and the mathematics
-stand between the file and a pass.
+One valid file of every kind; every key dropped, renamed and there twice, every value of another type and size, every
+list shorter, longer and in another order, words, edges, masks, sources and targets among them (`tests/mutants.py`).
+Digests are made anew, so that only the grammar and the mathematics stand between a certificate and a pass. What is read
+or proven is compared by oracles that share nothing with the package.
 """
 
-import copy
 import json
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
+from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, Schedule, SpacedWindows
 from sampling_design.checkers import check
 from sampling_design.checkers.grammar import digest
+from sampling_design.checkers.strict import BadFile, from_json
+from sampling_design.errors import SamplingDesignError
+from sampling_design.schedules.family_files import family_from_dict
+from tests import mutants
+from tests.oracles import dissipation, families
+from tests.oracles.files import facts_of_plant, facts_of_requirement, facts_of_schedule, facts_of_table, same
 
-PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-MADE = {
-    "periodic": lambda: sd.certify(PLANT, PeriodicSchedule([1.0]), eta=0.4, P2=np.eye(2)),
-    "gap range": lambda: sd.certify_family(PLANT, GapRange(0.9, 1.1), eta=0.2, memory=0),
-    "spaced windows": lambda: sd.certify_family(PLANT, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=0),
-    "lost samples": lambda: sd.certify_family(PLANT, LostSamples(PeriodicSchedule([1.0]), 1, 3), eta=0.2, memory=0),
-    "jitter": lambda: sd.certify_family(PLANT, Jitter(PeriodicSchedule([1.0]), 0.1), eta=0.2, memory=0),
-    "detectability": lambda: sd.certify_detectability(PLANT),
-}
-WRONG = (True, "1", {"a": 1.0}, [[[1.0]]], 10**400)
 MOST = 150
-"""Places of one file; more of them are drawn at random."""
+"""Mutants of one file, drawn at random; `sweep` takes more."""
+MOST_ORACLES = 6
+"""Mutants of one file that are proven and state something else: so many are judged by an oracle and in balls."""
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+PARTLY = PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]])
+TWO = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]])
+FULL = Plant(
+    [[-1.0, 0.5], [0.0, 0.25]],
+    [[1.0, 0.0], [1.0, 2.0]],
+    [[0.0], [1.0]],
+    [[0.5], [0.0]],
+    [[1.0], [3.0]],
+    name="all there is",
+    time_unit="h",
+    states=sd.Signals(("a", "b"), ("m", "K"), [1.0, 10.0]),
+    outputs=sd.Signals(("p", "q"), ("m", "K")),
+    source="nobody",
+)
+DATED = {"time_unit": "h", "origin": "2026-01-05T00:00", "output_names": ("p", "q")}
+REQUIREMENT = sd.Requirement(
+    window=4.0,
+    period=8.0,
+    spacing=0.25,
+    samples={"at_least": 3, "at_most": 5},
+    target_sigma=0.5,
+    decay_rate=0.1,
+    forbidden=[[1.0, 1.5], [2.0, 2.5]],
+    fixed=[0.25, 3.0],
+    outputs={"p": {"available": [[0.0, 6.0]], "cost": 2.0}, "q": {"cost": 1.0}},
+    cost_limit=30.0,
+    time_unit="h",
+    scaled=True,
+)
+CERTIFICATES = {
+    "periodic": lambda: sd.certify(TWO, PARTLY, eta=0.2, P2=np.eye(2)),
+    "finite": lambda: sd.certify(OSCILLATOR, Schedule([0.5, 1.5, 3.0]), eta=0.4, P2=np.eye(2)),
+    "gap range": lambda: sd.certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0),
+    "spaced windows": lambda: sd.certify_family(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1),
+    "lost samples": lambda: sd.certify_family(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0),
+    "jitter": lambda: sd.certify_family(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0),
+    "detectability": lambda: sd.certify_detectability(OSCILLATOR),
+}
+FAMILIES = {
+    "gap range": GapRange(0.9, 1.1, time_unit="h"),
+    "spaced windows": SpacedWindows(3.0, 2, 1.0, time_unit="h"),
+    "lost samples": LostSamples(PeriodicSchedule([1.0, 0.5], time_unit="h"), 1, 3),
+    "jitter": Jitter(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]]), 0.1),
+}
+FILES = {
+    "plant.toml": (lambda p: sd.write_plant(FULL, p), sd.read_plant, facts_of_plant),
+    "plant.json": (lambda p: sd.write_plant(FULL, p), sd.read_plant, facts_of_plant),
+    "requirement.toml": (lambda p: sd.write_requirement(REQUIREMENT, p), sd.read_requirement, facts_of_requirement),
+    "requirement.json": (lambda p: sd.write_requirement(REQUIREMENT, p), sd.read_requirement, facts_of_requirement),
+    "finite.json": (
+        lambda p: sd.write_schedule(Schedule([0.5, 1.5], [[1, 0], [1, 1]], **DATED), p),
+        sd.read_schedule,
+        facts_of_schedule,
+    ),
+    "periodic.json": (
+        lambda p: sd.write_schedule(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]], **DATED), p),
+        sd.read_schedule,
+        facts_of_schedule,
+    ),
+}
 
 
-def places(value, path=()):
-    """Every path into plain data."""
-    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in inside:
-        yield (*path, key)
-        yield from places(item, (*path, key))
+def drawn(whole, most, seed):
+    """Mutants of a tree: label and tree."""
+    every = [(path, kind) for path in mutants.places(whole) for kind in mutants.kinds(whole, path)]
+    for k in np.random.default_rng(seed).permutation(len(every))[:most]:
+        path, kind = every[k]
+        yield f"{'.'.join(map(str, path))}: {kind}", mutants.mutant(whole, path, kind)
 
 
-def holder(data, path):
-    for key in path[:-1]:
-        data = data[key]
-    return data
+def sentence(error):
+    """The words of a refusal, which are one line."""
+    words = str(error)
+    assert words
+    assert "\n" not in words
+    assert len(words) < 700, words
+    return words
 
 
-@pytest.mark.parametrize("kind", MADE)
-def test_no_value_of_another_type_passes(kind):
-    whole = json.loads(json.dumps(MADE[kind]().to_dict()))
-    rng = np.random.default_rng(12)
-    free = {("solver",), ("tool", "name"), ("tool", "version"), ("plant", "name"), ("digest",), ("witness",)}
-    every = [p for p in places(whole) if p not in free and p[0] not in ("solver", "tool") and p[-1] != "method"]
-    for k in rng.permutation(len(every))[:MOST]:
-        path = every[k]
-        for wrong in WRONG:
-            data = copy.deepcopy(whole)
-            old = holder(data, path)[path[-1]]
-            if isinstance(old, str) and isinstance(wrong, str):
-                continue
-            holder(data, path)[path[-1]] = wrong
-            data["digest"] = digest(data)
-            found = check(data)
-            assert (found["verdict"], "\n" in found["reason"]) == ("bad file", False), (path, wrong, found)
-        if isinstance(holder(whole, path), dict):
-            data = copy.deepcopy(whole)
-            holder(data, path)[f"{path[-1]}_"] = 1.0
-            data["digest"] = digest(data)
-            assert "unknown key" in check(data)["reason"], path
+def read(reader, source):
+    """What a reader makes of it; None if it refuses in one sentence."""
+    try:
+        return reader(source)
+    except SamplingDesignError as error:
+        sentence(error)
+        return None
+
+
+def sweep_files(kind, folder, most=MOST, seed=0):
+    """Refused, or read as what stands there; return how many of each."""
+    write, reader, facts = FILES[kind]
+    path = Path(folder) / kind
+    write(path)
+    ending = path.suffix
+    whole = json.loads(path.read_text()) if ending == ".json" else tomllib.loads(path.read_text())
+    assert same(facts(whole), facts(reader(path)))
+    found = [0, 0]
+    for label, data in drawn(whole, most, seed):
+        text = mutants.as_json(data) if ending == ".json" else mutants.as_toml(data)
+        if text is None:
+            continue
+        path.write_text(text)
+        record = read(reader, path)
+        found[record is not None] += 1
+        assert record is None or same(facts(data), facts(record)), label
+    return found
+
+
+def sweep_families(kind, most=MOST, seed=0):
+    """The same for a family's plain data, those that only Python can hold among them."""
+    whole = json.loads(json.dumps(FAMILIES[kind].to_dict()))
+    found = [0, 0]
+    for label, data in drawn(whole, most, seed):
+        record = read(family_from_dict, data)
+        found[record is not None] += 1
+        assert record is None or same(facts_of_family(data), facts_of_family(record.to_dict())), label
+    return found
+
+
+def facts_of_family(data):
+    """Numbers, and the schedule as what it says."""
+    plain = {key: value for key, value in data.items() if key not in ("schedule", "time_unit")}
+    schedule = facts_of_schedule(data["schedule"]) if "schedule" in data else None
+    return {**plain, "unit": data.get("time_unit"), "schedule": schedule}
+
+
+def sweep_certificates(kind, folder, most=MOST, seed=0, oracles=MOST_ORACLES):
+    """Refused by the reader, the checker or the proof, or true; return how many ended how."""
+    whole = json.loads(json.dumps(CERTIFICATES[kind]().to_dict()))
+    path, found, judged = Path(folder) / "certificate.json", {}, 0
+    for label, data in drawn(whole, most, seed):
+        if not label.startswith("digest"):
+            data["digest"] = sealed(data)
+        text = mutants.as_json(data)
+        verdict = checked(text)
+        if not label.startswith("digest"):
+            assert verdict["inequality"] != "digest", label
+        path.write_text(text)
+        certificate = read(sd.load_certificate, path)
+        never = "proven" if certificate is None else "bad file"
+        assert verdict["verdict"] != never, (label, verdict)
+        if certificate is not None:
+            again = certificate.verify(budget=5.0)
+            assert verdict["verdict"] != "proven" or again.verdict == "proven", label
+            verdict["verdict"] = again.verdict
+            assert same(stated(certificate.to_dict()), stated(data)), label
+        found[verdict["verdict"]] = found.get(verdict["verdict"], 0) + 1
+        if verdict["verdict"] == "proven" and not same(stated(data), stated(whole), 0.0) and judged < oracles:
+            judged += 1
+            assert true(data), label
+            assert certificate is None or certificate.verify(rigorous=True, budget=20.0).verdict != "refuted", label
+    return {**found, "judged": judged}
+
+
+def sealed(data):
+    """The digest, made anew; that of data that no certificate can hold does not matter."""
+    try:
+        return digest(data)
+    except (ValueError, TypeError):
+        return "0" * 64
+
+
+def checked(text):
+    """The verdict of the checkers that stand alone."""
+    try:
+        found = check(from_json(text))
+    except BadFile as error:
+        found = {"verdict": "bad file", "inequality": "text", "reason": str(error)}
+    sentence(found["reason"])
+    return found
+
+
+def stated(data):
+    """What a certificate states: not who found it, how, and in how many seconds."""
+    kept = {key: value for key, value in data.items() if key not in ("digest", "tool", "solver", "method", "plant")}
+    times = kept.pop("times", None)
+    family = times is not None and times["kind"] not in ("finite", "periodic")
+    about = facts_of_family(times) if family else None if times is None else facts_of_schedule(times)
+    return {**kept, "about": about, "plant": facts_of_plant(data["plant"])}
+
+
+def true(data):
+    """Whether what a certificate states holds where an oracle looks: 50 digits, or Riccati along schedules."""
+    if data["claim"] == "detectability":
+        return dissipation.holds(data)
+    facts = facts_of_plant(data["plant"])
+    plant = Plant(facts["A"], facts["C"], G=facts["G"])
+    weights = tuple(np.array(data[key], dtype=float) for key in ("Qw", "R", "Qv"))
+    P1, P2 = (np.array(data[key], dtype=float) for key in ("P1", "P2"))
+    room = (1 + 1e-6) / (1 + data["margin"])
+    return all(
+        families.largest_ratio(plant, weights, data["eta"], P2, times, outputs, against) <= most * room
+        for times, outputs in members(data)
+        for against, most in ((P1, 1.0), (P2, data["lam"] * (1 + data["margin"])))
+    )
+
+
+def members(data):
+    """Some schedules that a certificate is about, ten samples each, from the window's start."""
+    times = data["times"]
+    if times["kind"] in ("finite", "periodic"):
+        facts = facts_of_schedule(times)
+        laps = 1 if times["kind"] == "finite" else -(-10 // len(facts["times"]))
+        one, mask = np.array(facts["times"]), facts["outputs"]
+        yield (
+            np.concatenate([one + k * (facts["period"] or 0.0) for k in range(laps)]),
+            None if mask is None else np.tile(np.array(mask, bool), (laps, 1)),
+        )
+        return
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        drawn_one = family_from_dict(times).draw(rng, samples=8)
+        yield drawn_one.times, drawn_one.outputs
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_changed_file_is_refused_or_read_as_it_stands(kind, tmp_path):
+    refused, taken = sweep_files(kind, tmp_path)
+    assert min(refused, taken) > 0
+
+
+@pytest.mark.parametrize("kind", FAMILIES)
+def test_a_changed_family_is_refused_or_read_as_it_stands(kind):
+    refused, taken = sweep_families(kind)
+    assert min(refused, taken) > 0
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_changed_table_is_refused_or_read_as_it_stands(periodic, tmp_path):
+    refused, taken = sweep_tables(periodic, tmp_path)
+    assert min(refused, taken) > 0
+
+
+def sweep_tables(periodic, folder, most=MOST, seed=0):
+    """The same for a schedule's CSV."""
+    mask = [[1, 0], [1, 1], [0, 1]]
+    ends = PeriodicSchedule.from_times([0.5, 1.5, 3.0], 4.0, mask, **DATED)
+    path = sd.write_schedule(ends if periodic else Schedule([0.5, 1.5, 3.0], mask, **DATED), Path(folder) / "s.csv")
+    every = list(mutants.of_table(path.read_text()))
+    found = [0, 0]
+    for k in np.random.default_rng(seed).permutation(len(every))[:most]:
+        label, text = every[k]
+        path.write_text(text)
+        record = read(sd.read_schedule, path)
+        found[record is not None] += 1
+        assert record is None or same(facts_of_table(text), facts_of_schedule(record)), label
+    return found
+
+
+@pytest.mark.parametrize("kind", CERTIFICATES)
+def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
+    found = sweep_certificates(kind, tmp_path)
+    assert found["bad file"] > 0
+    assert found["judged"] > 0

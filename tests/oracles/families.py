@@ -38,6 +38,11 @@ def information(plant, weights, eta, P2, times, start, t, outputs=None):
 
 def largest_lambda(plant, weights, eta, P2, times, outputs=None, starts=4, parts=3):
     """The largest lambda_max(P2, Pi) over some starts per gap (just after the sample too) and some times per gap."""
+    return largest_ratio(plant, weights, eta, P2, times, outputs, P2, starts, parts)
+
+
+def largest_ratio(plant, weights, eta, P2, times, outputs, against, starts=4, parts=3):
+    """The largest lambda_max(against, Pi) likewise."""
     Qw, R, Qv = weights
     gaps = np.diff(times, prepend=0.0)
     top = 0.0
@@ -48,7 +53,7 @@ def largest_lambda(plant, weights, eta, P2, times, outputs=None, starts=4, parts
                 for x in np.linspace(1 / parts, 1.0, parts):
                     F, W = flow(plant.A, plant.G, Qw, eta, x * ahead)
                     inside = F @ Y @ F.T + W
-                    top = max(top, eigh(inside, np.linalg.inv(P2), eigvals_only=True)[-1])
+                    top = max(top, eigh(inside, np.linalg.inv(against), eigvals_only=True)[-1])
                 Y = after_sample(inside, plant.C, R, Qv, None if outputs is None else outputs[k])
                 ahead = gaps[k + 1] if k + 1 < len(times) else 0.0
     return top

@@ -209,6 +209,18 @@ def test_aliased_schedule_is_refused_with_reason_and_a_repair_that_works():
     assert repaired.verify().passed
 
 
+@pytest.mark.parametrize("apart", [1e-10, 1e-7, 1e-5, 1e-3])
+@pytest.mark.parametrize("gaps", [[1.0], [0.3, 0.7]])
+def test_eigenvalues_that_are_nearly_one_are_said_to_be(apart, gaps):
+    plant = Plant(np.diag([0.1, 0.1 + apart]), [[1.0, 1.0]])
+    found = certificate_exists(plant, PeriodicSchedule(gaps), 0.1)
+    assert found.exists == (apart > 1e-9)
+    assert f"lies within {apart:.6g} of 0.1" in found.reason
+    assert "do not tell them apart" in found.reason
+    assert "turn" not in found.reason
+    assert "aliased" not in found.reason
+
+
 def test_integer_gaps_alias_omega_pi_whatever_the_schedule():
     plant = Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
     with pytest.raises(CertificateError, match="whole turns into every gap") as caught:

@@ -286,16 +286,26 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
 
 def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSchedule, eta: float) -> str:
     name = format_eigenvalue(main, grain=1e-12 * abs(main))
-    distinct = [v for v in partners if abs(v - main) > ALIAS_TOLERANCE * max(abs(main), 1e-300)]
-    if not distinct:
+    if not partners:
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
         rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
         return f"the eigenvalue {name} is seen by no sample of the lap{rate}"
-    turns = round(abs((main - distinct[0]).imag) * schedule.period / (2 * np.pi))
-    every = np.abs((main - distinct[0]).imag) * schedule.gaps / (2 * np.pi)
+    turned = [v for v in partners if _turns(main - v, schedule.period)]
+    others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
+    if not turned:
+        apart = max(abs(v - main) for v in partners)
+        lap = f"the samples of a lap of {short(schedule.period)} do not tell them apart"
+        return f"the eigenvalue {name} lies within {short(apart)} of {others}: {lap}"
+    turns = _turns(main - turned[0], schedule.period)
+    every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))
-    what = f"{turns} turn{'s' * (turns != 1)} of their difference fit into the period {short(schedule.period)}"
+    fit = "turn of their difference fits" if turns == 1 else "turns of their difference fit"
+    what = f"{turns} {fit} into the period {short(schedule.period)}"
     if by_gap and len(schedule) > 1:
         what += " and whole turns into every gap"
-    others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in distinct)
     return f"the eigenvalue {name} is aliased with {others}: {what}"
+
+
+def _turns(difference: complex, period: float) -> int:
+    """Whole turns that two eigenvalues drift apart over a period; none where they are nearly one."""
+    return round(abs(difference.imag) * period / (2 * np.pi))

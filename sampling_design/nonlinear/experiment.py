@@ -17,6 +17,7 @@ from sampling_design._files import from_json, read_text, write_text
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.nonlinear import thyroid as model
+from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.patient_run import PatientRun
@@ -190,6 +191,8 @@ def thyroid_experiment(
     lines = {} if path is None else _read(Path(path), settings)
     wanted = [(case, run) for case in cases for run in range(count)]
     missing = [key for key in wanted if key not in lines]
+    if missing:
+        casadi()  # before anything is written, and before others are asked to work without it
     if path is not None:
         _write(Path(path), settings, lines)  # a folder that cannot be written is found out before the work
     for line in _solved(missing, settings, workers):

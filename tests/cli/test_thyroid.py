@@ -1,6 +1,18 @@
 """The command thyroid in short runs."""
 
 import json
+import subprocess
+import sys
+
+import pytest
+
+WITHOUT = """
+import sys
+sys.modules["casadi"] = None
+from sampling_design.cli import main
+if __name__ == "__main__":
+    main()
+"""
 
 
 def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
@@ -27,3 +39,17 @@ def test_thyroid_refuses_another_experiments_file(shell, tmp_path):
     assert result.code == 2
     assert "holds runs with seed = 0, asked for 5" in result.err
     assert shell("thyroid", "--reading", "per_week").code == 2
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_without_the_extra_it_ends_in_one_sentence_that_names_it(tmp_path, workers):
+    (tmp_path / "without.py").write_text(WITHOUT)
+    flags = ["--days", "0.25", "--runs", "2", "--workers", str(workers), "-o", "out"]
+    done = subprocess.run(
+        [sys.executable, "without.py", "thyroid", *flags], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'sampling-design[nonlinear]'" in done.stderr
+    assert not done.stdout
+    assert not list((tmp_path / "out").iterdir())

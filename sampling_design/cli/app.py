@@ -16,13 +16,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="When to measure a plant that is measured rarely, what that proves, and what the state is.",
     epilog="Exit codes: 0 done and the claim holds; 1 the mathematics says no; 2 bad input or usage; "
-    "3 a solver failed or a budget ran out; 130 interrupted.",
+    "3 a solver failed or a budget ran out; 70 a defect of this program; 130 interrupted.",
 )
 for command in (
     *plan.COMMANDS,
+    *prove.COMMANDS,
     *explore.COMMANDS,
     *accuracy.COMMANDS,
-    *prove.COMMANDS,
     *track.COMMANDS,
     *thyroid.COMMANDS,
 ):

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
 
 
 def readme_commands() -> list[str]:
@@ -41,5 +42,32 @@ def test_the_eight_lines_run(monkeypatch, capsys):
 def test_the_table_of_commands_is_the_command_line():
     from sampling_design.cli.app import app
 
-    listed = set(re.findall(r"^\| `([a-z-]+) ", (ROOT / "README.md").read_text(), flags=re.MULTILINE))
-    assert listed == {command.name for command in app.registered_commands}
+    listed = re.findall(r"^\| `([a-z-]+) ", (ROOT / "README.md").read_text(), flags=re.MULTILINE)
+    assert listed == [command.name for command in app.registered_commands]
+
+
+def test_the_flags_that_the_readme_gives_to_every_command_are_those_that_every_command_has():
+    from typer.main import get_command
+
+    from sampling_design.cli.app import app
+
+    commands = get_command(app).commands
+    flags = {name: {flag for option in command.params for flag in option.opts} for name, command in commands.items()}
+    told = re.search(r"^Each takes (.*?); those that search take `--budget SECONDS`(.*?);", README, flags=re.M | re.S)
+    every = set(re.findall(r"`(-[a-z-]+)", told[1]))
+    assert every == set.intersection(*flags.values()) - {"--output", "--version"}
+    without = set(re.findall(r"`([a-z-]+)`", told[2]))
+    assert without == {name for name, own in flags.items() if "--budget" not in own}
+
+
+def test_the_exit_codes_are_the_same_everywhere():
+    from sampling_design import errors
+    from sampling_design.cli import ending
+    from sampling_design.cli.app import app
+
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type)]
+    codes = {0, ending.DEFECT, ending.INTERRUPTED, *(getattr(kind, "exit_code", 0) for kind in kinds)}
+    table = (ROOT / "docs" / "conventions.md").read_text().split("(errors)=")[1].split("(tolerances)=")[0]
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", table, flags=re.MULTILINE)} == codes
+    for text in (README.split("Exit codes:")[1].split("\n\n")[0], app.info.epilog.split("Exit codes:")[1]):
+        assert {int(code) for code in re.findall(r"\b(\d+) [a-z]", text)} == codes

@@ -19,6 +19,7 @@ HERE = Path(__file__).parent
 PLANTS = HERE.parent / "plants"
 
 BOUNDS = {
+    "oscillator": {"w_bound": [0.01, 0.01], "v_bound": [0.05]},
     "satellite": {"w_bound": [4e-6] * 3, "v_bound": [10.0] * 3},
     "three_compartment": {"w_bound": [0.05, 0.05, 0.05], "v_bound": [0.1]},
 }
@@ -28,6 +29,22 @@ def irregular(period: float, count: int, jitter: float, lost: tuple[int, ...], r
     """Return nearly regular times: each late or early by at most `jitter`, to a tenth; some never come."""
     times = period * np.arange(count) + rng.uniform(0, jitter, size=count).round(1)
     return sd.Schedule(np.delete(times, lost))
+
+
+def oscillator() -> SimulatedRecord:
+    """Return four laps of the designed schedule, every sample up to 0.1 s late, two of them lost; no force."""
+    rng = np.random.default_rng(20260107)
+    plant = sd.read_plant(PLANTS / "oscillator.toml")
+    requirement = sd.read_requirement(PLANTS.parent / "requirements" / "oscillator.toml")
+    planned = sd.design_schedule(plant, requirement).schedule
+    assert planned is not None
+    end = planned.first + 4 * planned.period
+    times = planned.between(0.0, end).times
+    times = np.delete((times + rng.uniform(0, 0.1, times.size)).round(2), (6, 13))
+    force = [(0.0, [0.0])]
+    return sd.simulate_record(
+        plant, sd.Schedule(times), end + 1, x0=[1.0, -0.5], inputs=force, rng=rng, **BOUNDS["oscillator"]
+    )
 
 
 def satellite() -> SimulatedRecord:
@@ -51,7 +68,7 @@ def three_compartment() -> SimulatedRecord:
     )
 
 
-RECORDS = {"satellite": satellite, "three_compartment": three_compartment}
+RECORDS = {"oscillator": oscillator, "satellite": satellite, "three_compartment": three_compartment}
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE

@@ -31,7 +31,7 @@ def accuracy(
 ) -> None:
     """Bracket the least error that any estimator can guarantee on an endless schedule, at its worst time.
 
-    Example: sampling-design accuracy examples/plants/oscillator.toml schedule.json --w 0.02 --v 0.4
+    Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)

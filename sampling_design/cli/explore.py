@@ -141,7 +141,7 @@ def survive(
 ) -> None:
     """Say how late samples may come, and how many may be lost, before a certificate no longer holds.
 
-    Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json -o out
+    Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
     """
     plant = reading.plant(plant_file)
     certificate = sampling_certificate(certificate_file, plant)

@@ -31,7 +31,7 @@ def info(
 ) -> None:
     """Show a plant: its modes, which of them must be seen, and how many samples that takes.
 
-    Example: sampling-design info examples/plants/satellite.toml
+    Example: sampling-design info examples/plants/oscillator.toml
     """
     plant = reading.plant(plant_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
@@ -106,7 +106,7 @@ def design(
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
 
-    Example: sampling-design design examples/plants/satellite.toml examples/requirements/satellite.toml -o out
+    Example: sampling-design design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
     plant = reading.plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
@@ -167,7 +167,7 @@ def sigma(
 ) -> None:
     """Prove how well a schedule sees the plant: the least sigma over every real window position.
 
-    Example: sampling-design sigma examples/plants/satellite.toml out/schedule.csv --window 5554
+    Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)

@@ -65,7 +65,7 @@ def certify(
     With -o DIR: certificate.json, constants.md, constants.tex and horizons.png (family.png for a family). With
     --detectability: exponential i-iIOSS of the plant, measured all the time, and certificate.json alone.
 
-    Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5 -o out
+    Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
     plant = reading.plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}

@@ -35,7 +35,7 @@ def thyroid(
     With -o DIR every run is saved in DIR/runs.jsonl as it ends; the same command goes on where it stopped.
     DIR also gets the page thyroid.md with the paper's figures 1 to 3, and thyroid.json.
 
-    Example: sampling-design thyroid --runs 50 -o out
+    Example: sampling-design thyroid --runs 1 --days 0.5 -o out
     """
     from sampling_design.nonlinear import experiment  # late: the other commands need none of it
     from sampling_design.nonlinear.report import OPEN_POINTS

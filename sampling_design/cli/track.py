@@ -55,7 +55,7 @@ def estimate(
     Without certificate and schedule the gaps seen in the file are certified where that is possible. With -o DIR:
     estimates.csv, estimates.json and estimates.png.
 
-    Example: sampling-design estimate examples/plants/satellite.toml examples/data/satellite.csv -o out
+    Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out
     """
     plant = reading.plant(plant_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
@@ -246,7 +246,7 @@ def validate(
 
     Exit code 1 if a promise is broken. With -o DIR: report.md, report.json and validation.png.
 
-    Example: sampling-design validate examples/plants/satellite.toml out/schedule.csv -o out
+    Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
@@ -305,7 +305,7 @@ def log(
 
     With -o DIR: log.json and log.png.
 
-    Example: sampling-design log examples/plants/satellite.toml out/schedule.csv examples/data/satellite.csv
+    Example: sampling-design log examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)

@@ -136,5 +136,5 @@ def test_help_shows_brackets_and_one_unbroken_example(shell):
     told = shell("info", "--help").out
     assert "[plant's time unit]" in told
     told = shell("certify", "--help").out
-    example = "  Example: sampling-design certify examples/plants/oscillator.toml --gap-range 0.5 1.5"
+    example = "  Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out"
     assert any(line.startswith(example) for line in told.splitlines())

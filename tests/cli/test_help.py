@@ -1,0 +1,23 @@
+"""What `--help` shows: the examples of all commands, in order, are one story that can be typed as it stands."""
+
+import re
+import shlex
+from pathlib import Path
+from shutil import copytree
+
+from sampling_design.cli.app import app
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell):
+    copytree(EXAMPLES, tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    for command in app.registered_commands:
+        (example,) = re.findall(r"^ *Example: sampling-design (.*)$", shell(command.name, "--help").out, re.MULTILINE)
+        assert example.split()[0] == command.name
+        done = shell(*shlex.split(example))
+        assert done.code == 0, f"{example}: {done.err or done.out}"
+        assert done.out
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"schedule.csv", "certificate.json", "estimates.csv", "report.md", "log.json", "thyroid.md"} <= written

@@ -281,7 +281,7 @@ def certify(
     *Assumptions.* Linear plant, unconstrained noise (with convex constraints the certificate still holds).
     *Claim.* The inequality holds iff the discounted information Pi, started at P2, stays above P1 for every start and
     all t; for given weights lam is exact to 1e-3. *Method.* Windows side by side find lam; `checkers` proves it
-    over the continuum of starts and times and over all laps, and whatever window it finds raises lam. Weights are
+    over the continuum of starts and times and over all periods, and whatever window it finds raises lam. Weights are
     chosen by sequential quadratic programming on the exact lambda: a local optimum. *Numerical aspects.* Y = Pi^-1 is
     propagated in coordinates where P2 = I, samples in Joseph's form, gaps by doubling.
 
@@ -418,7 +418,7 @@ def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
     if not isinstance(plant, Plant):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     schedule = meet(plant, schedule)
-    endless = isinstance(schedule, PeriodicSchedule)  # whose lap comes again, though its first sample be at time 0
+    endless = isinstance(schedule, PeriodicSchedule)  # whose period comes again, though its first sample be at time 0
     if not len(schedule) or (schedule.times[-1] == 0 and not endless):
         raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
     return schedule

@@ -170,7 +170,7 @@ def _bounds(design: ScheduleDesign, every_period: bool, deadline: float) -> Arra
 
 
 def _laps(design: ScheduleDesign) -> int:
-    """Laps that a window can touch, plus one."""
+    """Periods that a window can touch, plus one."""
     assert design.schedule is not None
     return int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1
 

@@ -102,7 +102,7 @@ class ScheduleDesign(Record):
 
     @property
     def cost(self) -> float:
-        """Price of one lap: the sum of the outputs' costs over all measurements."""
+        """Price of one period: the sum of the outputs' costs over all measurements."""
         if self.schedule is None:
             return 0.0
         prices = np.array([_cost(self.requirement, name) for name in self.plant.outputs.names])
@@ -226,7 +226,7 @@ class ScheduleDesign(Record):
             rows.insert(2, (f"sigma, {other[0]}", f"{short(other[1])} proven"))
         if self.cost:
             limit = self.requirement.cost_limit
-            rows.append(("cost of a lap", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
+            rows.append(("cost of a period", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
         return rows
 
     def explain(self) -> str:

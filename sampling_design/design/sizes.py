@@ -14,7 +14,7 @@ MOST_MEMORY = 4.0e9
 """Bytes that one array of a design may take."""
 
 _LARGEST, _SMALLEST = 1e120, 1e-120  # entries between them have squares and products of squares that are numbers
-_LIKELY_LAPS = 1e6  # laps that a window may hold: their times still differ by more than rounding
+_LIKELY_LAPS = 1e6  # periods that a window may hold: their times still differ by more than rounding
 _BYTES = 8.0
 
 

@@ -1,4 +1,4 @@
-"""A design in one picture: the samples of a lap, what is forbidden, and sigma over the window's position."""
+"""A design in one picture: the samples of a period, what is forbidden, and sigma over the window's position."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
 def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None) -> Axes:
-    """Draw the samples of a schedule (of two laps, the second pale, if it is periodic)."""
+    """Draw the samples of a schedule (of two periods, the second pale, if it is periodic)."""
     ax = style.new_axes(ax, height=1.8 + 0.25 * _rows(schedule))
     _stems(ax, schedule.times, schedule.outputs, _rows(schedule), 1.0)
     if isinstance(schedule, PeriodicSchedule):

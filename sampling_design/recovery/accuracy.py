@@ -35,7 +35,7 @@ class GapProof:
     Attributes
     ----------
     sample : int
-        Its place in the schedule's lap.
+        Its place in the schedule's period.
     offsets : (m,) int array
         Panels of the gap's grid, 0 and the last among them.
     gains : tuple of tuple of arrays
@@ -54,11 +54,11 @@ class AccuracyProfile:
     Attributes
     ----------
     edges : (N+1,) array
-        From the first sample of a lap on [the plant's time unit].
+        From the first sample of a period on [the plant's time unit].
     lower : (r, N) array
     upper : (r, N) array
     samples : (m,) array
-        Sample times of the lap.
+        Sample times of the period.
     """
 
     edges: Array
@@ -84,11 +84,11 @@ class Accuracy(Record):
     upper : (r,) array
         Proven for all real times by gains, whatever the error was in the distant past.
     worst : (r,) array
-        A time in the lap at which `lower` is attained.
+        A time in the period at which `lower` is attained.
     closed : (r,) bool array
         Whether the bracket met the tolerance asked for.
     at_samples : (r, N) array
-        What gains prove at each sample of the lap, the sample included.
+        What gains prove at each sample of the period, the sample included.
     profile : AccuracyProfile
     witnesses : tuple of AccuracyWitness
         In the coordinates of the known part where something is unknown; None for an infinite row.
@@ -215,7 +215,7 @@ def accuracy(
         Bound on the Euclidean norm of w(t), or on each entry; 0 where there is none.
     v_bound : float, (p,) or (N, p) array
         Bound on the Euclidean norm of the noise of a sample, on each output, or on each output of each sample of the
-        lap (a better instrument today); 0 for an exact sensor.
+        period (a better instrument today); 0 for an exact sensor.
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
     rtol : float

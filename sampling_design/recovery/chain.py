@@ -23,10 +23,10 @@ from sampling_design.recovery.riccati import CovarianceMap, limit, updated
 Array = npt.NDArray[np.float64]
 
 EXACT = 1e-6
-"""Size given to an exact sensor, in units of what w does to its output over a lap: for scaling only."""
+"""Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
 
 RANDOM_WALK = 1e-3
-"""Share of a free start's covariance that joins the filter's noise at each lap, so that it never goes to sleep."""
+"""Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 
 PANELS = (16, 4096)
 """Least and largest number of panels of the quadrature over a gap."""
@@ -38,7 +38,7 @@ CELL_LOSS = 2e-3
 """What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
 
 CONTRACTED = 1e-3
-"""Laps are added until the filter's error forgets all but this share of its past."""
+"""Periods are added until the filter's error forgets all but this share of its past."""
 
 LAPS = 4000
 
@@ -204,7 +204,7 @@ def noise_units(
 
 
 def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
-    """Diagonal D: between what w reaches and what samples see of each state over a lap."""
+    """Diagonal D: between what w reaches and what samples see of each state over a period."""
     n = F.shape[1]
     flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
     for H, step, reached in zip(rows, F, W, strict=True):

@@ -28,7 +28,7 @@ NOTHING = 1e-10
 """A rest below this share of the target counts as none where the start is free: rounding, all being of size one."""
 
 EXACTLY = 1e-6
-"""An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a lap."""
+"""An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ def updated(P: Array, G: Array) -> Array:
 
 
 def limit(lap: CovarianceMap) -> Array:
-    """Return the limit of repeated laps from P = 0, the least covariance that reproduces itself."""
+    """Return the limit of repeated periods from P = 0, the least covariance that reproduces itself."""
     for _ in range(DOUBLINGS):
         twice = lap.then(lap)
         settled = np.all(np.abs(twice.Q - lap.Q) <= SETTLED * np.sqrt(np.outer(np.diag(twice.Q), np.diag(twice.Q))))

@@ -107,7 +107,7 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDAr
 
 
 def _scales(plant: Plant, period: float) -> Array:
-    """One over what the outputs show of each state over as many laps as there are states: units play no part.
+    """One over what the outputs show of each state over as many periods as there are states: units play no part.
 
     At any time, since what the samples alone hide must not look small.
     """

@@ -44,7 +44,7 @@ class AccuracyWitness(Record):
     samples : (K,) array
         Sample times after the start; the last at most a gap before the end.
     last : int
-        Place of the last sample in the schedule's lap.
+        Place of the last sample in the schedule's period.
     states : (K, n) array
         x at those samples; the first is 0.
     outputs : (K, p) array of bool

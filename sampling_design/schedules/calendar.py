@@ -150,7 +150,7 @@ def write_ics(
     ----------
     schedule, start, span
         As for `calendar`. A periodic schedule whose period is whole seconds becomes one repeating event per
-        sample of its lap, without end if `span` is None; any other is written out over `span`.
+        sample of its period, without end if `span` is None; any other is written out over `span`.
     path : path
     summary : str
         Title of the events; the outputs to measure are appended.
@@ -252,7 +252,7 @@ def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
 
 
 def _repeating(schedule: AnySchedule, zero: datetime, span: float | None, rule: str) -> list[tuple[CalendarEntry, str]]:
-    """Each sample of the lap with its rule; with a span, only those that begin in it, repeated until its end."""
+    """Each sample of the period with its rule; with a span, only those that begin in it, repeated until its end."""
     unit = SECONDS[schedule.time_unit or ""]
     lap = calendar(schedule, zero)
     if span is None:

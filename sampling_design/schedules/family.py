@@ -30,7 +30,7 @@ GAP_MEMORY = ((0, 1), (1, 2), (1, 4), (2, 4), (3, 4))
 LONGEST_WORD = 4
 """Gaps of a suspect; longer unobservable words exist only for plants with many aliasing modes."""
 RANDOM_WORDS = 6
-"""Suspects of each length and lap that are drawn at random, besides the one of equal gaps."""
+"""Suspects of each length and period that are drawn at random, besides the one of equal gaps."""
 EQUAL_RTOL = 1e-9
 """Sums of gaps this near, relatively, are equal."""
 
@@ -145,15 +145,15 @@ class SamplingFamily(Record, ABC):
     # The search for a member without a certificate (certificates/existence/).
 
     def suspects(
-        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+        self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
-        """Yield periodic members worth a look; over `laps` two modes of the plant alias."""
-        laps = _checks.vector("laps", laps).tolist()
+        """Yield periodic members worth a look; over `periods` two modes of the plant alias."""
+        periods = _checks.vector("periods", periods).tolist()
         low, high, unit = self.min_gap, self.d_max, self.nominal.time_unit
         for gap in (low, high):
             if self.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=unit)):
                 yield ends
-        for period in laps:
+        for period in periods:
             for count in range(1, LONGEST_WORD + 1):
                 if not count * low <= period * (1 + EQUAL_RTOL) or not period <= count * high * (1 + EQUAL_RTOL):
                     continue

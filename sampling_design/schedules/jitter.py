@@ -37,7 +37,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 DEVIATION_CELLS = (1, 2, 4, 8)
 """Cells of a sample's deviation, per level of memory."""
-_LONGEST_LAP = 1_000_000  # samples after which the laps of two periodic schedules must have met
+_LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic schedules must have met
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,7 +187,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         return type(self)(schedule, self.radius)
 
     def suspects(
-        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+        self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
         """Yield two periods with every deviation none or the largest."""
         lap = period_of(self.schedule)

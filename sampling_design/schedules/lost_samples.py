@@ -34,7 +34,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 LONGEST_PATTERN = 12
 QUICK_PATTERN = 6
 """Nominal samples of a pattern of losses that is suspect, and in a quick look."""
-_MOST_LAPS = 10_000  # laps after which two periods must have met, else their ratio counts as irrational
+_MOST_LAPS = 10_000  # periods after which two periods must have met, else their ratio counts as irrational
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,7 +204,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         return type(self)(schedule, self.most, self.of)
 
     def suspects(
-        self, laps: Sequence[float], rng: np.random.Generator, quick: bool = False
+        self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
         """Yield the members that repeat a pattern of losses."""
         nominal, longest = period_of(self.schedule), QUICK_PATTERN if quick else LONGEST_PATTERN

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 ROUNDING = 8 * float(np.finfo(float).eps)
 """Two times that differ by less than this fraction of the larger one count as equal.
 
-Decimal times are not exact in binary (0.1 + 0.2 > 0.3), and each lap of a periodic schedule adds a rounding."""
+Decimal times are not exact in binary (0.1 + 0.2 > 0.3), and each period of a periodic schedule adds a rounding."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,7 @@ class SamplingSet(Record):
 
     @property
     def later_gaps(self) -> Array:
-        """d_2, d_3, ...: to the end of a finite schedule, one lap of a periodic one."""
+        """d_2, d_3, ...: to the end of a finite schedule, one period of a periodic one."""
         if isinstance(self.schedule, PeriodicSchedule):
             return np.roll(self.schedule.gaps, -1)
         return self.schedule.gaps
@@ -142,7 +142,7 @@ class SamplingSet(Record):
 
     @cached_property
     def distinct(self) -> int:
-        """How many of the K_i differ: every one of a finite schedule; one lap (and perhaps K_1) of a periodic one."""
+        """How many K_i differ: every one of a finite schedule; one period (and perhaps K_1) of a periodic one."""
         if not isinstance(self.schedule, PeriodicSchedule):
             return len(self.schedule)
         lap = _least_period(self.schedule)
@@ -154,7 +154,7 @@ class SamplingSet(Record):
         Notes
         -----
         *Method.* The fullest closed window may be shifted until it begins at a sample, so only those are
-        counted; one lap of them for a periodic schedule. *Numerical aspects.* A sample within rounding of
+        counted; one period of them for a periodic schedule. *Numerical aspects.* A sample within rounding of
         the window's end counts, so that the number errs on the large side, as its users need it.
         """
         T = _checks.nonnegative("T", T)

@@ -149,25 +149,25 @@ class PeriodicSchedule(_Sampled):
     """An endless schedule that repeats after sum(gaps).
 
     Sample 1 is at `first`; sample i+1 follows sample i by gaps[i] (0-based, so that gaps[i] lies before
-    the sample in row i), and the next lap's first sample follows by gaps[0].
+    the sample in row i), and the next period's first sample follows by gaps[0].
 
     Parameters
     ----------
     gaps : (N,) array
-        Positive; gaps[0] lies before the lap's first sample.
+        Positive; gaps[0] lies before the period's first sample.
     first : float, optional
         Time of the first sample, in [0, period]. Default gaps[0].
     outputs : (N, p) array of bool, optional
-        Which outputs each sample of the lap measures; None means all.
+        Which outputs each sample of the period measures; None means all.
     time_unit, origin, output_names
         As for `Schedule`.
 
     Attributes
     ----------
     times : (N,) array
-        Sample times of the first lap: first, first + gaps[1], ...
+        Sample times of the first period: first, first + gaps[1], ...
     period : float
-        Length of one lap.
+        Length of one period.
 
     Raises
     ------
@@ -211,13 +211,13 @@ class PeriodicSchedule(_Sampled):
     def from_times(cls, times: npt.ArrayLike, period: float, outputs: Any = None, **details: Any) -> PeriodicSchedule:
         """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...
 
-        `times` is one lap: the first in [0, period], the last less than one period after it. Times and
+        `times` is one period: the first in [0, period], the last less than one period after it. Times and
         period are kept to the last bit; gaps are their differences.
 
         Raises
         ------
         ArgumentError
-            If there are no times, they are unsorted, repeated or negative, or do not fit one lap.
+            If there are no times, they are unsorted, repeated or negative, or do not fit one period.
         """
         owned = _checks.increasing("times", times, "Did you pass gaps? Use PeriodicSchedule(gaps).")
         length = _checks.positive("period", period)
@@ -226,7 +226,7 @@ class PeriodicSchedule(_Sampled):
         if owned[-1] - owned[0] >= length:
             raise ArgumentError(
                 f"`times` must span less than one period {length!r}, got {float(owned[0])!r} to {float(owned[-1])!r}. "
-                "Does the last time already belong to the next lap?"
+                "Does the last time already belong to the next period?"
             )
         if owned[0] > length:
             raise ArgumentError(f"`times` must begin in [0, period] = [0, {length!r}], got {float(owned[0])!r}.")

@@ -24,7 +24,7 @@ def posed(name, window, period, samples, spans=None):
 
 
 def plain(problem, times, mask, a, left):
-    """sum of c'c over the laps of samples in (a, a + T], or [a, a + T); in (a, a + T) where laps do not repeat in T."""
+    """sum of c'c over the periods of samples in (a, a + T], or [a, a + T); (a, a + T) where none repeats in T."""
     A, C, S = problem.plant.A, problem.plant.C, problem.rows.S
     total, tiny = np.zeros((A.shape[0],) * 2), 1e-10 * problem.period
     ratio = problem.window / problem.period

@@ -80,7 +80,7 @@ def unseen_count(known: Known) -> int:
 
 
 def schedule_drawn(rng: np.random.Generator, known: Known) -> PeriodicSchedule:
-    """One to four samples a lap; every third lap holds whole turns of some difference of speeds, gaps perhaps too."""
+    """One to four samples a period; every third period holds turns of a difference of speeds, perhaps gaps too."""
     count = int(rng.choice([1, 1, 2, 3, 4]))
     speeds = sorted({abs(v.imag - w.imag) for v, _ in known.blocks for w, _ in known.blocks} - {0.0})
     speeds += [2 * v.imag for v, _ in known.blocks if v.imag > 0]
@@ -97,7 +97,7 @@ def schedule_drawn(rng: np.random.Generator, known: Known) -> PeriodicSchedule:
 def least_seen(known: Known, schedule: PeriodicSchedule, eta: float) -> float:
     """Least singular value of the lifted pencil over modes that do not fade at rate eta, in Jordan form, 50 digits.
 
-    Rows of the flow are divided by the size of their own block, samples by the growth of each block over the lap.
+    Rows of the flow are divided by the size of their own block, samples by the growth of each block over the period.
     """
     with mpmath.workdps(DIGITS):
         period = mpmath.mpf(float(schedule.period))

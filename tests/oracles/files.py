@@ -57,7 +57,7 @@ def facts_of_plant(source):
 
 
 def facts_of_schedule(source):
-    """Times of the first lap, period, what is measured, and what it is called."""
+    """Times of the first period, its length, what is measured, and what it is called."""
     if isinstance(source, dict):
         periodic = source["kind"] == "periodic"
         names, mask = source.get("output_names"), source.get("outputs")

@@ -44,7 +44,7 @@ def test_the_oracle_agrees_at_a_sample_and_between():
     low, *_ = oracle.adversary(A, C, G, times, c, 0.02, 0.4, cells=8)
     high, _ = oracle.gains(A, C, G, times, c, 0.02, 0.4, cells=8)
     found = sd.accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, of="velocity")
-    last = (len(times) - 1) % 4  # ten samples back from the second of the lap
+    last = (len(times) - 1) % 4  # ten samples back from the second of the period
     assert found.at_samples[0, last] == pytest.approx((low + high) / 2, rel=1e-3)
     d = 0.5
     row = c @ OSCILLATOR.transition(d)

@@ -110,7 +110,7 @@ def test_a_span_ends_the_repetition_where_the_dates_end(tmp_path):
         events = parse_ics((tmp_path / "a.ics").read_bytes())
         assert expand(events, 50) == [e.date for e in calendar(DAY, span=span)]
     write_ics(DAY, tmp_path / "a.ics", span=10.0)
-    assert len(parse_ics((tmp_path / "a.ics").read_bytes())) == 1  # the second sample of the lap comes later
+    assert len(parse_ics((tmp_path / "a.ics").read_bytes())) == 1  # the second sample of the period comes later
 
 
 def test_other_schedules_are_written_out_and_rounded_to_seconds(tmp_path):

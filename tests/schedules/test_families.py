@@ -195,7 +195,7 @@ def test_lost_samples_count_among_neighbours():
     assert family.d_max == 2.0
     assert not LostSamples(Schedule([1.0, 2.0]), 0, 1).contains(nominal)
     assert not LostSamples(Schedule([1.0, 2.0]), 0, 1).contains(Schedule([1.0]))  # the second is lost
-    # a period that fits the nominal one only after several laps, and times that carry rounding
+    # a period that fits the nominal one only after several periods, and times that carry rounding
     assert LostSamples(PeriodicSchedule([0.1]), 2, 3).contains(PeriodicSchedule([0.3]))
     assert not LostSamples(PeriodicSchedule([0.1]), 1, 3).contains(PeriodicSchedule([0.3]))
     masked = LostSamples(PeriodicSchedule([1.0], outputs=[[1, 0]]), 1, 3)

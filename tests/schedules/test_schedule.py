@@ -69,7 +69,7 @@ def test_from_times_keeps_times_and_period_to_the_last_bit():
     schedule = PeriodicSchedule.from_times(times, period)
     assert schedule.times.tolist() == times
     assert schedule.period == period
-    late = PeriodicSchedule.from_times([1.0, 2.0, 4.0], 4.0)  # the lap of PeriodicSchedule([1, 1, 2])
+    late = PeriodicSchedule.from_times([1.0, 2.0, 4.0], 4.0)  # the period of PeriodicSchedule([1, 1, 2])
     assert late.gaps.tolist() == PeriodicSchedule([1.0, 1.0, 2.0]).gaps.tolist()
     assert late.first == 1.0
     assert PeriodicSchedule([1.0, 1.0, 2.0], time_unit="h").in_unit("min").times.tolist() == [60.0, 120.0, 240.0]
@@ -125,7 +125,7 @@ def test_plain_data_is_exact():
         (lambda: PeriodicSchedule([1.0]).between(0.0, np.inf), "`stop` must be finite, got inf"),
         (lambda: PeriodicSchedule.from_times([], 1.0), "`times` must not be empty"),
         (lambda: PeriodicSchedule.from_times([0.5], 0.0), "`period` must be positive"),
-        (lambda: PeriodicSchedule.from_times([0.0, 1.0], 1.0), r"must span less than one period 1.0.* next lap\?"),
+        (lambda: PeriodicSchedule.from_times([0.0, 1.0], 1.0), r"must span less than one period 1.0.* next period\?"),
         (lambda: PeriodicSchedule.from_times([1.5], 1.0), r"`times` must begin in \[0, period\] = \[0, 1.0\], got 1.5"),
         (lambda: PeriodicSchedule.from_times([1.0, 0.5], 2.0), r"Did you pass gaps\? Use PeriodicSchedule\(gaps\)"),
     ],

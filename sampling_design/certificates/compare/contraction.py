@@ -16,7 +16,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 Array = npt.NDArray[np.float64]
 
 MOST_LAPS = 64
-"""A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole laps."""
+"""A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
 
 
 def error_map(certificate: Certificate, start: float, length: float, cost: str = "certificate") -> Array:
@@ -55,7 +55,7 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
 
 @door
 def spectral_radius(certificate: Certificate, length: float, cost: str = "certificate") -> float:
-    """Return the spectral radius of the error over one window of `length`, the worst start in a lap.
+    """Return the spectral radius of the error over one window of `length`, the worst start in a period.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
 
     Notes
     -----
-    *Method.* Windows follow each other; after at most 64 of them they start at the same phase of the lap to 1e-9, and
+    *Method.* Windows follow each other; after at most 64 of them they start at the same phase of it to 1e-9, and
     the radius of the product is taken per window. Where they never do, after 64.
     """
     schedule = certificate.schedule
@@ -97,7 +97,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
 
 @door
 def least_contracting(certificate: Certificate, cost: str = "certificate") -> float:
-    """Return the least window, in steps from sample to sample of a lap, from which on the true error map contracts.
+    """Return the least window, in steps from sample to sample of a period, from which on the true error map contracts.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def least_contracting(certificate: Certificate, cost: str = "certificate") -> fl
     Returns
     -------
     float [time]
-        Least tried length whose spectral radius is below one and stays so for every longer one tried (up to two laps
+        Least tried length whose spectral radius is below one and stays so for every longer one tried (up to two periods
         and four gaps). Infinite if there is none.
     """
     schedule = certificate.schedule

@@ -73,7 +73,7 @@ def information_curve(
     start : float, optional [time]
         Default the start of the certificate's worst window, or 0.
     samples : int, optional
-        How many samples to follow; default two laps of a periodic schedule, or the whole finite one.
+        How many samples to follow; default two periods of a periodic schedule, or the whole finite one.
     points : int
         Points in each gap.
 

@@ -17,22 +17,22 @@ from sampling_design.errors import SolverError
 Array = npt.NDArray[np.float64]
 
 STEADY_RTOL = 1e-10
-"""Relative change of Y per doubling at which the steady lap counts as found; eps times some condition 1e5."""
+"""Relative change of Y per doubling at which the periodic solution counts as found; eps times some condition 1e5."""
 MERGED_RTOL = 1e-5
-"""A window below (1 + this) times the steady lap brings nothing new: lambda is then the steady one within 1e-5."""
+"""A window below (1 + this) times the periodic solution brings nothing new: lambda is then its own within 1e-5."""
 MAX_DOUBLINGS = 40
 LONGEST_WALK = 4000
-"""Samples that are followed one by one where the composition of laps is lost in rounding."""
+"""Samples that are followed one by one where the composition of periods is lost in rounding."""
 MAX_STEPS = 100_000
 LONGEST_REFINED = 200
-"""Peaks after more samples than this lie on the steady lap, where a finer look changes nothing."""
+"""Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
 ATTAINED_RTOL = 2e-4
-"""How near to the steady lap a window is followed; the certificate leaves 1e-3."""
+"""How near to the periodic solution a window is followed; the certificate leaves 1e-3."""
 LONGEST_RUN = 20_000
-"""Samples along which a window is followed towards the steady lap."""
+"""Samples along which a window is followed towards the periodic solution."""
 START_CELLS = 5
 MIN_STARTS = 16
-"""Inner starts: START_CELLS - 1 per gap, and at least about this many per lap."""
+"""Inner starts: START_CELLS - 1 per gap, and at least about this many per period."""
 TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 REFINEMENTS = 4
 
@@ -72,15 +72,15 @@ def push(Y: Array, F: Array, W: Array) -> Array:
 
 
 def periodic_riccati_solution(problem: WindowProblem) -> Array:
-    """Return Y just after each sample of the lap in the long run, shape (N, n, n).
+    """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
-    The lap is Y -> F Y (I + H Y)^-1 F' + W; two laps are again of that form, so that 2^k laps cost k
+    One period is Y -> F Y (I + H Y)^-1 F' + W; two periods are again of that form, so that 2^k periods cost k
     compositions and slow plants need no more time than fast ones.
 
     Raises
     ------
     SolverError
-        If Y has not settled after 2^40 laps: the schedule is on the edge of what can be certified.
+        If Y has not settled after 2^40 periods: the schedule is on the edge of what can be certified.
 
     Notes
     -----
@@ -98,7 +98,7 @@ def periodic_riccati_solution(problem: WindowProblem) -> Array:
 
 
 def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The periodic solution by following it: slower, but no composition of laps is lost in rounding."""
+    """The periodic solution by following it: slower, but no composition of periods is lost in rounding."""
     Y = np.eye(problem.size)
     for _ in range(LONGEST_WALK // problem.count + 1):
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
@@ -110,13 +110,13 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
             return around
         Y = around[-1]
     raise SolverError(
-        "the information did not settle over 2^40 laps: this schedule is on the edge of what can be certified.",
+        "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
     )
 
 
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The periodic solution by composing laps, twice as many in each step."""
+    """The periodic solution by composing periods, twice as many in each step."""
     n = problem.size
     lap = (np.eye(n), np.zeros((n, n)), np.zeros((n, n)))
     for i in range(problem.count):
@@ -136,7 +136,7 @@ def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
             return _around(problem, flows, following)
         Y, lap = following, longer
     raise SolverError(
-        "the information did not settle over 2^40 laps: this schedule is on the edge of what can be certified.",
+        "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
     )
 
@@ -159,7 +159,7 @@ def _apply(lap: tuple[Array, Array, Array], Y: Array) -> Array:
 
 
 def _around(problem: WindowProblem, flows: tuple[Array, Array], last: Array) -> Array:
-    """Y after each sample, given Y after the lap's last one."""
+    """Y after each sample, given Y after the period's last one."""
     result = np.empty((problem.count, problem.size, problem.size))
     Y = last
     for i in range(problem.count):
@@ -178,7 +178,7 @@ def sweep(
 ) -> list[Peak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
-    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the steady lap.
+    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
     """
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size
@@ -211,7 +211,7 @@ def sweep(
 
 
 def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> npt.NDArray[np.bool_]:
-    """Which windows may still bring something: the schedule goes on and the steady lap is not yet above."""
+    """Which windows may still bring something: the schedule goes on and the periodic solution is not yet above."""
     if problem.period is None:
         return np.asarray(at + 1 < problem.count)
     if steady is None:
@@ -264,7 +264,7 @@ def _value(peak: Peak) -> float:
 
 
 def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
-    """Return `best`, or where the steady lap exceeds it: a window followed until it reaches that."""
+    """Return `best`, or where the periodic solution exceeds it: a window followed until it reaches that."""
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
     F, W = problem.flow(np.outer(problem.gaps[follower], part).ravel())

@@ -282,7 +282,7 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     Raises
     ------
     CertificateError
-        If no rate has a certificate: the lap misses a mode that does not decay.
+        If no rate has a certificate: the period misses a mode that does not decay.
     """
     mean = float(np.mean(schedule.gaps)) if schedule.gaps.size else float(schedule.times[0])
     low, high = (factor / max(mean, 1e-300) for factor in ETA_RANGE)

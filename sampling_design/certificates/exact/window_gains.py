@@ -17,7 +17,7 @@ from sampling_design.certificates.exact.window_problem import Index, WindowProbl
 Array = npt.NDArray[np.float64]
 
 MERGED = 1e-3
-"""A window this near the steady lap, relative to it or to P2^-1, is followed no further."""
+"""A window this near the periodic solution, relative to it or to P2^-1, is followed no further."""
 MOST_WINDOWS, FEWER = 48, 20
 """Windows of one set, of plants with at most FOUR states and of larger ones."""
 FOUR = 4
@@ -65,7 +65,7 @@ class WindowSet:
         return float(np.linalg.eigvalsh(Y * size * size[:, None])[..., -1].max())
 
     def long_run(self, prior: Array) -> Array:
-        """Y within the gaps of the long-run lap; of a finite schedule, along its windows from P2^-1 = `prior`."""
+        """Y within the gaps of the long-run period; of a finite schedule, along its windows from P2^-1 = `prior`."""
         if self.steady is not None:
             follower = (np.arange(self.problem.count) + 1) % self.problem.count
             return push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
@@ -117,7 +117,7 @@ class WindowSet:
         return float(max([0.0, *tops, (top + np.log(total) / SHARPNESS).max()]))  # a window starts with one
 
     def log_lambda(self, L: Array) -> tuple[Array, Array]:
-        """Return ln lambda of each window (and of the steady lap, last) and the gradients in P2, (m,) and (m, n, n)."""
+        """Return ln lambda of each window (last: the periodic solution) and gradients in P2, (m,) and (m, n, n)."""
         half = np.asarray(np.linalg.inv(L), dtype=np.float64)
         X = half.T @ half
         Y, Phi, valid = self._paths(X)

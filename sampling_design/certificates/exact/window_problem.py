@@ -35,7 +35,7 @@ class WindowProblem:
 
     `A`, `noise` and `rows` are in coordinates x~ = root' x (P2 = root root'). `rows[i]` is V_i^{-1/2} C_i with
     V_i the measured block of R^-1 + Qv^-1, padded with zero rows. Before sample i a window may start with any
-    remaining time in [0, reach[i]]; sample i lies `gaps[i]` after its predecessor in the lap.
+    remaining time in [0, reach[i]]; sample i lies `gaps[i]` after its predecessor in the period.
     """
 
     A: Array
@@ -50,7 +50,7 @@ class WindowProblem:
 
     @property
     def count(self) -> int:
-        """Samples in the lap, or in the finite schedule."""
+        """Samples in the period, or in the finite schedule."""
         return self.gaps.size
 
     @property

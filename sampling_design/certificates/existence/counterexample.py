@@ -50,7 +50,7 @@ class Counterexample(Record):
     multiplier : complex
         mu.
     direction : tuple of complex
-        v, of unit length, just after the last sample of a lap.
+        v, of unit length, just after the last sample of a period.
     residual : float
         The larger of |Mv - mu v| over the norm of |M||v| and |C_i e^{A tau_i} v| over |C_i e^{A tau_i}||v|, in units
         that balance A.
@@ -91,7 +91,7 @@ class Counterexample(Record):
 
 
 def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Array]:
-    """Monodromy matrix of a lap that begins just after its last sample, rows of its samples, units that balance A.
+    """Monodromy matrix of a period that begins just after its last sample, rows of its samples, units that balance A.
 
     Both are in these units, x = units z, so that the units of the plant do not decide what counts as small.
     """
@@ -141,7 +141,7 @@ def find_counterexample(
     rng: np.random.Generator | None = None,
     quick: bool = False,
 ) -> tuple[Counterexample | None, tuple[float, PeriodicSchedule]]:
-    """Search a periodic schedule of `family` whose lap is not detectable at rate `eta`.
+    """Search a periodic schedule of `family` whose period is not detectable at rate `eta`.
 
     Parameters
     ----------
@@ -162,16 +162,16 @@ def find_counterexample(
 
     Notes
     -----
-    *Method.* Two eigenvalues of equal real part alias over a lap of 2 pi k/|Im(lambda_i - lambda_j)|: for every such
-    lap that words of up to four gaps can have, the word of equal gaps, some random ones, and the least margin over
+    *Method.* Two eigenvalues of equal real part alias over a period of 2 pi k/|Im(lambda_i - lambda_j)|: for every such
+    period that words of up to four gaps can have, the word of equal gaps, some random ones, and the least margin over
     gaps of that sum. For lost samples, every pattern of losses of up to twelve nominal samples.
     """
     eta = positive("eta", eta)
-    laps = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
+    periods = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
     rng = np.random.default_rng(0) if rng is None else rng
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
-    for schedule in _suspects(plant, family, eta, laps, rng, quick):
+    for schedule in _suspects(plant, family, eta, periods, rng, quick):
         found = judged(plant, schedule, eta)
         if not found.exists:
             made = counterexample(plant, schedule, eta, found)
@@ -227,12 +227,12 @@ def _suspects(
 ) -> Iterator[PeriodicSchedule]:
     """Periodic members worth a look: the nominal one, and those that the family suspects."""
     yield period_of(family.nominal)
-    laps = sorted({*_aliasing_periods(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
-    yield from family.suspects(laps, rng, quick)
+    periods = sorted({*_aliasing_periods(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
+    yield from family.suspects(periods, rng, quick)
 
 
 def _aliasing_periods(plant: Plant, eta: float, longest: float) -> list[float]:
-    """Laps 2 pi k/|Im(a - b)| up to `longest` over the eigenvalues that do not fade by themselves at rate eta."""
+    """Periods 2 pi k/|Im(a - b)| up to `longest` over the eigenvalues that do not fade by themselves at rate eta."""
     values = np.array([c.value for block in period_modes(plant, float(eta)).blocks for c in block.clusters])
     if values.size < 2:
         return []

@@ -32,10 +32,10 @@ ALIAS_TOLERANCE = 1e-6
 NEARLY = 1e-2
 """Eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1."""
 MOST_LAPS, FEWEST_LAPS, MOST_UPDATES = 400, 40, 8000
-"""Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of laps."""
+"""Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of periods."""
 SETTLING, SETTLED = 10, 1e-4
-"""Y has settled if it changes by less than this part of itself over so many laps, in every direction (linear growth:
-2.5e-2 of itself after 400 laps)."""
+"""Y has settled if it changes by less than this part of itself over so many periods, in every direction (linear growth:
+2.5e-2 of itself after 400 periods)."""
 HUGE = UNSEEN_TOLERANCE**-2
 """A mode seen as little as `UNSEEN_TOLERANCE` leaves a covariance of this size: beyond it, Y counts as unbounded."""
 REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)
@@ -50,16 +50,16 @@ class Existence(Record):
     ----------
     exists : bool
     margin : float
-        Least singular value of the scaled pencil [e^{A P} - mu I; rows of one lap] over the eigenvalues mu of
+        Least singular value of the scaled pencil [e^{A P} - mu I; rows of one period] over the eigenvalues mu of
         modulus >= e^{-eta P/2}; infinite if there are none. Zero, up to rounding, where a mode is missed; about as
         far from it, relatively, as the period is from one at which two modes are aliased. In units of its own:
-        every mode counts as large as what the lap shows of it.
+        every mode counts as large as what the period shows of it.
     eigenvalue : complex or None
-        Of A: the mode that the lap does not see.
+        Of A: the mode that the period does not see.
     partners : tuple of complex
         Eigenvalues of A that it cannot be told from at the sample times.
     period : float
-        The lap by which they alias.
+        The period by which they alias.
     reason : str
     """
 
@@ -68,7 +68,7 @@ class Existence(Record):
     eigenvalue: complex | None = None
     partners: tuple[complex, ...] = ()
     period: float = 0.0
-    reason: str = "every mode that does not fade by itself is seen within a lap"
+    reason: str = "every mode that does not fade by itself is seen within a period"
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
@@ -105,11 +105,11 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
 
     Notes
     -----
-    *Claim.* A certificate exists iff every eigenvalue of e^{AP}, P the lap, of modulus at least e^{-eta P/2} is
-    observable from the rows C_i e^{A tau_i} of one lap. *Method.* In the coordinates of the invariant subspaces of
+    *Claim.* A certificate exists iff every eigenvalue of e^{AP}, P the period, of modulus at least e^{-eta P/2} is
+    observable from the rows C_i e^{A tau_i} of one period. *Method.* In the coordinates of the invariant subspaces of
     those modes, each column as large as what the outputs show of it, so that units change nothing. *Numerical
     aspects.* `margin` says how clear the verdict is. A "no" is said only if a run of the discounted covariance over
-    many laps does not settle.
+    many periods does not settle.
 
     References
     ----------
@@ -189,7 +189,7 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
 
 @door
 def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dict[str, Any] | None:
-    """Return the smallest change of one gap after which the lap sees every mode with margin, or None.
+    """Return the smallest change of one gap after which the period sees every mode with margin, or None.
 
     Parameters
     ----------
@@ -247,14 +247,14 @@ def _turned(difference: complex, period: float) -> float:
 
 
 def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
-    """Whether the discounted covariance settles in a run over many laps: then some certificate does exist.
+    """Whether the discounted covariance settles in a run over many periods: then some certificate does exist.
 
         Y -> F Y F' + I,  F = e^{(A + eta/2 I) h};    Y -> Y - Y C'(C Y C' + I)^{-1} C Y at a sample
 
     Notes
     -----
     *Claim.* Y is bounded iff a certificate exists, whatever the weights. This run shares neither modes nor singular
-    values with the test that it checks. An unseen mode grows by at least I a lap, so Y never settles; where it grows
+    values with the test that it checks. An unseen mode grows by at least I a period, so Y never settles; where it grows
     beyond all numbers it does not settle either.
     """
     d = balance(plant.A).d
@@ -289,12 +289,12 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     if not partners:
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
         rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
-        return f"the eigenvalue {name} is seen by no sample of the lap{rate}"
+        return f"the eigenvalue {name} is seen by no sample of the period{rate}"
     turned = [v for v in partners if _turns(main - v, schedule.period)]
     others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
     if not turned:
         apart = max(abs(v - main) for v in partners)
-        lap = f"the samples of a lap of {short(schedule.period)} do not tell them apart"
+        lap = f"the samples of a period of {short(schedule.period)} do not tell them apart"
         return f"the eigenvalue {name} lies within {short(apart)} of {others}: {lap}"
     turns = _turns(main - turned[0], schedule.period)
     every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)

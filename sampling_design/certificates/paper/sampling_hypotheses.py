@@ -14,7 +14,7 @@ from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 LONGEST_WINDOW = 4
-"""Windows are tried up to this many times the number of states, in samples (plus one lap of a periodic schedule)."""
+"""Windows are tried up to this many times the number of states, in samples (plus one period of a periodic schedule)."""
 
 
 def measure_hypotheses(

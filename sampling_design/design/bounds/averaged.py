@@ -1,4 +1,4 @@
-"""The bound from windows that follow every sample, averaged over the samples of a lap as origins.
+"""The bound from windows that follow every sample, averaged over the samples of a period as origins.
 
 With d_i the distance from a sample to its i-th follower, averages over origins of any f_i(d_i) obey two
 laws. The mean of d_i is i P/k, so that a tilt mu_i (d_i - i P/k) may be added. And followers i and k - i

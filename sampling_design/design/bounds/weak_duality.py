@@ -278,7 +278,7 @@ def _arcs(problem: DesignProblem) -> list[TimeCells]:
 
 
 def piece_edges(period: float, points: Array) -> Array:
-    """Sorted distinct piece ends in [0, period], points of later laps brought back."""
+    """Sorted distinct piece ends in [0, period], points of later periods brought back."""
     points = np.where(points > period, points - period, points)
     points = np.unique(np.concatenate([[0.0, period], points[(points > 0) & (points < period)]]))
     keep = np.append(np.diff(points) > 1e-13 * period, True)

@@ -1,4 +1,4 @@
-"""Where the samples of a lap can lie, counted from the sample after which all others come late, or early.
+"""Where the samples of a period can lie, counted from the sample after which all others come late, or early.
 
 Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - i P/k: how late sample i is
 against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
@@ -80,7 +80,7 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
             high, low[0] = np.minimum(high, high[0] + even), np.max(low - even)
         low = np.maximum.accumulate(low - apart) + apart
         high = np.minimum.accumulate((high - apart)[::-1])[::-1] + apart
-        high[1:] = np.minimum(high[1:], high[0] + room[1:])  # the next lap's first sample is a spacing away too
+        high[1:] = np.minimum(high[1:], high[0] + room[1:])  # the next period's first sample is a spacing away too
         low[0] = max(low[0], float(np.max(low[1:] - room[1:])))
         if np.any(high < low - _EMPTY * P):
             return None

@@ -130,11 +130,11 @@ class ScaledRows:
 
 
 def lags(times: Array, start: Array, window: float, period: float, closed: str) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the distances of all laps of `times` from `start`, and which lie in the half-open window.
+    """Return the distances of all periods of `times` from `start`, and which lie in the half-open window.
 
     `closed` = "right" for (start, start + T], the limit just after a sample leaves, or "left" for
     [start, start + T). Distances within 1e-11 periods of an end lie on it. Shapes broadcast; one axis
-    of laps is appended.
+    of periods is appended.
     """
     tiny = 1e-11 * period
     base = np.mod(times - start, period)

@@ -62,7 +62,7 @@ class Requirement(Record):
     period : float, optional
         The schedule repeats after this time. Default: the window.
     spacing : float, optional
-        Least time between two samples, the last of a lap and the first of the next included.
+        Least time between two samples, the last of a period and the first of the next included.
         Default window/(4 samples).
     samples : int or dict, optional
         Samples per period: a number, or a dict with one of "exactly", "at_least", "at_most" (both of

@@ -24,7 +24,7 @@ _WHOLE = 1e-11  # of the period: what lies this near to each other lies together
 
 
 class SlidingSums:
-    """Running sums over the laps of schedules `times` (B, k), sorted in [0, period), measured by `mask` (B, k, p)."""
+    """Running sums over the periods of schedules `times` (B, k), sorted in [0, period), seen by `mask` (B, k, p)."""
 
     def __init__(self, rows: ScaledRows, times: Array, mask: Mask, period: float) -> None:
         self.rows, self.period = rows, period

@@ -22,7 +22,7 @@ from sampling_design.design.problem.positions import worst_sigma2
 
 Array = npt.NDArray[np.floating[Any]]
 
-_LEADS = 6  # turns of a lap that repair tries
+_LEADS = 6  # turns of a period that repair tries
 
 
 def rounded(problem: DesignProblem, found: Relaxation, offset: float) -> Array | None:
@@ -72,7 +72,7 @@ def packed(problem: DesignProblem) -> Array:
 def repaired(problem: DesignProblem, times: Array) -> Array | None:
     """Admissible times near `times` (fixed ones stay): pushed apart in order; None where that does not fit.
 
-    From a sample after one of the widest gaps as the first of the lap, later samples move right just enough;
+    From a sample after one of the widest gaps as the first of the period, later samples move right just enough;
     the turn that moves them least wins.
     """
     period, gap = problem.period, problem.gap

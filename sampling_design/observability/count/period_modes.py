@@ -1,6 +1,6 @@
-"""What one lap of a schedule shows of the modes that do not fade by themselves, each in its own coordinates.
+"""What one period of a schedule shows of the modes that do not fade by themselves, each in its own coordinates.
 
-In the coordinates of invariant subspaces the flow over a lap is block diagonal, whatever the rates of other modes are,
+In the coordinates of invariant subspaces the flow over a period is block diagonal, whatever other modes do,
 and every column counts as large as what the outputs show of it: neither units nor fast modes decide.
 """
 
@@ -42,9 +42,9 @@ class ModeBlock:
 
 
 class Sight(NamedTuple):
-    """The multiplier e^{rate P} that a lap sees least, how well, and what the unseen direction is made of.
+    """The multiplier e^{rate P} that a period sees least, how well, and what the unseen direction is made of.
 
-    `parts` holds a vector for each block, in its own coordinates, at the lap's first sample.
+    `parts` holds a vector for each block, in its own coordinates, at the period's first sample.
     """
 
     rate: complex
@@ -62,7 +62,7 @@ class PeriodModes:
     C: Array
 
     def least_seen(self, schedule: PeriodicSchedule) -> Sight:
-        """Least singular value of [e^{AP} - mu I; rows of one lap] over mu = e^{rate P}, in scaled coordinates."""
+        """Least singular value of [e^{AP} - mu I; rows of one period] over mu = e^{rate P}, in scaled coordinates."""
         period, tau = schedule.period, schedule.times - schedule.times[0]
         sizes = [len(block.N) for block in self.blocks]
         ends = np.cumsum([0, *sizes])
@@ -104,7 +104,7 @@ class PeriodModes:
         return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
 
     def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Complex:
-        """The least seen state, in the plant's coordinates and of length 1, `before` the lap's first sample."""
+        """The least seen state, in the plant's coordinates and of length 1, `before` the period's first sample."""
         tau = schedule.times - schedule.times[0]
         tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])
         # parts that the direction is not made of must not decide what overflows

@@ -79,7 +79,7 @@ def prove_window_sigma(
 
 
 def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[Fraction]:
-    """The times of the pieces without rounding: lap times plus whole periods."""
+    """The times of the pieces without rounding: times of one period plus whole periods."""
     if not isinstance(schedule, PeriodicSchedule):
         return [Fraction(t) for t in pieces.times.tolist()]
     lap, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)

@@ -59,7 +59,7 @@ class Pieces:
 
 
 def window_pieces(schedule: Schedule | PeriodicSchedule, window: float) -> Pieces:
-    """Return the pieces of all full windows: one lap of an endless schedule, else those in [0, last time]."""
+    """Return the pieces of all full windows: one period of an endless schedule, else those in [0, last time]."""
     if isinstance(schedule, PeriodicSchedule):
         low, high = schedule.first, schedule.first + schedule.period
         slack = SAME_TIME * (high + window)

@@ -20,9 +20,27 @@ from sampling_design._record import Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online.estimator import EstimateRecord
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, Signals
 
 Array = npt.NDArray[np.float64]
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """What a file of measurements needs of a plant, linear or not."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def time_unit(self) -> str: ...
+    @property
+    def outputs(self) -> Signals: ...
+    @property
+    def inputs(self) -> Signals: ...
+    @property
+    def n_outputs(self) -> int: ...
+    @property
+    def n_inputs(self) -> int: ...
 
 
 @runtime_checkable
@@ -61,14 +79,14 @@ class Measurements(Record):
     reports an input, u is None where nothing changes.
     """
 
-    plant: Plant
+    plant: Measured
     times: Array
     y: Array
     u: Array = None  # type: ignore[assignment]
     origin: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.plant, Plant):
+        if not isinstance(self.plant, Measured):
             raise ArgumentError(f"`plant` must be a Plant, got {_checks.described(self.plant)}.")
         times = _checks.vector("times", self.times)
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
@@ -104,7 +122,7 @@ class Measurements(Record):
 
 @door
 def read_measurements(
-    path: str | os.PathLike[str] | DataFrame, plant: Plant, *, origin: str | None = None
+    path: str | os.PathLike[str] | DataFrame, plant: Plant | Measured, *, origin: str | None = None
 ) -> Measurements:
     """Return the measurements in a CSV file, or in a pandas DataFrame with the same columns.
 
@@ -165,7 +183,7 @@ def _text_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, str]:
 class _Clock:
     """Turns dates into times since the origin, by default the first date seen."""
 
-    def __init__(self, where: str, plant: Plant, zero: datetime | None):
+    def __init__(self, where: str, plant: Measured, zero: datetime | None):
         self.where, self.unit, self.zero = where, SECONDS[plant.time_unit], zero
 
     def date(self, line: int, cell: str) -> float:
@@ -177,7 +195,7 @@ class _Clock:
 class _MeasurementTable:
     """Rows that were read so far; a time may come twice if the rows agree."""
 
-    def __init__(self, where: str, plant: Plant):
+    def __init__(self, where: str, plant: Measured):
         self.where, self.plant = where, plant
         self.times: list[float] = []
         self.y: list[list[float]] = []
@@ -206,7 +224,7 @@ def _counts(line: str) -> bool:
     return bool(text) and not text.startswith("#")
 
 
-def _check_header(where: str, header: list[str], plant: Plant) -> str:
+def _check_header(where: str, header: list[str], plant: Measured) -> str:
     stamps = [name for name in ("time", "date") if name in header]
     if len(stamps) != 1:
         raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.", where)
@@ -243,7 +261,7 @@ def _date(where: str, line: int, cell: str) -> datetime:
     return date.replace(tzinfo=UTC) if date.tzinfo is None else date
 
 
-def _held(where: str, line: int, inputs: list[float], before: list[float] | None, plant: Plant) -> list[float]:
+def _held(where: str, line: int, inputs: list[float], before: list[float] | None, plant: Measured) -> list[float]:
     """Fill empty input cells with the value that holds."""
     blank = [i for i, value in enumerate(inputs) if np.isnan(value)]
     if blank and before is None:

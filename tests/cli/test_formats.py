@@ -19,6 +19,7 @@ COMMANDS = {
     "losses": (OSCILLATOR, "requirement.toml"),
     "certify": (OSCILLATOR, "schedule.csv"),
     "verify": ("certificate.json",),
+    "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
     "survive": (OSCILLATOR, "certificate.json"),
     "estimate": (SATELLITE, EXAMPLES / "data" / "satellite.csv", "--horizon", 3000),
     "validate": (OSCILLATOR, "schedule.csv", "--runs", 3),

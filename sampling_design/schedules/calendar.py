@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 from sampling_design import _checks
@@ -143,6 +143,8 @@ def write_ics(
     span: float | None = None,
     *,
     summary: str = "Sample",
+    zone: str | None = None,
+    raster: float | None = None,
 ) -> Path:
     """Write a schedule as an iCalendar file that calendars import; return the path.
 
@@ -154,6 +156,11 @@ def write_ics(
     path : path
     summary : str
         Title of the events; the outputs to measure are appended.
+    zone : str, optional
+        IANA name of the time zone in which events are written out, its changes of the clocks included. Events that
+        repeat by rule without end stay in UTC, as a rule in local time would stretch a gap when clocks change.
+    raster : float, optional
+        As for `calendar`, in whole seconds.
 
     Returns
     -------
@@ -163,31 +170,40 @@ def write_ics(
     Raises
     ------
     ArgumentError
-        As `calendar`; or the period is no whole number of seconds and `span` is missing.
+        As `calendar`; `raster` is no whole number of seconds; or the period is none (or none of `raster`) and `span` is
+        missing.
     FileFormatError
         If the file cannot be written.
 
     Notes
     -----
-    *Numerical aspects.* Dates are UTC, rounded to whole seconds as the format asks. The same schedule and
-    start give the same file, octet for octet: DTSTAMP is the start, UIDs are digests.
+    *Numerical aspects.* Dates are UTC, or local in `zone`, rounded to whole seconds as the format asks. The same
+    schedule and start give the same file, octet for octet: DTSTAMP is the start, UIDs are digests.
 
     References
     ----------
     RFC 5545.
     """
-    zero = _start(schedule, start)
+    zero, grain = _start(schedule, start, zone), 1.0 if raster is None else _checks.positive("raster", raster)
+    if grain != int(grain):
+        raise ArgumentError(f"`raster` must be whole seconds in an iCalendar file, got {raster!r}.")
     rule = None
     if isinstance(schedule, PeriodicSchedule):
-        rule = _rule(schedule.period * SECONDS[schedule.time_unit or ""])
+        rule = _rule(schedule.period * SECONDS[schedule.time_unit or ""], grain)
         if rule is None and span is None:
             raise ArgumentError(
                 f"`span` is missing: the period {schedule.period!r} {schedule.time_unit} is no whole number of "
                 "seconds and cannot repeat by rule."
             )
-    events = _repeating(schedule, zero, span, rule) if rule else [(e, "") for e in calendar(schedule, zero, span)]
+    out = not rule or (zone is not None and span is not None)
+    if out:
+        events = [(e, "") for e in calendar(schedule, zero, span, zone=zone, raster=grain)]
+    else:
+        events = _repeating(schedule, zero, span, rule or "", grain)
     stamp = _utc(zero)
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//sampling_design//schedule//EN", "CALSCALE:GREGORIAN"]
+    if out and zone is not None and events:
+        lines += _zone_lines(zone, events[0][0].date, events[-1][0].date)
     for entry, repeat in events:
         title = summary + (f": {', '.join(entry.outputs)}" if entry.outputs else "")
         key = f"{stamp}|{entry.time!r}|{repeat}|{title}"
@@ -195,7 +211,7 @@ def write_ics(
             "BEGIN:VEVENT",
             f"UID:{hashlib.sha256(key.encode()).hexdigest()[:32]}@sampling-design",
             f"DTSTAMP:{stamp}",
-            f"DTSTART:{_utc(entry.date)}",
+            _begin(entry.date, zone if out else None),
             *([f"RRULE:{repeat}"] if repeat else []),
             f"SUMMARY:{_escaped(title)}",
             "END:VEVENT",
@@ -251,10 +267,50 @@ def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
         ) from None
 
 
-def _repeating(schedule: AnySchedule, zero: datetime, span: float | None, rule: str) -> list[tuple[CalendarEntry, str]]:
+def _begin(date: datetime, zone: str | None) -> str:
+    """DTSTART in the zone, or in UTC: a local time that the clocks repeat means its first occurrence to a reader."""
+    if zone is None or date.fold:
+        return f"DTSTART:{_utc(date)}"
+    return f"DTSTART;TZID={zone}:{date:%Y%m%dT%H%M%S}"
+
+
+def _zone_lines(zone: str, first: datetime, last: datetime) -> list[str]:
+    """VTIMEZONE: the offset at the first date, and each change of it until the last."""
+    place, second = time_zone(zone), timedelta(seconds=1)
+    now, end = first.astimezone(UTC), last.astimezone(UTC)
+    lines = ["BEGIN:VTIMEZONE", f"TZID:{zone}", *_observance(now.astimezone(place), now.astimezone(place))]
+    while now < end:
+        later = min(now + timedelta(days=1), end)
+        if later.astimezone(place).utcoffset() != now.astimezone(place).utcoffset():
+            before, after = now, later
+            while after - before > second:
+                middle = before + ((after - before) // 2 // second or 1) * second
+                same = middle.astimezone(place).utcoffset() == now.astimezone(place).utcoffset()
+                before, after = (middle, after) if same else (before, middle)
+            lines += _observance(before.astimezone(place), after.astimezone(place))
+        now = later
+    return [*lines, "END:VTIMEZONE"]
+
+
+def _observance(before: datetime, after: datetime) -> list[str]:
+    """One offset and when it begins, in the local time of the offset before it."""
+    kind = "DAYLIGHT" if after.dst() else "STANDARD"
+    return [
+        f"BEGIN:{kind}",
+        f"DTSTART:{after.astimezone(timezone(before.utcoffset() or timedelta(0))):%Y%m%dT%H%M%S}",
+        f"TZOFFSETFROM:{before:%z}",
+        f"TZOFFSETTO:{after:%z}",
+        f"TZNAME:{after:%Z}",
+        f"END:{kind}",
+    ]
+
+
+def _repeating(
+    schedule: AnySchedule, zero: datetime, span: float | None, rule: str, grain: float
+) -> list[tuple[CalendarEntry, str]]:
     """Each sample of the period with its rule; with a span, only those that begin in it, repeated until its end."""
     unit = SECONDS[schedule.time_unit or ""]
-    lap = calendar(schedule, zero)
+    lap = calendar(schedule, zero, raster=grain)
     if span is None:
         return [(entry, rule) for entry in lap]
     # UNTIL is inclusive and whole seconds, the span half-open
@@ -262,9 +318,9 @@ def _repeating(schedule: AnySchedule, zero: datetime, span: float | None, rule: 
     return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in lap if entry.time < span]
 
 
-def _rule(seconds: float) -> str | None:
+def _rule(seconds: float, grain: float) -> str | None:
     whole = round(seconds)
-    if whole < 1 or abs(seconds - whole) > 1e-9 * whole:
+    if whole < 1 or 60 % grain or whole % grain or abs(seconds - whole) > 1e-9 * whole:
         return None
     for name, length in _FREQUENCIES:
         if whole % length == 0:

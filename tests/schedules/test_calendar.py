@@ -196,3 +196,45 @@ def test_zones_and_hours_that_are_not_are_refused():
     for skipped_or_repeated in ("2026-03-29T02:30", "2026-10-25T02:30"):
         with pytest.raises(ArgumentError, match="is skipped or repeated by the clocks of Europe/Berlin"):
             calendar(schedule, skipped_or_repeated, zone="Europe/Berlin")
+
+
+def local_dates(text):
+    """Dates of events by the file's own VTIMEZONE: the last observance that had begun."""
+    lines = text.replace("\r\n ", "").split("\r\n")
+    changes, dates = [], []
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name in ("BEGIN", "END"):
+            inside = value if name == "BEGIN" else ""
+        elif name == "DTSTART" and inside in ("STANDARD", "DAYLIGHT"):
+            changes.append([datetime.strptime(value, "%Y%m%dT%H%M%S"), None])
+        elif name == "TZOFFSETTO":
+            changes[-1][1] = timedelta(hours=int(value[:3]), minutes=int(value[0] + value[3:5]))
+        elif name.startswith("DTSTART;TZID"):
+            local = datetime.strptime(value, "%Y%m%dT%H%M%S")
+            offset = [to for onset, to in changes if onset <= local][-1]
+            dates.append((local - offset).replace(tzinfo=UTC))
+        elif name == "DTSTART":
+            dates.append(datetime.strptime(value, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC))
+    return dates
+
+
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "America/St_Johns", "Australia/Lord_Howe", "Asia/Tokyo", "UTC"])
+@pytest.mark.parametrize("start", ["2026-03-01T08:00", "2026-09-20T08:00"])
+def test_local_events_are_the_dates_of_the_calendar_across_changes_of_the_clocks(zone, start, tmp_path):
+    schedule = PeriodicSchedule([1.0], time_unit="h")
+    text = write_ics(schedule, tmp_path / "a.ics", start, 60 * 24.0, zone=zone).read_bytes().decode()
+    expected = [e.date.astimezone(UTC) for e in calendar(schedule, start, 60 * 24.0, zone=zone)]
+    assert local_dates(text) == expected
+    assert f"TZID:{zone}\r\n" in text
+
+
+def test_an_endless_rule_keeps_its_gaps_and_a_raster_keeps_seconds(tmp_path):
+    path = tmp_path / "a.ics"
+    text = write_ics(DAY, path, "2026-03-28T08:00", zone="Europe/Berlin").read_text()
+    assert "DTSTART:20260328T070000Z" in text
+    assert "RRULE:FREQ=DAILY;INTERVAL=1" in text
+    odd = PeriodicSchedule([90.0], 7.0, time_unit="s", origin="2026-01-05")
+    assert "DTSTART:20260105T000010Z" in write_ics(odd, path, raster=10.0).read_text()
+    with pytest.raises(ArgumentError, match=r"`raster` must be whole seconds in an iCalendar file, got 0\.5"):
+        write_ics(odd, path, raster=0.5)

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -94,6 +95,9 @@ class WindowProgram:
         self.keeps_v = not (_additive(plant) and _unbounded(plant, "noises") and _unbounded(plant, "outputs"))
         self.n_noises = plant.n_noises if self.keeps_v else 0
         self.bounds_y = not _unbounded(plant, "outputs")
+        self._fit = self._fit_weight()
+        self._fit_at = np.nonzero(np.triu(np.linalg.matrix_power(self._fit != 0, max(1, plant.n_outputs))))
+        self._fit_roots: dict[bytes, Array] = {}
         self._solvers: dict[bool, Any] = {}
         self._problem = self._assemble()
         self._boxes = self._bounds()
@@ -160,8 +164,8 @@ class WindowProgram:
         ca, plant, N = casadi(), self.plant, self.capacity
         n, m, q, r, p = plant.n_states, plant.n_inputs, plant.n_disturbances, self.n_noises, plant.n_outputs
         rows, shown = self._interval()
-        P2, Qw, Qv, fit = self._cost_weights()
-        sizes = {"h": (N, 1), "u": (m, N + 1), "y": (p, N + 1), "mask": (p, N + 1), "prior": (n, 1)}
+        P2, Qw, Qv = 2 * self.weights.P2, 2 * self.weights.Qw, 2 * self.weights.Qv  # the paper's factors
+        sizes = {"h": (N, 1), "u": (m, N + 1), "y": (p, N + 1), "root": (self._fit_at[0].size, N + 1), "prior": (n, 1)}
         sizes |= {"w": (N, 1), "v": (N + 1, 1), "fit": (N + 1, 1), "P2": (1, 1)}
         par = {key: ca.SX.sym(key, *shape) for key, shape in sizes.items()}
         z = ca.SX.sym("z0", n)
@@ -177,21 +181,33 @@ class WindowProgram:
             v = ca.SX.sym(f"v{j}", r)
             unknowns.append(v)
             output = shown(z, v, par["u"][:, j])
-            miss = par["mask"][:, j] * (output - par["y"][:, j])
-            cost += par["fit"][j] * ca.bilin(fit, miss, miss) + (par["v"][j] * ca.bilin(Qv, v, v) if r else 0)
+            root = ca.SX(p, p)
+            for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
+                root[int(row), int(column)] = par["root"][k, j]
+            fit = ca.sumsqr(ca.mtimes(root, output - par["y"][:, j]))
+            cost += par["fit"][j] * fit + (par["v"][j] * ca.bilin(Qv, v, v) if r else 0)
             if self.bounds_y:
                 outputs.append(output)
         parameters = ca.vertcat(*(ca.vec(par[key]) for key in sizes))
         return {"x": ca.vertcat(*unknowns), "p": parameters, "f": cost, "g": ca.vertcat(*constraints, *outputs)}
 
-    def _cost_weights(self) -> tuple[Array, Array, Array, Array]:
-        """Return the weights with the paper's factors 2; the fit with v eliminated where v has no box."""
-        own = self.weights
-        fit = own.R
-        if not self.keeps_v and self.plant.n_noises:
-            # min over v of 2|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (2 Qv)^-1)^-1
-            fit = own.R @ np.linalg.solve(own.R + 2 * own.Qv, 2 * own.Qv)
-        return 2 * own.P2, 2 * own.Qw, 2 * own.Qv, (fit + fit.T) / 2
+    def _fit_weight(self) -> Array:
+        """Return the weight of y - h in scaled outputs; with v eliminated where v has no box."""
+        own, scale = self.weights, {key: self.plant.signals[key].scales for key in ("outputs", "noises")}
+        if self.keeps_v or not self.plant.n_noises:
+            return own.R
+        # min over v of 2|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (2 Qv)^-1)^-1, v like e in scaled outputs
+        ratio = scale["outputs"] / scale["noises"]
+        Qv = 2 * own.Qv * ratio * ratio[:, None]
+        fit = np.asarray(own.R @ np.linalg.solve(own.R + Qv, Qv))
+        return (fit + fit.T) / 2
+
+    def _fit_root(self, mask: Array) -> Array:
+        """Return the root of the fit's weight where only some outputs are measured: least over the others."""
+        key = (mask > 0).tobytes()
+        if key not in self._fit_roots:
+            self._fit_roots[key] = marginal_root(self._fit, mask > 0)[self._fit_at]
+        return self._fit_roots[key]
 
     def _parameters(self, data: WindowData) -> Array:
         """Return the parameter vector, in the order of `_assemble`."""
@@ -202,12 +218,12 @@ class WindowProgram:
         weight_w = np.ones(N)  # an idle w does nothing and is held at 0
         weight_w[idle:] = discount[1:] * discounted_length(self.weights.eta, lengths)
         sampled = data.mask.any(axis=1)
-        zero = np.zeros(self.plant.n_outputs)
+        zero, roots = np.zeros(self.plant.n_outputs), np.array([self._fit_root(row) for row in data.mask])
         columns = {
             "h": np.concatenate([np.zeros(idle), lengths]),
             "u": _behind(idle, data.inputs[0], data.inputs).ravel(),
             "y": _behind(idle, zero, data.y).ravel(),
-            "mask": _behind(idle, zero, data.mask).ravel(),
+            "root": _behind(idle, 0 * roots[0], roots).ravel(),
             "prior": data.prior,
             "w": weight_w,
             "v": np.concatenate([np.ones(idle), np.where(sampled, discount, 1.0)]),

@@ -330,3 +330,18 @@ def test_without_casadi_one_sentence_names_the_extra(monkeypatch):
     assert str(caught.value) == (
         "This needs casadi, which is not installed. Install the extra: pip install 'sampling-design[nonlinear]'."
     )
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_an_output_that_is_not_measured_is_free_also_where_noises_are_correlated(bounded):
+    # prior I, V = [[1, .9], [.9, 1]], y = [1, nan]: the second noise is unknown, so x1 = 1/2 and x2 = 0
+    plant = from_linear(Plant(np.zeros((2, 2)), np.eye(2)))
+    if bounded:  # then v is a variable
+        plant = plant.with_bounds(noises=(-50.0 * np.ones(2), 50.0 * np.ones(2)))
+    V = np.array([[1.0, 0.9], [0.9, 1.0]])
+    weight = 2 * np.linalg.inv(V)  # (R^-1 + (2 Qv)^-1)^-1 = V^-1, and 2 P2 = I
+    scheme = NonlinearMovingHorizonEstimator(plant, horizon=1.0, P2=np.eye(2) / 2, R=weight, Qv=weight / 2)
+    assert scheme.update(0.0, [1.0, np.nan]).x == pytest.approx([0.5, 0.0], abs=1e-7)
+    scheme.reset()
+    both = np.linalg.solve(np.eye(2) + V, [1.0, -0.5])
+    assert scheme.update(0.0, [1.0, -0.5]).x == pytest.approx(both, abs=1e-7)

@@ -230,9 +230,18 @@ class Frame:
     # --- at samples ---
 
     def gain(self, Y: Array, at: Any) -> Array:
-        """Nearly the best gain of a sample."""
+        """Nearly the best gain of a sample, one row after the other: outputs of any sizes may stand side by side."""
         C = self.rows[at]
-        return turned(np.linalg.solve(np.eye(C.shape[-2]) + C @ Y @ turned(C), C @ Y))
+        columns: list[Array] = []
+        for k in range(C.shape[-2]):
+            c = C[..., k, :, None]
+            cross = Y @ c
+            column = cross / (1 + turned(c) @ cross)
+            left = self.I - column * turned(c)
+            columns = [left @ other for other in columns] + [column]
+            if k + 1 < C.shape[-2]:
+                Y = left @ Y @ turned(left) + column * turned(column)
+        return np.concatenate([np.zeros((*Y.shape[:-1], 0)), *columns], axis=-1)
 
     def after(self, Y: Array, at: Any, K: Array) -> tuple[Array, Array, Array]:
         """Y after sample `at` with gain K, from above; I - KC; and what was added."""
@@ -247,8 +256,11 @@ class Frame:
     def band_after(self, E: Array, Y: Array, at: Any, K: Array, left: Array, lost: Array) -> Array:
         """The band after that sample: the gain's distance from the best one and the looseness of V enter here."""
         C = self.rows[at]
-        M = np.eye(C.shape[-2]) + C @ Y @ turned(C)
-        short = 16 * (self.n + C.shape[-2]) * EPS * size(M) * size(K)  # residual of the gain's equation, M >= I
+        c, y, k = np.abs(C), np.abs(Y), np.abs(K)
+        M, sizes = np.eye(C.shape[-2]) + C @ Y @ turned(C), np.eye(C.shape[-2]) + c @ y @ turned(c)
+        # K is right but for a residual of its equation K M = Y C', M >= I: of second order
+        rounding = 4 * (self.n + C.shape[-2]) * EPS * (size(k @ sizes) + size(y @ turned(c)))
+        short = size(K @ M - Y @ turned(C)) + rounding
         more = size(K) ** 2 * self.loose[at] + short**2
         # the gain is that of Y, not of the true Y: of second order in E
         twice = 1 + size(E) * size(C) ** 2

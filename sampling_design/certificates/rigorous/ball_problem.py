@@ -167,7 +167,13 @@ class BallFrame:
     def gain(self, Y: Array, i: int) -> Array:
         """The best gain at sample i, in floats: any gain gives a bound, this one nearly the least."""
         C = self.float_rows[i]
-        return np.asarray(np.linalg.solve(C @ Y @ C.T + self.float_noises[i], C @ Y).T)
+        root = np.linalg.cholesky(self.float_noises[i])
+        K = np.zeros((len(Y), 0))
+        for row in np.linalg.solve(root, C):  # one after the other: outputs of any sizes may stand side by side
+            column = Y @ row / (1 + row @ Y @ row)
+            left = np.eye(len(Y)) - np.outer(column, row)
+            K, Y = np.column_stack([left @ K, column]), left @ Y @ left.T + np.outer(column, column)
+        return np.asarray(np.linalg.solve(root.T, K.T).T)
 
     def with_gain(self, Y: Matrix, i: int, gain: Array) -> Matrix:
         """Y after sample i with that gain: at least what the best gain leaves (Joseph's form)."""

@@ -29,6 +29,7 @@ from sampling_design.certificates.exact.weight_choice import (
 from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
@@ -42,10 +43,17 @@ if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-FINEST = 16
-"""How much finer the last look for a missed peak is than the first."""
+FINER = 4
+"""How much finer the second look for a missed peak is than the first."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
+LONGEST_LOOK = 3.0
+"""CPU seconds in which the windows of one choice of weights are followed; what they have met by then is tried."""
+LONGEST_PROOF = 8.0
+"""CPU seconds after which no further attempt at a proof begins, for all choices of weights together."""
+ROOM = (1.003, 1.03, 1.3, 3.0)
+"""Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
+its own rounding leaves no other proof."""
 
 
 def certify_given(
@@ -111,9 +119,10 @@ class _Proof:
 
     def found(self, finer: int) -> tuple[Peak, Peak]:
         """The peaks of grids that are so much finer; raises as `peaks`."""
+        until = time.thread_time() + LONGEST_LOOK
         with np.errstate(all="ignore"):
             try:
-                found = supremum(self.problem, finer)
+                found = supremum(self.problem, finer, until)
             except (SolverError, np.linalg.LinAlgError) as error:
                 raise UndecidedError(f"undecided: {error}") from None
         if not all(np.isfinite(peak.value) for peak in found):
@@ -125,25 +134,43 @@ class _Proof:
         """ln(lam)/eta."""
         return float(np.log(max(self.peaks[0].value, 1.0))) / self.eta
 
-    def closed(self, solver: SolverRecord) -> Certificate:
-        """Return the certificate, lambda raised to whatever window the checker finds."""
-        finer = 1
+    def closed(self, solver: SolverRecord, until: float | None = None, plainly: bool = False) -> Certificate:
+        """Return the certificate, lambda raised to whatever window the checker finds.
+
+        What its floats leave undecided is looked at on finer grids, then, unless `plainly`, in balls and stated with
+        `ROOM` to spare.
+
+        Raises
+        ------
+        UndecidedError
+            If the proof does not close, or not by `until` (CPU time of the thread).
+        """
+        until = time.thread_time() + LONGEST_PROOF if until is None else until
+        rooms, room, finer = iter(ROOM), 1.0, 1
         anywhere, at_samples = self.peaks
-        for _ in range(ATTEMPTS):
-            made = _made(self, (anywhere, at_samples), solver)
-            verdict = made.verify()
+        for _ in range(ATTEMPTS + len(ROOM)):
+            made = _made(self, (anywhere, at_samples), solver, room)
+            verdict = verdict_of(made.to_dict())
             if verdict.inequality == "witness" and not verdict.passed:  # true, but its replay is lost in rounding
                 made = replace(made, witness=None)
-                verdict = made.verify()
+                verdict = verdict_of(made.to_dict())
+            left = until - time.thread_time()
+            if verdict.verdict == "undecided" and finer > 1 and room == 1.0 and left > 0 and not plainly:
+                verdict = made.verify(budget=left / 2)
             if verdict.passed:
                 return made
-            if verdict.time is None or verdict.start is None:  # undecided: the grids missed a peak by a hair
-                if finer == FINEST:
+            if left <= 0:
+                break
+            if verdict.time is None or verdict.start is None:
+                if finer == 1:  # the grids may have missed a peak by a hair
+                    finer = FINER
+                    others = self.found(finer)
+                    at_samples = max(at_samples, others[1], key=_value)
+                    anywhere = max(anywhere, others[0], at_samples, key=_value)
+                    continue
+                room = 0.0 if plainly else next(rooms, 0.0)
+                if not room:
                     break
-                finer *= 4
-                others = self.found(finer)
-                at_samples = max(at_samples, others[1], key=_value)
-                anywhere = max(anywhere, others[0], at_samples, key=_value)
                 continue
             missed = located(self.problem, verdict.start / self.canon.time, verdict.time / self.canon.time)
             if "samples" in verdict.inequality:
@@ -167,9 +194,12 @@ class _Proof:
         return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
 
 
-def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord) -> Certificate:
-    """The certificate that claims these peaks."""
-    lam, lam_samples = (max(peak.value, 1.0) for peak in peaks)
+def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: float) -> Certificate:
+    """The certificate that claims these peaks, times `room`."""
+    lam, lam_samples = (room * max(peak.value, 1.0) for peak in peaks)
+    if room > 1:
+        spare = f"{room:g} times the largest met: the proof in doubles needs the room"
+        solver = replace(solver, details={**solver.details, "lambda": spare})
     P2, Qw, R, Qv = proof.weights
     P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
     return Certificate(
@@ -363,7 +393,11 @@ def chosen(
         else:
             _require(plant, schedule, eta, canon)
             bounds = (eta * canon.time, eta * canon.time)
-        canon = canonical(plant, schedule, weights, log_sizes=settled_sizes(canon, bounds[0]))
+        sizes = settled_sizes(canon, bounds[0])
+        if sizes is None:  # the disturbance is so weak or strong that no balance with it can be followed
+            canon = canonical(plant, schedule, weights, driven=False)
+            sizes = settled_sizes(canon, bounds[0])
+        canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
         found = choose_weights(canon, bounds, budgets, progress)
         return [
             _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)
@@ -382,26 +416,30 @@ def _best_proven(
     """The choice of the least exact horizon whose proof closes."""
     plant, schedule, weights = problem
     failed: list[UndecidedError] = []
+    looked = time.thread_time() + LONGEST_LOOK
     proofs: list[tuple[float, int, _Proof, Choice]] = []
     for choice in choices:
         rate = choice.eta / canon.time if eta is None else eta
         prior = symmetrise(canon.outside(choice.P2))
         try:
             proof = _Proof(plant, schedule, (prior, *weights), rate)
-            if choice.value <= COMPARED * choices[0].value or not proofs:
+            if not proofs or (choice.value <= COMPARED * choices[0].value and time.thread_time() < looked):
                 proofs.append((proof.horizon, len(proofs), proof, choice))
             else:
                 proofs.append((np.inf, len(proofs), proof, choice))
         except UndecidedError as error:
             failed.append(error)
-    for _, _, proof, choice in sorted(proofs, key=lambda item: item[:2]):
+    until, proofs = time.thread_time() + LONGEST_PROOF, sorted(proofs, key=lambda item: item[:2])
+    for plainly, (_, _, proof, choice) in [(plainly, item) for plainly in (True, False) for item in proofs]:
         how = {"weights": f"least horizon under budget {budget:g}"}
         seconds = time.perf_counter() - began
         solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
         try:
-            return proof.closed(solver)
+            return proof.closed(solver, until, plainly)
         except UndecidedError as error:
             failed.append(error)
+        if not plainly and time.thread_time() > until:
+            break
     if failed:
         raise failed[0]
     raise UndecidedError(f"undecided: no weights within the budget {budget:g} could be followed in doubles.")

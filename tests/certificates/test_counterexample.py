@@ -1,5 +1,7 @@
 """A refusal names a schedule of the family, and its equations can be checked."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -104,11 +106,11 @@ def test_an_unseen_mode_is_a_counterexample_at_every_schedule():
 
 
 def test_without_a_counterexample_the_least_margin_is_told():
-    found, (margin, schedule) = sd.find_counterexample(OSCILLATOR, GapRange(0.5, 3.0), 0.1)
+    found, (margin, schedule, _) = sd.find_counterexample(OSCILLATOR, GapRange(0.5, 3.0), 0.1)
     assert found is None
     assert margin == pytest.approx(sd.certificate_exists(OSCILLATOR, schedule, 0.1).margin)
     assert GapRange(0.5, 3.0).contains(schedule)
-    found, (margin, schedule) = sd.find_counterexample(OSCILLATOR, Jitter(PeriodicSchedule([1.0, 2.0]), 0.3), 0.1)
+    found, (margin, schedule, _) = sd.find_counterexample(OSCILLATOR, Jitter(PeriodicSchedule([1.0, 2.0]), 0.3), 0.1)
     assert found is None
     assert margin > 0.01
     assert Jitter(PeriodicSchedule([1.0, 2.0]), 0.3).contains(schedule)
@@ -118,3 +120,38 @@ def test_narrowed_families_lie_inside():
     assert GapRange(1.0, 3.0).narrowed(0.5).to_dict() == GapRange(1.5, 2.5).to_dict()
     assert Jitter(PeriodicSchedule([1.0]), 0.2).narrowed(0.5).radius == 0.1
     assert SpacedWindows(4.0, 2, 0.5).narrowed(0.5) is None
+
+
+@pytest.mark.parametrize("longest", [3.1e11, 3e11])
+def test_gaps_of_ten_thousand_years_are_decided_at_once(longest):
+    """Twenty million turns fit into every word: a few hundred laps are tried, and the search says so."""
+    tide = Plant([[0.0, 1.4e-4, 0.0], [-1.4e-4, 0.0, 0.0], [0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0]])
+    begun = time.process_time()
+    found, near = sd.find_counterexample(tide, GapRange(3e11, longest), 1e-12, quick=True)
+    assert time.process_time() - begun < 10
+    assert found is None or found.verify()
+    assert "laps at which modes alias were tried" in near.searched
+
+
+def test_a_search_ends_within_its_budget_and_says_so():
+    begun = time.process_time()
+    found, near = sd.find_counterexample(OSCILLATOR, LostSamples(PeriodicSchedule([1.0]), 3, 12), 0.1, budget=0.05)
+    assert time.process_time() - begun < 2
+    assert found is None
+    assert "the search ended after 0.05 s" in near.searched
+
+
+@pytest.mark.parametrize("period", [1e-7, 1e-9, 1e-10, 1e-12, 1e-15])
+def test_dense_samples_are_never_called_aliased(period):
+    """The two modes of the oscillator part by 2e-9 rad in a period: rounding hides it, no sample misses anything."""
+    if period < 1e-9:
+        with pytest.raises(UndecidedError, match="its samples are so dense that"):
+            sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4)
+    else:
+        assert "do not tell them apart" in sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4).reason
+    assert sd.find_counterexample(OSCILLATOR, GapRange(period, period), 0.4)[0] is None
+
+
+def test_what_no_output_sees_is_missed_by_dense_samples_too():
+    blind = Plant(np.diag([0.0, 0.1]), [[1.0, 0.0]])
+    assert not sd.certificate_exists(blind, PeriodicSchedule([1e-12]), 0.4).exists

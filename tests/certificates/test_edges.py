@@ -95,7 +95,7 @@ def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
 
     found = room._Proof.found
     monkeypatch.setattr(room._Proof, "found", lambda self, finer: low(found(self, finer)))
-    monkeypatch.setattr(room, "ATTEMPTS", 1)
+    monkeypatch.setattr(room, "LONGEST_PROOF", 0.0)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
 
@@ -119,3 +119,16 @@ def test_constants_of_the_proof_that_doubles_cannot_hold_are_undecided(monkeypat
     monkeypatch.undo()
     with pytest.raises(UndecidedError, match="the certificate with the proof's constants is not proven in doubles"):
         with_P1(1e9 * np.eye(2))()
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e-300])
+def test_a_disturbance_of_hardly_any_effect_is_easy(size):
+    plain = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1e-40]]), EACH, eta=0.4)
+    made = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [size]]), EACH, eta=0.4)
+    assert made.horizon().minimum == pytest.approx(plain.horizon().minimum, rel=2e-3)
+
+
+def test_two_exact_gauges_of_one_state_are_no_singular_matrix():
+    """C Y C' is of rank one and 1e24: the gain counts one output after the other."""
+    made = certify(Plant([[2.464e-4]], [[11.07e12], [-0.1219e12]]), PeriodicSchedule([1470.0, 1387.0]), eta=2.6e-3)
+    assert made.verify(rigorous=True).passed

@@ -10,7 +10,7 @@ from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Pla
 from sampling_design.certificates.families import certify_family as family
 from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import unrolled
-from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+from sampling_design.errors import ArgumentError, FileFormatError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 INTEGRATOR = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -194,7 +194,7 @@ def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):
 
     found = {"passed": False, "inequality": "x", "time": None, "start": None, "amount": 0.0, "reason": "too tight"}
     monkeypatch.setattr(verdict, "check", lambda data: {**found, "verdict": "refuted"})
-    with pytest.raises(CertificateError, match="the proof of the certificate did not close: too tight"):
+    with pytest.raises(UndecidedError, match="undecided: the proof of the certificate did not close: too tight"):
         sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
 
 

@@ -84,8 +84,8 @@ def test_repairs_and_counterexamples_follow_the_units(seed):
     there = smallest_repair(other, units.schedule(PeriodicSchedule([np.pi])), 0.1 / units.time)
     assert there["gap"] == here["gap"]
     assert there["to"] / units.time == pytest.approx(here["to"], rel=1e-9)
-    one, (least, _) = find_counterexample(plant, GapRange(3.0, 3.3), 0.1)
-    two, (other_least, _) = find_counterexample(other, GapRange(3.0 * units.time, 3.3 * units.time), 0.1 / units.time)
+    one, (least, *_) = find_counterexample(plant, GapRange(3.0, 3.3), 0.1)
+    two, (other_least, *_) = find_counterexample(other, GapRange(3.0 * units.time, 3.3 * units.time), 0.1 / units.time)
     assert one.schedule.gaps == pytest.approx([np.pi])
     assert two.schedule.gaps / units.time == pytest.approx(one.schedule.gaps)
     assert one.verify()

@@ -53,9 +53,16 @@ class Canonical:
 
 
 def canonical(
-    plant: Plant, schedule: AnySchedule, weights: Weights, P2: Array | None = None, log_sizes: Array | None = None
+    plant: Plant,
+    schedule: AnySchedule,
+    weights: Weights,
+    P2: Array | None = None,
+    log_sizes: Array | None = None,
+    driven: bool = True,
 ) -> Canonical:
     """Return the problem in internal units: states in those of P2, else of the base-two `log_sizes`, else balanced.
+
+    Unless `driven`, G does not enter the balance.
 
     Raises
     ------
@@ -72,7 +79,8 @@ def canonical(
         if P2 is not None:
             logs = -np.log2(np.diagonal(P2)) / 2
         else:
-            logs = _balanced(A, C, G, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
+            seen = G if driven else 0 * G
+            logs = _balanced(A, C, seen, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
         x = _power(logs)
         A, C, G = A * x / x[:, None], C * x, G / x[:, None]
         inner = (time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])

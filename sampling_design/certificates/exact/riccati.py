@@ -5,6 +5,7 @@ Windows run side by side in one batch: each step is one sample update and one ga
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,10 +176,12 @@ def sweep(
     fractions: npt.ArrayLike = TIME_FRACTIONS,
     steady: Array | None = None,
     last_step: int = MAX_STEPS,
+    until: float = np.inf,
 ) -> list[Peak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
-    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
+    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution. All end at
+    `until` (CPU time of the thread): what they have met by then stands.
     """
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size
@@ -199,7 +202,7 @@ def sweep(
         going = _going(problem, Y, at, steady)
         Y, alive = Y[going], alive[going]
         at = (at[going] + 1) % problem.count
-        if not alive.size:
+        if not alive.size or time.thread_time() > until:
             break
         inside = push(Y[:, None], F[where[at]], W[where[at]])
         _note(best, alive, inside, part, step)
@@ -237,11 +240,12 @@ def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
     best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
 
 
-def supremum(problem: WindowProblem, finer: int = 1) -> tuple[Peak, Peak]:
+def supremum(problem: WindowProblem, finer: int = 1, until: float = np.inf) -> tuple[Peak, Peak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
-    for the checker to prove, which names a window where something was missed. `finer` multiplies both grids.
+    for the checker to prove, which names a window where something was missed. `finer` multiplies both grids; the look
+    ends at `until` with what it has.
     """
     index, remaining = problem.sample_starts()
     steady = None if problem.period is None else periodic_riccati_solution(problem)
@@ -249,13 +253,13 @@ def supremum(problem: WindowProblem, finer: int = 1) -> tuple[Peak, Peak]:
     parts = np.arange(1, 4 * finer + 1) / (4 * finer)
     more = np.repeat(np.arange(problem.count), inner.size)
     starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
-    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady)
+    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, until=until)
     own, others = found[: index.size], found[index.size :]
     if steady is not None:
-        own.append(long_run(problem, steady, max(own, key=_value)))
-    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size)
+        own.append(long_run(problem, steady, max(own, key=_value), until))
+    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size, until)
     anywhere = max([*others, at_sample], key=_value)
-    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size)
+    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size, until)
     return max(anywhere, at_sample, key=_value), at_sample
 
 
@@ -263,7 +267,7 @@ def _value(peak: Peak) -> float:
     return peak.value
 
 
-def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
+def long_run(problem: WindowProblem, steady: Array, best: Peak, until: float = np.inf) -> Peak:
     """Return `best`, or where the periodic solution exceeds it: a window followed until it reaches that."""
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
@@ -276,13 +280,17 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak) -> Peak:
     found = best
     while found.value < (1 - ATTAINED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
         laps *= 4
-        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count)[0]
+        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count, until=until)[0]
+        if time.thread_time() > until:
+            break
     return max(found, best, key=_value)
 
 
-def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25) -> Peak:
+def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25, until: float = np.inf) -> Peak:
     """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
     for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):
+        if time.thread_time() > until:
+            break
         lowest = max(peak.remaining - width, 0.0)
         highest = min(peak.remaining + width, float(problem.reach[peak.index]))
         starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])

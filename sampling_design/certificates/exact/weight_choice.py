@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -59,6 +60,9 @@ DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
+LONGEST_SEARCH = 7.0
+"""CPU seconds after which the search ends with the best shape that it has: any shape within the budget is proven
+afterwards, or not."""
 COMPARED = 1.15
 """Shapes whose horizon is within this factor of the best one's are compared by their exact lambda."""
 
@@ -119,6 +123,12 @@ class WeightSearch:
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
+        self.until = time.thread_time() + LONGEST_SEARCH
+
+    @property
+    def late(self) -> bool:
+        """Whether the search should end with what it has."""
+        return time.thread_time() > self.until
 
     def setting(self, eta: float) -> Setting:
         """The windows of one rate and the demand on P1."""
@@ -169,6 +179,8 @@ class WeightSearch:
         """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
         best = self._descent(start, budget, bounds)
         for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
+            if self.late:
+                break
             found = self._descent(best, budget, bounds)
             steps = best.iterations + found.iterations
             gained = found.value < best.value * (1 - WORTHWHILE)
@@ -195,9 +207,11 @@ class WeightSearch:
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
             )
             steps, status = int(found.nit), str(found.message)
+        except _Late:
+            steps, status = 0, f"the search ended after {LONGEST_SEARCH:g} s with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
             steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
-        if not state.best.size:
+        if not state.best.size or not np.isfinite(state.value):
             return start
         T, rate = state.unpack(state.best)
         return Choice(L @ T @ T.T @ L.T, rate, state.value, steps, status)
@@ -205,6 +219,10 @@ class WeightSearch:
 
 def _value(choice: Choice) -> float:
     return choice.value
+
+
+class _Late(Exception):
+    """The search has used its time."""
 
 
 class _State:
@@ -240,6 +258,8 @@ class _State:
         """Constraint values (>= 0) and gradients at z."""
         if self.known[0] == z.tobytes():
             return self.known[1:]
+        if self.search.late:
+            raise _Late
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
         # what counts is the least horizon with the constraints kept, at whatever ln lam the windows then need
@@ -298,10 +318,10 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     return min(low, high / 8), high
 
 
-def settled_sizes(canon: Canonical, eta: float) -> Array:
+def settled_sizes(canon: Canonical, eta: float) -> Array | None:
     """Base-two sizes of the states, in the caller's units, at which the long-run covariance has a unit diagonal.
 
-    The balanced ones where it cannot be followed.
+    The balanced ones of states that it does not reach; None where it cannot be followed.
     """
     known = np.log2(canon.x) + np.log2(canon.sizes)
     n = canon.plant.n_states
@@ -310,9 +330,9 @@ def settled_sizes(canon: Canonical, eta: float) -> Array:
             windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
             spread = np.mean(windows.long_run(np.diag(canon.sizes**2)).reshape(-1, n, n), axis=0)
         except (np.linalg.LinAlgError, SolverError):
-            return known
+            return None
         settled = np.log2(canon.x) + np.log2(np.diagonal(spread)) / 2
-    return np.where(np.isfinite(settled), settled, known)
+    return np.where(np.isfinite(settled), settled, known) if np.isfinite(settled).any() else None
 
 
 def choose_weights(
@@ -324,7 +344,8 @@ def choose_weights(
     -----
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
-    every shape met is scaled to the budget asked for. A local optimum, never evidence.
+    every shape met is scaled to the budget asked for. A local optimum, never evidence. After `LONGEST_SEARCH` of CPU
+    time no further descent begins and the one that runs ends.
 
     Raises
     ------
@@ -338,6 +359,8 @@ def choose_weights(
     guesses = []
     for k, rate in enumerate(rates):
         report(0.3 * k / len(rates), f"rate {rate:.3g}")
+        if guesses and search.late:
+            break
         try:
             guess = search.best_guess(rate, REFERENCE)
         except (SolverError, np.linalg.LinAlgError):
@@ -352,15 +375,19 @@ def choose_weights(
     guesses.sort(key=_value)
     found = []
     for k, guess in enumerate(guesses[: search.starts]):
+        if found and search.late:
+            break
         report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
         found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
     best = min(found, key=_value)
-    if free:
+    if free and not search.late:
         report(0.7, "descent on shape and rate")
         best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
     report(0.8, "descents at other budgets")
     shapes, last = [(0.0, best), (0.0, guesses[0])], best
     for reference in (*search.below, *(above for above in ABOVE if above <= max(budgets))):
+        if search.late:
+            break
         above = reference > REFERENCE
         start = search.judged(last.P2, last.eta, reference) or search.best_guess(last.eta, reference)
         if start is not None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,7 @@ from sampling_design._checks import positive, vector
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
-from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded
+from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded, too_dense
 from sampling_design.errors import CertificateError
 from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
@@ -24,6 +26,10 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
+MOST_LAPS = 240
+"""Laps of aliasing that are tried, of all pairs of eigenvalues together: beyond that, evenly chosen ones."""
+MOST_SECONDS = 20.0
+"""Of one search, by default."""
 DESCENTS = 4
 """Words from which the margin is minimised over the gaps."""
 TIED_RTOL = 1e-9
@@ -90,6 +96,17 @@ class Counterexample(Record):
         return f"The schedule with the gaps {short(self.schedule.gaps)} belongs to the family, and {self.reason}."
 
 
+class Nearest(NamedTuple):
+    """How near a search came to a schedule without certificate: the least margin of all words tried, and its schedule.
+
+    `searched` says what was left out, "" if nothing was.
+    """
+
+    margin: float
+    schedule: PeriodicSchedule
+    searched: str = ""
+
+
 def _lifted(plant: Plant, schedule: PeriodicSchedule) -> tuple[Array, Array, Array]:
     """Monodromy matrix of a period that begins just after its last sample, rows of its samples, units that balance A.
 
@@ -117,7 +134,7 @@ def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
 def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
     """Return the counterexample that a failed existence test stands for, if its equations hold to `RESIDUAL`."""
     modes = period_modes(plant, float(eta))
-    if not modes.blocks or stays_bounded(plant, schedule, eta):
+    if not modes.blocks or too_dense(plant, schedule, eta, found) or stays_bounded(plant, schedule, eta):
         return None
     sight = modes.least_seen(schedule)
     direction = modes.direction(sight, schedule, float(schedule.gaps[0]))
@@ -140,8 +157,9 @@ def find_counterexample(
     hints: Iterable[float | None] = (),
     rng: np.random.Generator | None = None,
     quick: bool = False,
-) -> tuple[Counterexample | None, tuple[float, PeriodicSchedule]]:
-    """Search a periodic schedule of `family` whose period is not detectable at rate `eta`.
+    budget: float = MOST_SECONDS,
+) -> tuple[Counterexample | None, Nearest]:
+    """Search a periodic schedule of `family` whose lap is not detectable at rate `eta`.
 
     Parameters
     ----------
@@ -154,49 +172,67 @@ def find_counterexample(
         Default seed 0.
     quick : bool
         Only the words themselves, shorter patterns, no descent on the margin.
+    budget : float [seconds]
+        The search ends after it with what it has.
 
     Returns
     -------
-    Counterexample or None, and (margin, schedule)
-        The least margin of all words tried (`certificate_exists`), and its schedule.
+    Counterexample or None, and Nearest (margin, schedule, searched)
+        The least margin of all words tried (`certificate_exists`), its schedule, and what was left out, in words.
 
     Notes
     -----
     *Method.* Two eigenvalues of equal real part alias over a period of 2 pi k/|Im(lambda_i - lambda_j)|: for every such
-    period that words of up to four gaps can have, the word of equal gaps, some random ones, and the least margin over
-    gaps of that sum. For lost samples, every pattern of losses of up to twelve nominal samples.
+    lap that words of up to four gaps can have (240 of them, evenly chosen, where there are more), the word of equal
+    gaps, some random ones, and the least margin over gaps of that sum. For lost samples, every pattern of losses of up
+    to twelve nominal samples.
     """
-    eta = positive("eta", eta)
-    periods = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
+    eta, ends = positive("eta", eta), time.perf_counter() + positive("budget", budget)
+    near = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
     rng = np.random.default_rng(0) if rng is None else rng
+    laps, left = _aliasing_laps(plant, eta, family)
+    searched = [f"{len(laps)} of {len(laps) + left:.4g} laps at which modes alias were tried"] if left else []
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
-    for schedule in _suspects(plant, family, eta, periods, rng, quick):
+
+    def refused(schedule: PeriodicSchedule) -> tuple[Counterexample | None, float]:
         found = judged(plant, schedule, eta)
-        if not found.exists:
-            made = counterexample(plant, schedule, eta, found)
-            if made is not None:
-                return made, (found.margin, schedule)
-        tried.append((found.margin, schedule))
-        least = min(least, tried[-1], key=lambda pair: pair[0])
+        return None if found.exists else counterexample(plant, schedule, eta, found), found.margin
+
+    def late() -> bool:
+        return time.perf_counter() > ends
+
+    for schedule in _suspects(family, sorted({*laps, *(h for h in near if h)}), rng, quick):
+        made, margin = refused(schedule)
+        if made is not None:
+            return made, Nearest(margin, schedule, "; ".join(searched))
+        tried.append((margin, schedule))
+        least = min(least, tried[-1], key=_first)
+        if late():
+            searched.append(f"the search ended after {budget:g} s and {len(tried)} schedules")
+            break
     if quick:
-        return None, least
-    for margin, schedule in sorted(tried, key=lambda pair: pair[0])[:DESCENTS]:
+        return None, Nearest(*least, "; ".join(searched))
+    for margin, schedule in sorted(tried, key=_first)[:DESCENTS]:
+        if late():
+            break
         better = _descend(plant, family, eta, schedule)
-        found = judged(plant, better, eta)
-        if not found.exists:
-            made = counterexample(plant, better, eta, found)
-            if made is not None:
-                return made, (found.margin, better)
-        if found.margin < min(margin, least[0]):
-            least = (found.margin, better)
-    return None, least
+        made, reached = refused(better)
+        if made is not None:
+            return made, Nearest(reached, better, "; ".join(searched))
+        if reached < min(margin, least[0]):
+            least = (reached, better)
+    return None, Nearest(*least, "; ".join(searched))
+
+
+def _first(pair: tuple[float, PeriodicSchedule]) -> float:
+    return pair[0]
 
 
 def refute(
     plant: Plant, family: SamplingFamily, eta: float, hints: Sequence[float | None] = (), quick: bool = False
-) -> tuple[float, PeriodicSchedule]:
-    """Return the least margin met and its schedule, if no schedule of the family is found that has no certificate.
+) -> Nearest:
+    """Return how near the search came, if no schedule of the family is found that has no certificate.
 
     Raises
     ------
@@ -218,30 +254,38 @@ def refute(
 
 
 def _suspects(
-    plant: Plant,
-    family: SamplingFamily,
-    eta: float,
-    hints: Iterable[float | None],
-    rng: np.random.Generator,
-    quick: bool,
+    family: SamplingFamily, laps: list[float], rng: np.random.Generator, quick: bool
 ) -> Iterator[PeriodicSchedule]:
     """Periodic members worth a look: the nominal one, and those that the family suspects."""
     yield period_of(family.nominal)
-    periods = sorted({*_aliasing_periods(plant, eta, LONGEST_WORD * family.d_max), *(h for h in hints if h)})
-    yield from family.suspects(periods, rng, quick)
+    yield from family.suspects(laps, rng, quick)
 
 
-def _aliasing_periods(plant: Plant, eta: float, longest: float) -> list[float]:
-    """Periods 2 pi k/|Im(a - b)| up to `longest` over the eigenvalues that do not fade by themselves at rate eta."""
+def _aliasing_laps(plant: Plant, eta: float, family: SamplingFamily) -> tuple[list[float], float]:
+    """Laps 2 pi k/|Im(a - b)| that words of the family can have, over the eigenvalues that do not fade at rate eta.
+
+    At most `MOST_LAPS`, evenly chosen on a logarithmic scale where there are more; and how many were left out.
+    """
     values = np.array([c.value for block in period_modes(plant, float(eta)).blocks for c in block.clusters])
     if values.size < 2:
-        return []
+        return [], 0.0
     first, second = np.triu_indices(values.size, 1)
     apart = values[first] - values[second]
     tied = np.abs(apart.real) <= TIED_RTOL * np.maximum(np.abs(values[first]), np.abs(values[second]))
     speeds = np.sort(np.abs(apart.imag[tied]))
     speeds = speeds[np.diff(speeds, prepend=0.0) > TIED_RTOL * speeds]
-    return [2 * np.pi * k / w for w in speeds if w > 0 for k in range(1, int(longest * w / (2 * np.pi) + 1e-9) + 1)]
+    shortest, longest = family.min_gap, LONGEST_WORD * family.d_max
+    found, left = [], 0.0
+    most = max(MOST_LAPS // max(speeds.size, 1), 4)
+    for lap in 2 * np.pi / speeds[speeds > 0]:
+        low, high = max(np.ceil(shortest / lap - 1e-9), 1.0), np.floor(longest / lap + 1e-9)
+        if high - low < most:
+            turns = np.arange(low, high + 1)
+        else:
+            turns = np.unique(np.rint(np.geomspace(low, high, most)))
+            left += float(high - low + 1 - turns.size)
+        found += [float(lap * k) for k in turns]
+    return found, left
 
 
 def _descend(plant: Plant, family: SamplingFamily, eta: float, start: PeriodicSchedule) -> PeriodicSchedule:

@@ -101,7 +101,8 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     Raises
     ------
     UndecidedError
-        If the lifted pair misses a mode as far as rounding can tell, and yet the filter's covariance stays bounded.
+        If the lifted pair misses a mode as far as rounding can tell, and yet the filter's covariance stays bounded; or
+        the samples are so dense that two modes that longer periods tell apart are one to rounding.
 
     Notes
     -----
@@ -128,6 +129,17 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     if isinstance(schedule, Schedule):
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
     found = judged(plant, schedule, eta)
+    if not found.exists and (turn := too_dense(plant, schedule, eta, found)):
+        raise UndecidedError(
+            f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: its samples are so dense "
+            f"that {found.eigenvalue:.4g} and what it is told from turn by {turn:.3g} rad of each other in a period of "
+            f"{schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). Sample less often, or count a "
+            "part of the samples as one.",
+            eigenvalue=found.eigenvalue,
+            partners=found.partners,
+            period=found.period,
+            margin=found.margin,
+        )
     if not found.exists and stays_bounded(plant, schedule, eta):
         raise UndecidedError(
             f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: {found.reason}, as far "
@@ -156,6 +168,16 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
         reason = f"{seen}: nearly, {reason}"
         return Existence(True, sight.margin, period=schedule.period, reason=reason)
     return Existence(False, sight.margin, main, partners, schedule.period, reason)
+
+
+def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> float:
+    """How far the modes that a lap does not tell apart turn within it, if a longer lap does tell them apart; else 0."""
+    main = found.eigenvalue or 0j
+    turns = [abs(main - other) * schedule.period for other in found.partners]
+    if not turns or not 0 < max(turns) <= NEARLY:
+        return 0.0
+    longer = PeriodicSchedule(schedule.gaps / max(turns), outputs=schedule.outputs)
+    return max(turns) if judged(plant, longer, eta).exists else 0.0
 
 
 def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:

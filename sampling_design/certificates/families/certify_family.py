@@ -18,7 +18,7 @@ from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.existence.counterexample import refute
+from sampling_design.certificates.existence.counterexample import Nearest, refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph, unrolled
@@ -210,9 +210,7 @@ class FamilySearch:
                     tried[rate] = self.horizon(rate, memory)
         return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
 
-    def decide(
-        self, bounds: tuple[float, float], levels: list[int], least: tuple[float, Any], report: Progress
-    ) -> Proposal:
+    def decide(self, bounds: tuple[float, float], levels: list[int], least: Nearest, report: Progress) -> Proposal:
         """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
         missed: list[Shortfall] = []
         for level in levels:
@@ -349,8 +347,10 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
     )
     verdict = made.verify()
     if not verdict.passed:
-        raise CertificateError(
-            f"the proof of the certificate did not close: {verdict.reason}.", verification=verdict, certificate=made
+        raise UndecidedError(
+            f"undecided: the proof of the certificate did not close: {verdict.reason}.",
+            verification=verdict,
+            certificate=made,
         )
     return made
 
@@ -366,7 +366,7 @@ def without_states(
     )
 
 
-def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least: tuple[float, Any]) -> UndecidedError:
+def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least: Nearest) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
     part = None
     low, high = 0.0, 1.0
@@ -379,9 +379,11 @@ def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least:
         low, high, part = (fraction, high, smaller) if isinstance(found, Proposal) else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"
+    known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""
     return UndecidedError(
         f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."
-        f"{known} The schedule that is seen worst has the gaps {short(least[1].gaps)} (margin {short(least[0], 3)}).",
+        f"{known} The schedule that is seen worst has the gaps {short(least.schedule.gaps)} "
+        f"(margin {short(least.margin, 3)}).",
         status="undecided", eta=eta, certified=part, kept=None if best is None else best.kept,
-        gap=None if best is None else best.gap, word=least[1], margin=least[0],
+        gap=None if best is None else best.gap, word=least.schedule, margin=least.margin, searched=least.searched,
     )  # fmt: skip

@@ -180,8 +180,8 @@ def sweep(
 ) -> list[Peak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
-    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution. All end at
-    `until` (CPU time of the thread): what they have met by then stands.
+    A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
+    All end at `until` (CPU time of the thread): what they have met by then stands.
     """
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size

@@ -356,7 +356,7 @@ def choose_weights(
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
-    guesses = []
+    guesses: list[Choice] = []
     for k, rate in enumerate(rates):
         report(0.3 * k / len(rates), f"rate {rate:.3g}")
         if guesses and search.late:
@@ -373,7 +373,7 @@ def choose_weights(
             "schedule is on the edge of what can be certified."
         )
     guesses.sort(key=_value)
-    found = []
+    found: list[Choice] = []
     for k, guess in enumerate(guesses[: search.starts]):
         if found and search.late:
             break

@@ -380,8 +380,8 @@ def laps(read: dict[str, Any], plant: Plant, place: str) -> Laps:
     first = float(gaps[0]) if read.get("first") is None else read["first"]
     if not (np.all(gaps[not periodic :] > 0) and first <= gaps.sum() < np.inf):
         raise refuse(place, "must increase strictly, the first sample within the period")
-    rows = read.get("outputs")
-    seen = np.ones((gaps.size, len(plant.C)), bool) if rows is None else np.array(rows, bool)
+    p, rows = len(plant.C), read.get("outputs")
+    seen = np.ones((gaps.size, p), bool) if rows is None else np.array([row for row in rows if len(row) == p], bool)
     if seen.shape != (gaps.size, len(plant.C)) or not seen.any(axis=1).all():
         rows = f"{gaps.size} rows of {len(plant.C)} numbers"
         raise refuse(f"{place}.outputs", f"must have {rows} 0 or 1, each row with a 1")

@@ -167,6 +167,8 @@ def test_nominal_schedules_are_judged_too():
     data = data_of("jitter")
     data["times"]["schedule"]["gaps"] = [-1.0, 3.5]
     assert "`times.schedule.gaps[0]` must be positive" in verdict(data)["reason"]
+    data["times"]["schedule"] |= {"gaps": [1.0, 1.5], "outputs": [[1], [1, 1]]}
+    assert "must have 2 rows of 1 numbers 0 or 1" in verdict(data)["reason"]
     data = data_of("jitter")
     del data["times"]["schedule"]["period"]
     data["digest"] = seal.digest(data)

@@ -87,6 +87,7 @@ COMMANDS = {
         ("plant", "schedule"),
         {"--eta": "0.4", "--noise-budget": "3", "--jitter": "0.01", "--gap-range": "0.9 1.1", "--detectability": None},
     ),
+    "accuracy": (("plant", "schedule"), {"--w": "0.1", "--v": "0.2", "--of": "position", "--rtol": "0.1"}),
     "survive": (("plant", "certificate"), {"--longest": "2", "--horizon": "8"}),
     "verify": (("certificate",), {"--plant": "PLANT", "--rigorous": None}),
     "estimate": (

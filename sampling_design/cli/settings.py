@@ -50,7 +50,7 @@ _COMMON: dict[str, tuple[Any, Any]] = {
 }
 
 
-NO_BUDGET = ("certify", "estimate", "validate", "thyroid")
+NO_BUDGET = ("accuracy", "certify", "estimate", "validate", "thyroid")
 """Commands whose work is given by their arguments: nothing in them could end early with what it has."""
 
 

@@ -386,6 +386,8 @@ def test_who_needs_samples_is_told_that_there_are_none():
     with pytest.raises(AttributeError, match="promises nothing about samples and has no `lam`"):
         made.lam  # noqa: B018
     with pytest.raises(AttributeError, match="promises nothing about samples and has no `schedule`"):
+        made.schedule  # noqa: B018
+    with pytest.raises(ArgumentError, match="`certificate` must be one about samples, got DetectabilityCertificate"):
         robustness(OSCILLATOR, made)
     assert copy.deepcopy(made).to_dict() == made.to_dict()
 
@@ -393,7 +395,7 @@ def test_who_needs_samples_is_told_that_there_are_none():
 def test_wrong_arguments_are_refused():
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
         DetectabilityCertificate("oscillator", [[1.0]], 1.0, 1.0, 1.0)
-    with pytest.raises(ArgumentError, match="`method` must be one of riccati, lmi, proof, given, got 'sdp'"):
+    with pytest.raises(ArgumentError, match="`method` must be one of riccati, lmi, proof, given, got str 'sdp'"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, method="sdp")
     with pytest.raises(ArgumentError, match="`margin` must not be negative"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, margin=-0.1)

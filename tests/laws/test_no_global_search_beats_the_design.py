@@ -22,12 +22,13 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_global_search_stays_below(name, search):
     plant, window, spacing, count = CASES[name]
+    own = plant.scaled()  # where a plant has scales its sigma is judged in them
     design = design_schedule(plant, Requirement(window=window, period=window, spacing=spacing, samples=count))
 
     def cost(cube):
         shares = -np.log(np.clip(cube, 1e-9, 1 - 1e-9))
         gaps = spacing + (window - count * spacing) * shares / shares.sum()
-        return -window_sigma_scan(plant.A, plant.C, np.cumsum(gaps) - gaps[0], window, window, places=0)
+        return -window_sigma_scan(own.A, own.C, np.cumsum(gaps) - gaps[0], window, window, places=0)
 
     if search == "evolution":
         found = -differential_evolution(cost, [(0, 1)] * count, rng=1, maxiter=4, popsize=4, polish=False).fun

@@ -132,7 +132,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     if not found.exists and (turn := too_dense(plant, schedule, eta, found)):
         raise UndecidedError(
             f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: its samples are so dense "
-            f"that {found.eigenvalue:.4g} and what it is told from turn by {turn:.3g} rad of each other in a period of "
+            f"that {found.eigenvalue:.4g} and what it is told from come apart by only {turn:.3g} in a period of "
             f"{schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). Sample less often, or count a "
             "part of the samples as one.",
             eigenvalue=found.eigenvalue,

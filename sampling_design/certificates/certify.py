@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -30,6 +31,7 @@ from sampling_design.certificates.exact.window_problem import AnySchedule, windo
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import verdict_of
+from sampling_design.certificates.rigorous.decide import HANDED_OVER
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
@@ -137,8 +139,8 @@ class _Proof:
     def closed(self, solver: SolverRecord, until: float | None = None, plainly: bool = False) -> Certificate:
         """Return the certificate, lambda raised to whatever window the checker finds.
 
-        What its floats leave undecided is looked at on finer grids, then, unless `plainly`, in balls and stated with
-        `ROOM` to spare.
+        What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
+        and, unless `plainly`, stated with `ROOM` to spare.
 
         Raises
         ------
@@ -155,8 +157,9 @@ class _Proof:
                 made = replace(made, witness=None)
                 verdict = verdict_of(made.to_dict())
             left = until - time.thread_time()
-            if verdict.verdict == "undecided" and finer > 1 and room == 1.0 and left > 0 and not plainly:
-                verdict = made.verify(budget=left / 2)
+            if verdict.verdict == "undecided" and room == 1.0 and find_spec("flint") is not None:
+                verdict = made.verify(rigorous=True, budget=HANDED_OVER)
+                left = until - time.thread_time()
             if verdict.passed:
                 return made
             if left <= 0:

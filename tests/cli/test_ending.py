@@ -11,9 +11,16 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR, SATELLITE = (EXAMPLES / "plants" / f"{name}.toml" for name in ("oscillator", "satellite"))
 INTERRUPTED = """
-import os, signal, sys, threading
+import os, signal, sys, threading, time
 from sampling_design.cli import main
-threading.Timer(float(sys.argv.pop(1)), os.kill, (os.getpid(), signal.SIGINT)).start()
+
+def interrupt(after):
+    while signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # Python's own start is not ours to catch
+        time.sleep(1e-4)
+    time.sleep(after)
+    os.kill(os.getpid(), signal.SIGINT)
+
+threading.Thread(target=interrupt, args=[float(sys.argv.pop(1))], daemon=True).start()
 main()
 """
 

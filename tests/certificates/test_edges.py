@@ -75,10 +75,10 @@ def test_what_fails_at_every_rate_is_undecided(monkeypatch):
 
 
 def test_what_fails_with_given_weights_is_undecided(monkeypatch):
-    def lost(problem, finer=1):
+    def lost(problem, finer=1, deadline=None):
         return (room.Peak(np.inf, 0, 0.0, 0, 1.0),) * 2
 
-    def unsettled(problem, finer=1):
+    def unsettled(problem, finer=1, deadline=None):
         raise SolverError("the information did not settle", status="unsettled")
 
     monkeypatch.setattr(room, "supremum", lost)

@@ -75,6 +75,7 @@ VERBS = {
     "worst_case_sigma": lambda b: sd.worst_case_sigma(HARD, sd.SpacedWindows(20.0, 12, 0.5), rtol=1e-9, budget=b),
     "design_schedule": lambda b: sd.design_schedule(HARD, LARGE, branches=10**6, budget=b),
     "pareto": lambda b: sd.pareto(HARD, LARGE, range(16, 21), budget=b),
+    "find_counterexample": lambda b: sd.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
     "robustness": lambda b: sd.robustness(OSCILLATOR, certificate(), longest=8, budget=b),

@@ -60,8 +60,9 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     first = A @ Y + Y @ A.T
     second = A @ first + first @ A.T
     third = A @ second + second @ A.T
-    growth = np.exp(2 * np.linalg.norm(A, 2) * width)
     size = np.sqrt(A.shape[0]) * np.linalg.norm(third, axis=(1, 2))
+    with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
+        growth = np.where(size > 0, np.exp(2 * np.linalg.norm(A, 2) * width), 1.0)
     sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
     return Profile(
         edges,

@@ -35,7 +35,7 @@ def check_workers(workers: Workers) -> None:
     """
     if workers is None or isinstance(workers, (Executor, Client)):
         return
-    if isinstance(workers, int):
+    if isinstance(workers, int) and not isinstance(workers, bool):
         if workers < 1 and workers != -1:
             raise ArgumentError(
                 f"`workers` must be a number of processes of at least 1 (or -1: one per core), got {workers}."

@@ -75,9 +75,9 @@ def test_a_count_beyond_whole_numbers():
 
 
 def test_growth_beyond_numbers_within_a_family():
-    found, (margin, _) = find_counterexample(Plant(np.diag([400.0, 400.0]), [[1.0, 1.0]]), GapRange(5.0, 10.0), 0.1)
+    found, nearest = find_counterexample(Plant(np.diag([400.0, 400.0]), [[1.0, 1.0]]), GapRange(5.0, 10.0), 0.1)
     assert found is None
-    assert margin < 1e-12
+    assert nearest.margin < 1e-12
 
 
 def test_a_budget_ends_the_search_for_the_worst_case():

@@ -11,6 +11,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # a backend that somebody exports would take the place of the notebooks' own, and their figures would vanish
 os.environ.pop("MPLBACKEND", None)
 
+# sliders of the notebooks have no kernel behind them on a page: they show their picture at one value instead
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(HERE / "on_paper"), os.environ.get("PYTHONPATH")]))
+
+import house_pages  # noqa: E402
 import make_pages  # noqa: E402
 from lost_pictures import lost_pictures  # noqa: E402
 from sphinx.errors import ExtensionError  # noqa: E402
@@ -28,8 +32,9 @@ extensions = [
     "sphinx.ext.mathjax",
     "numpydoc",
     "sphinxcontrib.bibtex",
+    "house_pages",
 ]
-exclude_patterns = ["_build", "**/.ipynb_checkpoints", "README.md"]
+exclude_patterns = ["_build", "**/.ipynb_checkpoints", "README.md", "_static/mathjax/README.md"]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 nitpicky = False
 
@@ -71,7 +76,15 @@ html_theme_options = {
     },
     "dark_css_variables": {"color-brand-primary": "#7db2ec", "color-brand-content": "#7db2ec"},
 }
-mathjax3_config = {"chtml": {"displayAlign": "left", "displayIndent": "1.5em"}}
+
+# Mathematics without a network: one file beside the pages holds fonts and extensions; its menu would load other parts.
+mathjax_path = "mathjax/tex-svg-full.js"
+mathjax3_config = {
+    "svg": {"displayAlign": "left", "displayIndent": "1.5em", "fontCache": "global"},
+    "options": {"enableMenu": False},
+}
+# Nothing of the pages comes from elsewhere.
+nb_ipywidgets_js = {}
 
 _CODE = re.compile(r"``.*?``|`[^`]*`")
 
@@ -107,6 +120,9 @@ def _equations_stand_as_they_are(lines):
     lines[:] = out + lines[i:]
 
 
+LABELS = house_pages.section_labels(HERE / "theory")
+
+
 def escape_mathematics(app, what, name, obj, options, lines):
     """Escape running text of a docstring, and leave examples and displayed formulas as they are."""
     _equations_stand_as_they_are(lines)
@@ -120,7 +136,7 @@ def escape_mathematics(app, what, name, obj, options, lines):
             continue
         literal = lines[i - 1].rstrip().endswith("::") if i else False
         if not line.lstrip().startswith((">>>", "...", ":")) and not literal:
-            lines[i] = _norms_are_no_substitutions(line)
+            lines[i] = house_pages.linked(_norms_are_no_substitutions(line), LABELS)
 
 
 def every_picture_is_there(app, exception):
@@ -134,8 +150,15 @@ def every_picture_is_there(app, exception):
         raise ExtensionError(f"pictures are missing on {told}: was a matplotlib backend set for the notebooks?")
 
 
+def searches_show_words(app, pagename, templatename, context, doctree):
+    """Give the search page what turns formulas into words, after the search itself."""
+    if pagename == "search":
+        app.add_js_file("search_words.js", priority=900, loading_method="defer")
+
+
 def setup(app):
     """Write the pages that are made from the package itself, then read all pages."""
     make_pages.write_all(HERE)
+    app.connect("html-page-context", searches_show_words)
     app.connect("build-finished", every_picture_is_there)
     app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

@@ -8,6 +8,8 @@
 
 import ast
 import importlib
+import inspect
+import re
 import tomllib
 from pathlib import Path
 
@@ -35,7 +37,14 @@ FLOORS = (
     ("cli",),
 )
 WRITTEN = {"index", "tour", "choosing", "conventions", "formats", "numerics", "references", "architecture"}
-WRITTEN |= {"contributing", "changelog"}  # every other page beside these was written by a command
+WRITTEN |= {
+    "contributing",
+    "changelog",
+    "installation",
+    "gallery",
+    "exercises",
+    "glossary",
+}  # every other page beside these was written by a command
 GROUPS = {
     "definition": "Definitions",
     "assumption": "Assumptions",
@@ -125,11 +134,13 @@ def test_label(name: str, printed: bool) -> str:
 
 
 def room_page(room: str) -> str:
-    """Return the page of one room: its README, then its names."""
+    """Return the page of one room: a table of its functions, its README, then its names."""
     import sampling_design
 
     modules = {m: names for m, names in sampling_design._FRONT_DOOR.items() if m.split(".")[0] == room and "." in m}
-    lines = [f"```{{include}} ../../../sampling_design/{room}/README.md", "```", ""]
+    readme = (Path(sampling_design.__file__).parent / room / "README.md").read_text()
+    heading, _, rest = readme.partition("\n")
+    lines = [heading, "", *functions_table(room), rest.strip("\n"), ""]
     if modules:
         lines += ["## Interface", ""]
     for module, names in modules.items():
@@ -145,6 +156,23 @@ def room_page(room: str) -> str:
         lines += ["### `plants/library.py`", "", "```{eval-rst}", ".. automodule:: sampling_design.plants.library"]
         lines += ["   :members:", "", "```", ""]
     return "\n".join(lines)
+
+
+def functions_table(room: str) -> list[str]:
+    """Return the table that opens a room's page: what it offers at the front door, and what that does."""
+    import sampling_design
+
+    names = names_of(room)
+    if not names:
+        return []
+    lines = ["| name | does |", "|---|---|"]
+    for name in names:
+        thing = getattr(sampling_design, name)
+        mark = "" if isinstance(thing, type) else "()"
+        first = (inspect.getdoc(thing) or "").split("\n\n")[0].replace("\n", " ").split("::")[0]
+        told = re.sub(r"(?<!`)([|<>*_\\$])", r"\\\1", first.replace("``", "`"))
+        lines.append(f"| {{py:obj}}`{name}{mark} <sampling_design.{name}>` | {told} |")
+    return [*lines, ""]
 
 
 def records_of(room: str) -> dict[str, object]:

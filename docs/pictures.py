@@ -21,7 +21,7 @@ def one_picture() -> Figure:
     """Return samples, sigma over the window's position, and an estimate with its radius, one below the other."""
     plant = library.oscillator()
     schedule = PeriodicSchedule.from_times([0.6, 1.4, 3.4, 5.0], PERIOD)
-    figure, axes = plt.subplots(3, 1, figsize=(9, 6.4), sharex=True, layout="constrained", height_ratios=(1, 1.1, 1.7))
+    figure, axes = plt.subplots(3, 1, figsize=(9, 4.3), sharex=True, layout="constrained", height_ratios=(1, 1.1, 1.7))
     _samples(axes[0], schedule)
     _sigma(axes[1], plant, schedule)
     _estimate(axes[2], plant, schedule)
@@ -38,7 +38,7 @@ def _samples(ax, schedule) -> None:
     ax.vlines(times, 0, 1, color=MEASURED, lw=2)
     ax.plot(times, np.ones(times.size), "o", color=MEASURED, ms=5)
     ax.set(yticks=[], ylim=(0, 1.3), ylabel="samples")
-    ax.set_title("1  when to measure", loc="left", fontsize=11, fontweight="bold")
+    ax.set_title("1  when to measure", loc="left", fontsize=9.5, fontweight="bold")
 
 
 def _sigma(ax, plant, schedule) -> None:
@@ -50,8 +50,8 @@ def _sigma(ax, plant, schedule) -> None:
         ax.plot(t, values, color=colour, lw=1.4, label=label)
     ax.hlines(found.lower, WINDOW, 3 * PERIOD, color=PROVEN, ls="--", lw=1.4, label="proven, for every window")
     ax.set(ylim=(-0.1, 2.2), ylabel=r"$\sigma$ of the window")
-    ax.set_title("2  what that proves", loc="left", fontsize=11, fontweight="bold")
-    ax.legend(ncols=3, fontsize=8, frameon=False, loc="upper left")
+    ax.set_title("2  what that proves", loc="left", fontsize=9.5, fontweight="bold")
+    ax.legend(ncols=3, fontsize=7.5, frameon=False, loc="upper left")
 
 
 def _at(plant, schedule, end) -> float:
@@ -88,5 +88,5 @@ def _estimate(ax, plant, schedule) -> None:
     ax.plot(grid, centre, color=ATTAINED, lw=1.4, label="estimate")
     ax.plot(times[: len(heard)], heard, "o", color=MEASURED, ms=4, label="position, measured")
     ax.set(ylim=(-2.6, 2.9), ylabel="state")
-    ax.set_title("3  what the state is, with a radius that holds", loc="left", fontsize=11, fontweight="bold")
-    ax.legend(ncols=4, fontsize=8, frameon=False, loc="upper right")
+    ax.set_title("3  what the state is, with a radius that holds", loc="left", fontsize=9.5, fontweight="bold")
+    ax.legend(ncols=4, fontsize=7.5, frameon=False, loc="upper right")

@@ -221,7 +221,11 @@ def _kinds(hint: Any) -> list[tuple[str, Callable[[str, Any], Any]]]:
         return [plain[hint]]
     kind = origin or hint
     if kind is collections.abc.Callable:
-        return [("a function", lambda _, v: v if callable(v) else _NO)]
+        asked = next(iter(typing.get_args(hint)), ...)
+        if not isinstance(asked, list):
+            return [("a function", lambda _, v: v if callable(v) else _NO)]
+        words = f"a function of {len(asked)} argument{'s' if len(asked) > 1 else ''}"
+        return [(words, lambda _, v: v if callable(v) and _takes(v, len(asked)) else _NO)]
     if kind is os.PathLike:
         return [("a path", lambda _, v: v if _path(v) else _NO)]
     if kind in _HELD:
@@ -267,6 +271,17 @@ def _instance(kind: type) -> tuple[str, Callable[[str, Any], Any]]:
         return _NO if maker is None else _Foreign(maker, value)
 
     return label, take
+
+
+def _takes(function: Callable[..., Any], count: int) -> bool:
+    """Whether a function can be called with so many arguments; one that does not tell is trusted."""
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # written in C, without a signature
+        return True
+    return True
 
 
 def _among(value: Any, allowed: tuple[Any, ...]) -> bool:

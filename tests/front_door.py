@@ -393,14 +393,15 @@ class Call:
         return f"{self.door.name}({', '.join(f'{k}={v}' for k, v in self.faults)})"
 
     def raw(self) -> str:
-        """What came out that must not ("": a value, or an error of ours in one sentence)."""
+        """What came out that must not ("": a value, or an error of ours in one sentence, and no RuntimeWarning)."""
         given = dict(self.door.arguments)
         kinds = wrong()
         for key, kind in self.faults:
             given[key] = kinds[kind]()
         try:
-            with warnings.catch_warnings(), _alarm(), _quiet():
+            with warnings.catch_warnings(record=True) as warned, _alarm(), _quiet():
                 warnings.simplefilter("ignore")
+                warnings.simplefilter("always", RuntimeWarning)
                 value = self.door.target()(**given)
                 if inspect.isgenerator(value):
                     list(value)
@@ -413,7 +414,7 @@ class Call:
             if isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
                 return ""
             return f"{type(error).__name__}: {str(error)[:160]}\n{traceback.format_exc(limit=-3)}"
-        return ""
+        return next((f"{w.category.__name__}: {w.message}\n  File {w.filename}:{w.lineno}" for w in warned), "")
 
 
 class _Hang(BaseException):

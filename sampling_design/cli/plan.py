@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +18,7 @@ from sampling_design.cli.settings import Settings, record_table, save_picture, t
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.schedules.files import schedule_from_dict
+from sampling_design.schedules.calendar import repeats_by_rule
 from sampling_design.schedules.time_stamps import parse_date
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
@@ -101,7 +102,7 @@ def design(
     ] = None,
     zone: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Time zone of --start and of calendar.csv, as Europe/Berlin; default UTC."),
+        typer.Option(metavar="NAME", help="Time zone of --start and of the calendars, as Europe/Berlin; default UTC."),
     ] = None,
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
@@ -114,6 +115,7 @@ def design(
     flags["scaled"] = scaled
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
+    zero = None if start is None else parse_date("--start", start, zone).isoformat()
     requirement = reading.requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
@@ -122,31 +124,34 @@ def design(
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
         settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
-    _write_design(settings, result, start, zone)
+    _write_design(settings, result, zero, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
 
 
-def _write_design(settings: Settings, result: Any, start: str | None, zone: str | None) -> None:
+def _write_design(settings: Settings, result: Any, zero: str | None, zone: str | None) -> None:
     folder = settings.folder()
     if folder is None:
         return
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None:
-        _schedule_files(settings, result, folder, start, zone)
+        _schedule_files(settings, result, folder, zero, zone)
         settings.wrote(save_picture(result, folder / "design.png"))
 
 
-def _schedule_files(settings: Settings, result: Any, folder: Path, start: str | None, zone: str | None) -> None:
+def _schedule_files(settings: Settings, result: Any, folder: Path, zero: str | None, zone: str | None) -> None:
     schedule = result.schedule
-    if start is None:
+    if zero is None:
         settings.wrote(sd.write_schedule(schedule, folder / "schedule.csv"))
         return
-    zero = parse_date("--start", start, zone).isoformat()
-    dated = schedule_from_dict({**schedule.to_dict(), "origin": zero})
+    dated = replace(schedule, origin=zero)
     settings.wrote(sd.write_schedule(dated, folder / "schedule.csv"))
     settings.wrote(sd.write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
     title = f"{result.plant.name or 'plant'}: sample"
-    settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title))
+    span = None
+    if not repeats_by_rule(dated):
+        span = dated.period
+        settings.notice("The period is no whole number of seconds, which no calendar repeats: schedule.ics holds one.")
+    settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
 
 
 def _samples(result: Any) -> list[Any]:

@@ -54,8 +54,9 @@ def calendar(
     zone : str, optional
         IANA name of the time zone in which dates are given. Default: the offset of `start`, UTC if it has none.
     raster : float, optional
-        Dates are rounded to whole multiples of this [s] since the full minute in UTC. Default: whole seconds, and whole
-        microseconds where samples lie less than a second apart.
+        Dates are rounded to whole multiples of this [s] since midnight of the day of time 0, by the clocks of `zone`:
+        900 gives full quarters of an hour. Default: whole seconds, and whole microseconds where samples lie less than
+        a second apart.
 
     Returns
     -------
@@ -89,10 +90,10 @@ def calendar(
     entries: list[CalendarEntry] = []
     for i, time in enumerate(part.times.tolist()):
         measured = names if mask is None else tuple(n for n, m in zip(names, mask[i], strict=True) if m)
-        date = _date(zero, time * unit, grain)
-        if entries and date <= entries[-1].date:
+        date = _date(zero.astimezone(place), time * unit, grain).astimezone(place)
+        if entries and date.astimezone(UTC) <= entries[-1].date.astimezone(UTC):  # in one zone, clocks are compared
             raise ArgumentError(f"`raster` = {raster!r} s puts two samples at {date.isoformat()}: give a finer one.")
-        entries.append(CalendarEntry(date.astimezone(place), time, measured))
+        entries.append(CalendarEntry(date, time, measured))
     return tuple(entries)
 
 
@@ -256,11 +257,15 @@ def _columns(schedule: AnySchedule) -> tuple[str, ...]:
 
 
 def _date(zero: datetime, seconds: float, grain: int = 1) -> datetime:
-    """The date so many seconds after `zero`, in UTC: clocks that are put forward or back do not count."""
+    """The date so many seconds after `zero`, in UTC: clocks that are put forward or back do not count.
+
+    It is rounded to `grain` microseconds since midnight of the day of `zero`, by the clocks there.
+    """
     try:
-        exact = zero.astimezone(UTC) + timedelta(microseconds=round(seconds * 1e6))
-        minute = exact.replace(second=0, microsecond=0)
-        return minute + timedelta(microseconds=round((exact - minute) / timedelta(microseconds=grain)) * grain)
+        exact, step = zero.astimezone(UTC) + timedelta(microseconds=round(seconds * 1e6)), timedelta(microseconds=grain)
+        clock = exact.astimezone(zero.tzinfo).replace(tzinfo=None)
+        over = (clock - zero.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=None)) % step
+        return exact + (step - over if 2 * over > step else -over)
     except OverflowError:
         raise ArgumentError(
             f"`start` plus {seconds:.6g} s lies beyond the year 9999. Is the time unit right?"
@@ -318,9 +323,15 @@ def _repeating(
     return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in lap if entry.time < span]
 
 
+def repeats_by_rule(schedule: PeriodicSchedule) -> bool:
+    """Whether the period is whole seconds, so that a calendar can repeat it without end."""
+    assert schedule.time_unit is not None
+    return _rule(schedule.period * SECONDS[schedule.time_unit or ""], 1.0) is not None
+
+
 def _rule(seconds: float, grain: float) -> str | None:
     whole = round(seconds)
-    if whole < 1 or 60 % grain or whole % grain or abs(seconds - whole) > 1e-9 * whole:
+    if whole < 1 or whole % grain or abs(seconds - whole) > 1e-9 * whole:
         return None
     for name, length in _FREQUENCIES:
         if whole % length == 0:

@@ -191,18 +191,13 @@ def compare_schedule(
     before: WindowSigma | None = None
     after: WindowSigma | None = None
     start, end = float(min(planned.times[0], actual[0])), float(min(planned.times[-1], actual[-1]))
-    if judged.n_states and end >= length and planned.times[-1] >= length:
+    if judged.n_states and end - start >= length:
         before, after = (
-            window_sigma(judged, _from_start(each, length, start), length, budget=budget, progress=progress)
+            window_sigma(judged, each, length, budget=budget, progress=progress, start=start)
             for each in (planned, taken)
         )
     lacking = _lacking(plant, planned, taken, match)
     return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit)
-
-
-def _from_start(schedule: Schedule, length: float, start: float) -> Schedule:
-    """A schedule that begins later than a window after time 0, moved to 0: a clock's zero is no plan."""
-    return schedule if start <= length else Schedule(schedule.times - start, schedule.outputs, **schedule._details())
 
 
 def _half_gap(plan: Schedule | PeriodicSchedule) -> float:

@@ -255,6 +255,35 @@ def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
     assert rows_of(tmp_path / "estimates.csv")[1]["date"] == "2026-01-05T00:00:02.200000+00:00"
 
 
+@pytest.mark.parametrize("plant", ["oscillator", "tidal_gauge", "triple_integrator"])
+def test_two_rows_ten_thousand_years_apart_end_with_a_sentence(shell, tmp_path, plant):
+    file = OSCILLATOR.parent / f"{plant}.toml"
+    found = sd.read_plant(file)
+    header = ",".join(["date", *found.outputs.names, *found.inputs.names])
+    row = ",1" * found.n_outputs + ",0" * found.n_inputs
+    readings = tmp_path / "far.csv"
+    readings.write_text(f"{header}\n0001-01-01T00:00{row}\n9999-12-31T00:00{row}\n")
+    result = shell("estimate", file, readings)
+    assert result.code in (0, 2, 3), result.err
+    assert ("2 estimates" in result.out) == (result.code == 0)
+    assert result.code == 0 or result.err.strip().splitlines()[-1].startswith("sampling-design: ")
+
+
+def test_calendars_of_a_design_are_in_its_zone(shell, tmp_path):
+    asked = ["--samples", 3, "--window", 6.5, "--budget", 2, "--start", "2026-01-05T08:00", "--zone", "Europe/Berlin"]
+    made = shell("design", OSCILLATOR, *asked, "-o", tmp_path)
+    assert made.code == 0, made.err
+    assert "schedule.ics holds one" in made.err
+    ics = (tmp_path / "schedule.ics").read_text()
+    assert ics.count("BEGIN:VEVENT") == 3
+    assert "DTSTART;TZID=Europe/Berlin:20260105T0800" in ics
+    assert "+01:00" in (tmp_path / "calendar.csv").read_text()
+    wrong = shell("design", OSCILLATOR, *asked[:-1], "Mars", "-o", tmp_path / "none")
+    assert wrong.code == 2
+    assert "`zone` must be the name of a time zone" in wrong.err
+    assert not (tmp_path / "none" / "design.json").exists()
+
+
 @pytest.mark.parametrize("command", ["log", "estimate"])
 def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, command):
     data = dated(tmp_path / "data.csv")

@@ -200,3 +200,16 @@ def test_a_bound_survives_its_own_dictionary():
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
     with pytest.raises(ArgumentError, match="a bound's `side` must be late or early, got 'left'"):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "side": "left"}]})
+    for wrong, words in (
+        ({}, "a bound must hold `value`; it holds nothing"),
+        ({**whole.to_dict(), "value": "2"}, "a bound's `value` must be a number, got str '2'"),
+        ({**whole.to_dict(), "parts": 3}, "a bound's `parts` must be a list, got int 3"),
+        ({**whole.to_dict(), "parts": [3]}, "a part of a bound must be a table of names and values, got int 3"),
+        ({**whole.to_dict(), "sides": 3}, "unknown key 'sides' in a bound"),
+        (
+            {**whole.to_dict(), "parts": [{**part.to_dict(), "zones": [[1.0]]}]},
+            r"`zones` must have shape \(1, 2\)",
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            UpperBound.from_dict(wrong)

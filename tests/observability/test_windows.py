@@ -136,9 +136,29 @@ def test_finite_schedule_of_a_single_window():
 
 def test_finite_schedule_starts_with_its_first_full_window():
     result = window_sigma(OSCILLATOR, Schedule([3.0, 3.5, 4.0]), 1.0)
-    assert (result.upper, result.witness.samples.size) == (0.0, 0)
-    assert result.profile.start[0] == 1.0
-    assert result.profile.stop[-1] == pytest.approx(4.0)
+    assert result.witness.samples.size == 3
+    assert result.upper > 0.5
+    assert (result.profile.start[0], result.profile.stop[-1]) == (4.0, 4.0)
+    counted = window_sigma(OSCILLATOR, Schedule([3.0, 3.5, 4.0]), 1.0, start=0.0)
+    assert (counted.upper, counted.witness.samples.size) == (0.0, 0)
+    assert counted.profile.start[0] == 1.0
+
+
+@pytest.mark.parametrize("rigorous", [False, True])
+def test_the_zero_of_the_clock_changes_nothing(rigorous):
+    times = np.array([0.0, 0.5, 1.25, 1.875, 3.0, 3.5])  # exact in doubles beside 1.7e9
+    plain, *others = (
+        window_sigma(OSCILLATOR, Schedule(times + zero), 1.75, rigorous=rigorous) for zero in (0.0, 5.0, 1.7e9)
+    )
+    assert plain.lower > 0
+    for other in others:
+        assert (other.lower, other.upper, other.status) == pytest.approx((plain.lower, plain.upper, plain.status))
+
+
+def test_a_start_far_before_the_first_sample_is_said_without_a_warning():
+    growing = Plant([[1.0]], [[1.0]])
+    result = window_sigma(growing, Schedule([1.7e9, 1.7e9 + 1]), 2.0, start=0.0)
+    assert (result.lower, result.status) == (0.0, "too few samples")
 
 
 def test_satellite_in_si_units_closes():
@@ -251,7 +271,10 @@ def test_progress_and_words():
         ({"budget": -1.0}, "`budget` must not be negative"),
         ({"plant": J}, "`plant` must be a Plant, got ndarray"),
         ({"schedule": [0.0, 1.0]}, r"Use Schedule\(times\)"),
-        ({"schedule": Schedule([0.0, 1.0])}, "`window` must fit into the schedule, which ends at 1, got 1.5"),
+        ({"schedule": Schedule([0.0, 1.0])}, "`window` must fit into the schedule, which spans 1, got 1.5"),
+        ({"schedule": Schedule([1.0, 2.0]), "start": 1.0}, "which ends 1 after `start`, got 1.5"),
+        ({"start": 0.0}, "`start` is for finite schedules"),
+        ({"start": -1.0}, "`start` must not be negative"),
         ({"schedule": Schedule([])}, "`window` must fit into the schedule"),
         ({"schedule": PeriodicSchedule([1.0], time_unit="h")}, "in h and the plant in s"),
         ({"plant": Plant([[900.0]], [[1.0]])}, "`window` must be short enough"),

@@ -189,6 +189,33 @@ def test_dates_lie_on_a_raster():
         calendar(fast, "2026-01-05", raster=1.0)
 
 
+@pytest.mark.parametrize(
+    ("raster", "zone", "clocks"),
+    [
+        (900.0, None, ["00:15", "07:30", "23:00", "07:45"]),
+        (3600.0, None, ["00:00", "08:00", "23:00", "08:00"]),
+        (3600.0, "Asia/Kolkata", ["00:00", "08:00", "23:00", "08:00"]),
+        (7200.0, "Europe/Berlin", ["00:00", "08:00", "00:00", "10:00"]),
+        (43200.0, "Europe/Berlin", ["00:00", "12:00", "00:00", "12:00"]),
+    ],
+)
+def test_a_raster_of_minutes_and_hours_is_that_of_the_clocks_on_the_wall(raster, zone, clocks):
+    schedule = Schedule([0.05, 7.4, 22.9, 31.7 + (zone == "Europe/Berlin")], time_unit="h")
+    dates = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone, raster=raster)]
+    assert [f"{d:%H:%M}" for d in dates] == clocks
+    exact = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone)]
+    moved = [a.astimezone(UTC) - b.astimezone(UTC) for a, b in zip(dates, exact, strict=True)]
+    assert max(abs(m.total_seconds()) for m in moved) <= raster / 2
+
+
+def test_events_that_repeat_by_rule_lie_on_a_raster_of_minutes_too(tmp_path):
+    text = write_ics(DAY, tmp_path / "a.ics", "2026-01-05T08:02", raster=900.0).read_text()
+    starts = [line for line in text.splitlines() if line.startswith("DTSTART")]
+    assert starts
+    assert all(line[-5:-1] in ("0000", "1500", "3000", "4500") for line in starts)
+    assert "RRULE:FREQ=DAILY;INTERVAL=1" in text
+
+
 def test_zones_and_hours_that_are_not_are_refused():
     schedule = Schedule([0.0], time_unit="h")
     with pytest.raises(ArgumentError, match="`zone` must be the name of a time zone like Europe/Berlin, got 'Mars'"):

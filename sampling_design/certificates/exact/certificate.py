@@ -237,13 +237,16 @@ class SampledCertificate(Record, ABC):
         """
         found = self.horizon(theorem, length)
         times = _checks.floats("t", t)
-        start = float(np.sum(np.square(_checks.real_array("e0", e0, np.ndim(e0)))))
-        w2, v2 = _checks.nonnegative("w_bound", w_bound) ** 2, _checks.nonnegative("v_bound", v_bound) ** 2
+        initial = _checks.real_array("e0", e0, np.ndim(e0))
+        w, v = _checks.nonnegative("w_bound", w_bound), _checks.nonnegative("v_bound", v_bound)
+        unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers
+        start, w2, v2 = float(np.sum(np.square(initial / unit))), (w / unit) ** 2, (v / unit) ** 2
         rate = found.eta_tilde
         decay = np.exp(-rate * times)
         hits = np.vectorize(lambda end: float(np.sum(np.exp(-rate * (end - self._samples_until(end))))), otypes=[float])
         squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
-        return np.asarray(np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
+        with np.errstate(over="ignore"):
+            return np.asarray(unit * np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit

@@ -66,8 +66,10 @@ def _windows(schedule: Schedule | PeriodicSchedule, states: int) -> list[float]:
 
 def _sigma(plant: Plant, schedule: Schedule | PeriodicSchedule, T: float) -> float:
     """Proven lower bound over all real windows, those that begin before the first sample included."""
+    if isinstance(schedule, Schedule):
+        return float(window_sigma(plant, schedule, T, start=0.0).lower)
     lower = window_sigma(plant, schedule, T).lower
-    if isinstance(schedule, PeriodicSchedule) and schedule.first > schedule.gaps[0]:
+    if schedule.first > schedule.gaps[0]:
         head = schedule.between(0.0, schedule.first + T + schedule.period)
-        lower = min(lower, window_sigma(plant, head, T).lower)
+        lower = min(lower, window_sigma(plant, head, T, start=0.0).lower)
     return float(lower)

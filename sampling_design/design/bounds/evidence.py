@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
 from sampling_design._door import doors
 from sampling_design._linalg import expm_batch
 from sampling_design._record import Plain
@@ -134,18 +135,45 @@ class UpperBound:
         Raises
         ------
         ArgumentError
-            If a part names an unknown method, or its `side` is neither "late" nor "early".
+            If a key is missing or unknown, an array is no such array, a part names an unknown method, or its `side` is
+            neither "late" nor "early".
         """
         parts = []
-        for entry in data["parts"]:
+        found = _table("a bound", data, ("value", "parts"))["parts"]
+        if not isinstance(found, list):
+            raise ArgumentError(f"a bound's `parts` must be a list, got {_checks.described(found)}.")
+        for entry in found:
+            _table("a part of a bound", entry, tuple(BoundPart.__dataclass_fields__))
             if entry["side"] not in SIDES:
                 raise ArgumentError(f"a bound's `side` must be late or early, got {entry['side']!r}.")
             if entry["method"] not in METHODS:
                 raise ArgumentError(f"a bound's `method` must be one of {', '.join(METHODS)}, got {entry['method']!r}.")
-            arrays = {key: np.array(entry[key], dtype=float) for key in ("starts", "weights", "tilt")}
-            zones = np.array(entry["zones"], dtype=float).reshape(-1, 2)
-            parts.append(BoundPart(**{**entry, **arrays, "zones": zones}))
-        return cls(float(data["value"]), tuple(parts))
+            arrays = {key: _checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
+            zones = _none() if entry["zones"] == [] else _checks.matrix("zones", entry["zones"], columns=2)
+            numbers = {key: _number(key, entry[key]) for key in ("value", "price")}
+            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones}))
+        return cls(_number("value", data["value"]), tuple(parts))
+
+
+_DIMENSIONS = {"starts": 1, "weights": 3, "tilt": 1}
+
+
+def _number(key: str, value: object) -> float:
+    """A number; a bound that says nothing is infinite."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ArgumentError(f"a bound's `{key}` must be a number, got {_checks.described(value)}.")
+    return float(value)
+
+
+def _table(where: str, data: object, keys: tuple[str, ...]) -> dict[str, Any]:
+    """The data, if they are a table with exactly these keys."""
+    if not isinstance(data, dict):
+        raise ArgumentError(f"{where} must be a table of names and values, got {_checks.described(data)}.")
+    _checks.known_keys(where, data, keys)
+    for key in keys:
+        if key not in data:
+            raise ArgumentError(f"{where} must hold `{key}`; it holds {', '.join(data) or 'nothing'}.")
+    return data
 
 
 def _part(

@@ -95,7 +95,7 @@ def last_start(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> Fractio
     """The last window start that has to be looked at, without rounding."""
     if isinstance(schedule, PeriodicSchedule):
         return Fraction(schedule.first) + Fraction(schedule.period)
-    return max(Fraction(float(schedule.times[-1])) - Fraction(pieces.window), Fraction(0))
+    return max(Fraction(float(schedule.times[-1])) - Fraction(pieces.window), Fraction(float(pieces.left[0])))
 
 
 def needed_slack(schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction]) -> float:

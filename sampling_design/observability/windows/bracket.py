@@ -135,10 +135,10 @@ class _Pieced:
 
     def unseen(self, owner: Indices, start: Array, value: Array) -> npt.NDArray[np.bool_]:
         """Where sigma = 1/value lies below n eps |O(s)|."""
-        back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
             sigma = 1 / value
-        least = self.plant.n_states * _EPS * np.linalg.norm(back, axis=(1, 2))
+            least = self.plant.n_states * _EPS * np.linalg.norm(back, axis=(1, 2))
         return np.asarray(least >= sigma)
 
     def ceiling(self, h: Array, fa: Array, fb: Array, ga: Array, gb: Array) -> Array:

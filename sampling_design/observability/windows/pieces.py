@@ -58,18 +58,27 @@ class Pieces:
         return None if self.mask is None else self.mask[self.first[g] : self.stop[g]]
 
 
-def window_pieces(schedule: Schedule | PeriodicSchedule, window: float) -> Pieces:
-    """Return the pieces of all full windows: one period of an endless schedule, else those in [0, last time]."""
+def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None) -> Pieces:
+    """Return the pieces of all full windows: one period of an endless schedule, else those in [start, last time].
+
+    A finite schedule is judged from its first sample unless `start` says otherwise: where a clock has its zero is no
+    property of the schedule.
+    """
     if isinstance(schedule, PeriodicSchedule):
+        if start is not None:
+            raise ArgumentError("`start` is for finite schedules; an endless one is judged in its rhythm.")
         low, high = schedule.first, schedule.first + schedule.period
         slack = SAME_TIME * (high + window)
         held = schedule.between(low, high + window + slack)
     else:
         held = schedule
-        low, high = 0.0, (float(schedule.times[-1]) if len(schedule) else 0.0) - window
-        if high < -SAME_TIME * window:
+        first, last = (float(schedule.times[0]), float(schedule.times[-1])) if len(schedule) else (0.0, 0.0)
+        low = first if start is None else start
+        high = last - window
+        if high < low - SAME_TIME * max(window, abs(last)):
+            spans = f"spans {short(last - low)}" if start is None else f"ends {short(last - low)} after `start`"
             raise ArgumentError(
-                f"`window` must fit into the schedule, which ends at {short(high + window)}, got {short(window)}. "
+                f"`window` must fit into the schedule, which {spans}, got {short(window)}. "
                 "A finite schedule is judged from its first full window to its last."
             )
         high = max(high, low)

@@ -216,6 +216,7 @@ def window_sigma(
     budget: float | None = None,
     progress: Progress | None = None,
     rigorous: bool = False,
+    start: float | None = None,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
@@ -225,8 +226,8 @@ def window_sigma(
     ----------
     plant : Plant
     schedule : Schedule or PeriodicSchedule
-        A finite schedule is judged from its first full window [0, T] to the last, which ends with its
-        last sample; an endless one in its rhythm, over one period of t.
+        A finite schedule is judged from the window that begins with its first sample (or at `start`) to the one that
+        ends with its last; an endless one in its rhythm, over one period of t.
     window : float [plant.time_unit]
         Length T > 0.
     rtol : float
@@ -238,6 +239,9 @@ def window_sigma(
     rigorous : bool
         Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
         for that proof too.
+    start : float, optional [plant.time_unit]
+        Of a finite schedule: where its first full window begins, such as 0 where the plan counts from there and not
+        from its first sample.
 
     Returns
     -------
@@ -248,7 +252,8 @@ def window_sigma(
     Raises
     ------
     ArgumentError
-        If plant and schedule do not fit, or the window is not positive or longer than the schedule.
+        If plant and schedule do not fit, the window is not positive or longer than the schedule, or an endless
+        schedule is given a `start`.
     MissingExtraError
         If `rigorous` is asked for and python-flint is not installed.
 
@@ -286,7 +291,7 @@ def window_sigma(
     if tolerance >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    pieces = window_pieces(aligned, length)
+    pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
     parts = [plant, plant.scaled()] if plant.has_scales else [plant]
     scaled = None
     for part in reversed(parts):

@@ -7,8 +7,7 @@ start: Y'' itself only turns with e^{As}. The error is of second order, and a co
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -56,8 +55,8 @@ class BallFlow:
         self.At, self.square = A.transpose(), A * A
         self.constant = A * S + S * self.At
         self.identity = identity(self.n)
-        self._kept: dict[Any, tuple[Matrix, Matrix]] = {}
-        self._reach: dict[Any, Ball] = {}
+        self._kept: dict[object, tuple[Matrix, Matrix]] = {}
+        self._reach: dict[object, Ball] = {}
         self.size = float(frobenius(A))
         self.growths = [(ball(1.0), largest((A + self.At) * ball(0.5)))]
         modal = self._modal()
@@ -139,7 +138,7 @@ class FlowNode:
         self._second: Matrix | None = None
         self._sag: Ball | None = None
 
-    def bulges(self, duration: Ball) -> Any:
+    def bulges(self, duration: Ball) -> Iterator[Ball]:
         """Yield bounds of Y over its chord, as a multiple of I: first by norms, then by the least eigenvalue of Y''."""
         reach = self.flow.reach(duration)
         if self._second is None:

@@ -9,16 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import MissingExtraError
 
+if TYPE_CHECKING:
+    from flint import arb, arb_mat
+
+Ball: TypeAlias = "arb"
+Matrix: TypeAlias = "arb_mat"
+
 Array = npt.NDArray[np.float64]
-Ball = Any
-Matrix = Any
 
 BITS = 160
 """Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii."""
@@ -26,7 +32,7 @@ SLACKS = (1e-13, 1e-10, 1e-6)
 """By how much of a matrix's size a guessed eigenvalue is raised before it is proven; the first nearly always does."""
 
 
-def flint() -> Any:
+def flint() -> ModuleType:
     """Return the library, loaded on first use.
 
     Raises
@@ -35,10 +41,9 @@ def flint() -> Any:
         If python-flint is not installed.
     """
     try:
-        import flint as module
+        return import_module("flint")
     except ImportError:
         raise MissingExtraError("python-flint", "rigorous") from None
-    return module
 
 
 @contextmanager

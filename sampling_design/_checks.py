@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 Array = npt.NDArray[np.float64]
 
 
-def freeze(array: Any) -> Array:
+def freeze(array: object) -> Array:
     """Return an owned, C-ordered, read-only float64 copy."""
     copy = np.array(array, dtype=np.float64, order="C")
     copy.flags.writeable = False

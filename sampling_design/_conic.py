@@ -12,6 +12,8 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +24,12 @@ from sampling_design.evidence import SolverRecord
 
 if TYPE_CHECKING:
     from clarabel import DefaultSolver
+    from cvxpy import Constraint as Constraint
+    from cvxpy import Expression as Expression
+    from cvxpy import Problem
     from scipy.sparse import csc_matrix
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Gap and feasibility asked of the solver; what comes back may still miss it by some digits."""
@@ -41,22 +46,18 @@ USABLE = (SOLVED, INACCURATE, BUDGET)
 """Statuses after which there may be a point worth checking."""
 
 
-def cvxpy() -> Any:
+def cvxpy() -> ModuleType:
     """Return the modelling library, loaded on first use."""
-    import cvxpy as module
-
-    return module
+    return import_module("cvxpy")
 
 
-def clarabel() -> Any:
+def clarabel() -> ModuleType:
     """Return the solver, loaded on first use."""
-    import clarabel as module
-
-    return module
+    return import_module("clarabel")
 
 
 def solve(
-    problem: Any, *, tolerance: float = TOLERANCE, budget: float | None = None, iterations: int = 200
+    problem: Problem, *, tolerance: float = TOLERANCE, budget: float | None = None, iterations: int = 200
 ) -> SolverRecord:
     """Solve a cvxpy problem with Clarabel and say how it ended; never raises for an unhappy status.
 
@@ -64,7 +65,7 @@ def solve(
     After "infeasible", "unbounded" and "failed" the variables hold nothing to use. `budget` in seconds.
     """
     cp = cvxpy()
-    limits: dict[str, Any] = {} if budget is None else {"time_limit": float(budget)}
+    limits: dict[str, float] = {} if budget is None else {"time_limit": float(budget)}
     settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas", "tol_ktratio"), tolerance)
     started = time.perf_counter()
     try:

@@ -27,7 +27,7 @@ from sampling_design.errors import ArgumentError, SolverError
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Check = Callable[[Any], Any]
+Check = Callable[[object], object]
 
 _NO = object()
 _UNITS = ("time_unit", "plant")
@@ -71,7 +71,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
                     if check is not None:
                         checks[parameter.name] = check
 
-    def enter(arguments: tuple[Any, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    def enter(arguments: tuple[object, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
         prepare()
         for old in former.keys() & options.keys():
             raise ArgumentError(f"`{old}` is now `{former[old]}`.")
@@ -88,7 +88,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
 
     inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
 
-    def entered(*arguments: Any, **options: Any) -> Any:
+    def entered(*arguments: Any, **options: Any) -> object:
         given, named = enter(arguments, options)
         if getattr(inside, "door", False):
             return function(*given, **named)
@@ -108,7 +108,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     return typing.cast(Callable[P, T], own)
 
 
-def hints_of(function: Callable[..., Any]) -> dict[str, Any]:
+def hints_of(function: Callable[..., Any]) -> dict[str, object]:
     """The annotations of the parameters, those apart that name what only a type checker imports."""
     found, known = {}, getattr(function, "__globals__", {})
     for name, hint in inspect.get_annotations(function).items():
@@ -135,14 +135,14 @@ def doors(cls: type[T]) -> type[T]:
 class _Foreign:
     """A system of another library on its way to being what the annotation says, once the unit of time is known."""
 
-    def __init__(self, take: Callable[[Any, str], Any], value: Any) -> None:
+    def __init__(self, take: Callable[[object, str], object], value: object) -> None:
         self.take, self.value = take, value
 
-    def taken(self, unit: str) -> Any:
+    def taken(self, unit: str) -> object:
         return self.take(self.value, unit)
 
 
-def _unit_of(values: tuple[Any, ...]) -> str:
+def _unit_of(values: tuple[object, ...]) -> str:
     """The unit of time that the other arguments state, else seconds."""
     for value in values:
         for holder in (value, getattr(value, "plant", None)):
@@ -165,7 +165,7 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split()).rstrip(".")
 
 
-def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
+def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     """What turns an argument into one of the annotated kind, or raises; None if anything may pass."""
     try:
         kinds = _kinds(hint)
@@ -175,7 +175,7 @@ def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
     slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
 
-    def check(value: Any) -> Any:
+    def check(value: object) -> object:
         if value is default:
             return value
         for _, take in kinds:
@@ -189,24 +189,24 @@ def _check(parameter: inspect.Parameter, hint: Any) -> Check | None:
     return check
 
 
-def _slip(kind: Any) -> str:
+def _slip(kind: object) -> str:
     """The likely slip where something that is no `kind` came for one."""
     if kind is np.random.Generator:
         return "Did you pass a seed? Use numpy.random.default_rng(seed)."
     return str(getattr(kind, "_slip", ""))
 
 
-def _reader(kind: Any) -> str:
+def _reader(kind: object) -> str:
     """The function that makes a `kind` of the file whose path or plain data came for one."""
     reader = getattr(kind, "_reader", "")
     return f"Use {reader} for a file." if reader else ""
 
 
-def _classes(hint: Any) -> tuple[Any, ...]:
+def _classes(hint: object) -> tuple[object, ...]:
     return typing.get_args(hint) or (hint,)
 
 
-def _kinds(hint: Any) -> list[tuple[str, Callable[[str, Any], Any]]]:
+def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
     """The words and the test of every alternative of an annotation."""
     origin = typing.get_origin(hint)
     if origin in (Union, types.UnionType):
@@ -228,8 +228,9 @@ def _kinds(hint: Any) -> list[tuple[str, Callable[[str, Any], Any]]]:
         return [(words, lambda _, v: v if callable(v) and _takes(v, len(asked)) else _NO)]
     if kind is os.PathLike:
         return [("a path", lambda _, v: v if _path(v) else _NO)]
-    if kind in _HELD:
-        return [(_HELD[kind], lambda _, v: _held(v, kind))]
+    if isinstance(kind, type) and kind in _HELD:
+        listed = kind
+        return [(_HELD[kind], lambda _, v: _held(v, listed))]
     if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
         raise _Unchecked  # an array, or what becomes one
     if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
@@ -237,7 +238,7 @@ def _kinds(hint: Any) -> list[tuple[str, Callable[[str, Any], Any]]]:
     return [_instance(kind)]
 
 
-_HELD: dict[Any, str] = {
+_HELD: dict[object, str] = {
     collections.abc.Sequence: "a list",
     collections.abc.Iterable: "a list",
     collections.abc.Mapping: "a table of names and values",
@@ -247,7 +248,7 @@ _HELD: dict[Any, str] = {
 }
 
 
-def _held(value: Any, kind: Any) -> Any:
+def _held(value: object, kind: type) -> object:
     if isinstance(value, (str, bytes)):
         return _NO
     if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
@@ -259,12 +260,12 @@ def _held(value: Any, kind: Any) -> Any:
     return value if isinstance(value, kind) else _NO
 
 
-def _instance(kind: type) -> tuple[str, Callable[[str, Any], Any]]:
+def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
     name = kind.__name__
     label = "a text" if kind is str else _CALLED.get(name, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
     foreign = getattr(kind, "_foreign", None)
 
-    def take(_: str, value: Any) -> Any:
+    def take(_: str, value: object) -> object:
         if isinstance(value, kind):
             return value
         maker = None if foreign is None else foreign(value)
@@ -273,7 +274,7 @@ def _instance(kind: type) -> tuple[str, Callable[[str, Any], Any]]:
     return label, take
 
 
-def _takes(function: Callable[..., Any], count: int) -> bool:
+def _takes(function: Callable[..., object], count: int) -> bool:
     """Whether a function can be called with so many arguments; one that does not tell is trusted."""
     try:
         inspect.signature(function).bind(*range(count))
@@ -284,19 +285,19 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
     return True
 
 
-def _among(value: Any, allowed: tuple[Any, ...]) -> bool:
+def _among(value: object, allowed: tuple[object, ...]) -> bool:
     return isinstance(value, (str, int)) and value in allowed
 
 
-def _path(value: Any) -> bool:
+def _path(value: object) -> bool:
     return isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
 
 
-def _truth(_: str, value: Any) -> Any:
+def _truth(_: str, value: object) -> object:
     return bool(value) if isinstance(value, (bool, np.bool_)) else _NO
 
 
-def _number(name: str, value: Any) -> Any:
+def _number(name: str, value: object) -> Any:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
@@ -310,7 +311,7 @@ def _number(name: str, value: Any) -> Any:
     return value if isinstance(value, (int, float)) else result
 
 
-def _whole(name: str, value: Any) -> Any:
+def _whole(name: str, value: object) -> object:
     number = _number(name, value)
     if number is _NO or math.isinf(number) or number != int(number):
         return _NO

@@ -10,9 +10,9 @@ import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from sampling_design.checkers import strict
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import FileFormatError
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -127,12 +127,12 @@ def write_text(path: str | os.PathLike[str], text: str) -> Path:
     return write_bytes(path, text.encode("utf-8"))
 
 
-def to_json(data: Mapping[str, Any]) -> str:
+def to_json(data: Mapping[str, object]) -> str:
     """Return `data` as indented JSON; floats as shortest repr, NaN and infinity refused."""
     return json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def from_json(text: str, where: str) -> dict[str, Any]:
+def from_json(text: str, where: str) -> Tree:
     """Return the object in a JSON text.
 
     Raises
@@ -149,7 +149,7 @@ def from_json(text: str, where: str) -> dict[str, Any]:
         raise FileFormatError(sentence, where) from None
 
 
-def from_toml(text: str, where: str) -> dict[str, Any]:
+def from_toml(text: str, where: str) -> Tree:
     """Return the tree in a TOML text.
 
     Raises

@@ -10,6 +10,7 @@ refined in extended precision: in a defective block a rounding of eps grows like
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -199,7 +200,9 @@ def _modal_blocks(A: Array, scale: Array) -> tuple[list[_Block], float, str]:
         if np.all(labels == labels[0]):
             break
         V, sizes, order = _block_basis(T, Q, labels)
-        condition = float(np.linalg.norm(V, 2) * np.linalg.norm(np.linalg.inv(V), 2)) if V is not None else np.inf
+        if V is None:
+            continue
+        condition = float(np.linalg.norm(V, 2) * np.linalg.norm(np.linalg.inv(V), 2))
         if condition <= CONDITION_LIMIT:
             return _refined(A, scale, V, sizes, values[order], condition)
     # one block only, nothing to separate: the coordinates stay as they are
@@ -222,7 +225,7 @@ def _conjugate_pairs(values: Complex) -> Complex:
     return paired
 
 
-def _clusterings(values: Complex, radius: float) -> Any:
+def _clusterings(values: Complex, radius: float) -> Iterator[npt.NDArray[np.intp]]:
     """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster."""
     distance = np.abs(values[:, None] - values[None, :])
     while True:
@@ -237,7 +240,7 @@ def _clusterings(values: Complex, radius: float) -> Any:
         radius = float(between.min()) * (1 + 1e-9)
 
 
-def _block_basis(T: Complex, Q: Complex, labels: npt.NDArray[np.int_]) -> tuple[Any, list[int], list[int]]:
+def _block_basis(T: Complex, Q: Complex, labels: npt.NDArray[np.int_]) -> tuple[Complex | None, list[int], list[int]]:
     """Columns V, orthonormal within each block, with A V = V blockdiag: swaps, then Sylvester equations."""
     from scipy.linalg.lapack import ztrexc, ztrsyl
 
@@ -303,7 +306,7 @@ def _refined(
     return kept, condition, ""
 
 
-def _decoupling(T: Complex, off: Complex, values: Complex, parts: list[slice], same: Any) -> Complex:
+def _decoupling(T: Complex, off: Complex, values: Complex, parts: list[slice], same: npt.NDArray[np.bool_]) -> Complex:
     """X with T X - X T = -off outside the blocks of T, by iteration around the blocks' means."""
     means = np.concatenate([np.full(p.stop - p.start, np.mean(values[p])) for p in parts])
     gap = np.where(same, 1, means[:, None] - means[None, :])

@@ -28,7 +28,7 @@ class Record:
     Every public method of a record has a door before it (see `_door`).
     """
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         doors(cls)
 
@@ -43,7 +43,7 @@ class Record:
         """Say in one or two sentences what this record means."""
         raise NotImplementedError
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: object = None) -> Any:
         """Draw this record on `ax` (a new figure if None) and return the axes."""
         return draw(self, ax)
 
@@ -87,7 +87,7 @@ class Table(Record):
         return pandas.DataFrame(columns).set_index(next(iter(columns)))
 
 
-def draw(record: Any, ax: Any = None) -> Any:
+def draw(record: object, ax: object = None) -> Any:
     """Hand `record` to the plotting room; the one upward call of the house, made late."""
     from sampling_design import plotting
 

@@ -6,7 +6,7 @@ Every class names the exit code with which the command line ends (docs: "exit co
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -22,11 +22,13 @@ class SamplingDesignError(Exception):
     def __str__(self) -> str:
         return str(self.args[0]) if self.args else ""
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return _restored, (type(self), self.args, self.__dict__)
 
 
-def _restored(kind: type[SamplingDesignError], args: tuple[Any, ...], data: dict[str, Any]) -> SamplingDesignError:
+def _restored(
+    kind: type[SamplingDesignError], args: tuple[object, ...], data: dict[str, object]
+) -> SamplingDesignError:
     """Make an error as it was, whatever its class takes: a worker process hands it to the one that asked."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(data)
@@ -72,7 +74,7 @@ class NotObservableError(MathematicsError):
         One unseen eigenvector per eigenvalue.
     """
 
-    def __init__(self, message: str, eigenvalues: Any = (), directions: Any = ()) -> None:
+    def __init__(self, message: str, eigenvalues: object = (), directions: object = ()) -> None:
         super().__init__(message)
         self.eigenvalues = np.asarray(eigenvalues, dtype=complex)
         self.directions = np.asarray(directions, dtype=complex)
@@ -93,7 +95,7 @@ class InfeasibleRequirementError(MathematicsError):
         The change of the requirement that would make it feasible, as keyword arguments.
     """
 
-    def __init__(self, message: str, obstacle: str = "", nearest: dict[str, Any] | None = None) -> None:
+    def __init__(self, message: str, obstacle: str = "", nearest: Mapping[str, object] | None = None) -> None:
         super().__init__(message)
         self.obstacle = obstacle
         self.nearest = dict(nearest or {})
@@ -102,7 +104,7 @@ class InfeasibleRequirementError(MathematicsError):
 class CertificateError(MathematicsError):
     """No certificate exists, or one is refused; `details` says which inequality, when and by how much."""
 
-    def __init__(self, message: str, **details: Any) -> None:
+    def __init__(self, message: str, **details: object) -> None:
         super().__init__(message)
         self.details = details
 

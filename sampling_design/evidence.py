@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from sampling_design._record import Plain
 
@@ -45,7 +46,7 @@ class SolverRecord:
     status: str = ""
     iterations: int = 0
     seconds: float = 0.0
-    details: dict[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Plain] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -337,8 +337,9 @@ def certify(
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 
-        given: dict[str, Any] = {"eta": eta, "P2": P2, "Qw": Qw, "R": R, "Qv": Qv}
-        return certify_family(plant, schedule, **given, budget=budget, memory=memory, progress=progress)
+        return certify_family(
+            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, budget=budget, memory=memory, progress=progress
+        )
     if schedule is None:
         raise ArgumentError(
             "`schedule` is None, as in a design with nothing to observe: "

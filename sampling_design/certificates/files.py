@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Ce
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.checkers import grammar
-from sampling_design.checkers.strict import Altered, BadFile
+from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
@@ -25,7 +24,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 _RATES = ("eta", "c_w", "c_y", "margin")
 
 
-def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
+def times_from_dict(data: Tree) -> Schedule | PeriodicSchedule:
     """Return the schedule in the `times` of a certificate file.
 
     Raises
@@ -36,10 +35,10 @@ def times_from_dict(data: Any) -> Schedule | PeriodicSchedule:
     kind = data.get("kind") if isinstance(data, dict) else None
     if kind == "periodic":
         _checks.known_keys("`times`", data, ("kind", "gaps", "first", "outputs"))
-        return PeriodicSchedule(data.get("gaps"), data.get("first"), data.get("outputs"))
+        return PeriodicSchedule(data["gaps"], data["first"], data.get("outputs"))
     if kind == "finite":
         _checks.known_keys("`times`", data, ("kind", "times", "outputs"))
-        return Schedule(data.get("times"), data.get("outputs"))
+        return Schedule(data["times"], data.get("outputs"))
     raise ArgumentError(f'`times` must be of kind "periodic" or "finite" here, got {kind!r}.')
 
 
@@ -81,7 +80,7 @@ def load_certificate(
 
 
 def certificate_from_dict(
-    data: dict[str, Any], where: str = "certificate"
+    data: Tree, where: str = "certificate"
 ) -> Certificate | FamilyCertificate | DetectabilityCertificate:
     """Return the certificate in plain data.
 
@@ -106,11 +105,11 @@ def certificate_from_dict(
     return _sampled(data, plant) if isinstance(found, grammar.Sampled) else _detectable(data, plant)
 
 
-def _sampled(data: dict[str, Any], plant: Plant) -> Certificate:
+def _sampled(data: Tree, plant: Plant) -> Certificate:
     return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
-def _of_family(data: dict[str, Any], plant: Plant, found: grammar.OfFamily) -> FamilyCertificate:
+def _of_family(data: Tree, plant: Plant, found: grammar.OfFamily) -> FamilyCertificate:
     edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in found.graph.edges]
     # words as they were written: whole numbers and others
     graph = PathCompleteGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
@@ -120,13 +119,13 @@ def _of_family(data: dict[str, Any], plant: Plant, found: grammar.OfFamily) -> F
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 
-def _detectable(data: dict[str, Any], plant: Plant) -> DetectabilityCertificate:
+def _detectable(data: Tree, plant: Plant) -> DetectabilityCertificate:
     values = {key: data[key] for key in ("P", *_RATES, "method")}
     solver = None if data["solver"] is None else SolverRecord(**data["solver"])
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
 
 
-def _values(data: dict[str, Any]) -> dict[str, Any]:
+def _values(data: Tree) -> Tree:
     """Weights, numbers, witness and solver record of a certificate about samples."""
     seen = data["witness"]
     return {

@@ -11,7 +11,7 @@ import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 if not __package__:  # run as a file: its folder is the package
     here = Path(__file__).resolve().parent
@@ -19,8 +19,12 @@ if not __package__:  # run as a file: its folder is the package
     __package__ = here.name
     __import__(__package__)
 
+if TYPE_CHECKING:
+    from .outcome import Verdict
+    from .strict import Tree
 
-def verdict(data: Mapping[str, Any]) -> Any:
+
+def verdict(data: Mapping[str, object]) -> "Verdict":
     """Return the `Verdict` on the plain data of a certificate file of any claim."""
     import numpy as np
 
@@ -54,9 +58,9 @@ def verdict(data: Mapping[str, Any]) -> Any:
     return Verdict(PROVEN, inequality, reason, slack)
 
 
-def check(data: Mapping[str, Any]) -> dict[str, Any]:
+def check(data: Mapping[str, object]) -> "Tree":
     """Return the verdict as plain data."""
-    return dict(verdict(data).to_dict())
+    return verdict(data).to_dict()
 
 
 def main(arguments: list[str]) -> int:

@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .grammar import Detectability
 from .numbers import EPS, symmetric
@@ -23,6 +24,10 @@ from .strict import Array
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
+Number = Any
+"""A double, or a Fraction."""
+Numbers = npt.NDArray[Any]
+"""Doubles, or Fractions."""
 INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
 
 
@@ -30,14 +35,14 @@ INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
 class Inequality:
     """The numbers of the inequality, as doubles or as fractions (arrays of objects)."""
 
-    A: Any
-    C: Any
-    G: Any
-    P: Any
-    eta: Any
-    c_w: Any
-    c_y: Any
-    margin: Any
+    A: Numbers
+    C: Numbers
+    G: Numbers
+    P: Numbers
+    eta: Number
+    c_w: Number
+    c_y: Number
+    margin: Number
 
 
 def prove(c: Detectability) -> tuple[str, float]:
@@ -49,7 +54,7 @@ def prove(c: Detectability) -> tuple[str, float]:
     return found[1], found[0]
 
 
-def forms(name: str, c: Inequality) -> tuple[Any, Any]:
+def forms(name: str, c: Inequality) -> tuple[Numbers, Numbers]:
     """The matrix that must be positive definite, and the sizes of its terms, summed."""
     A, C, G, P = (abs(X) for X in (c.A, c.C, c.G, c.P))
     if name == "P > 0":
@@ -58,7 +63,9 @@ def forms(name: str, c: Inequality) -> tuple[Any, Any]:
     return negative(c.A, c.C, c.G, c.P, c.c_y, c.c_w, rate, -1), negative(A, C, G, P, c.c_y, c.c_w, rate, 1)
 
 
-def negative(A: Any, C: Any, G: Any, P: Any, c_y: Any, c_w: Any, rate: Any, sign: int) -> Any:
+def negative(
+    A: Numbers, C: Numbers, G: Numbers, P: Numbers, c_y: Number, c_w: Number, rate: Number, sign: int
+) -> Numbers:
     """N for sign = -1; for sign = 1 and the sizes of all numbers, the sum of the sizes of its terms."""
     drift, off = A.T @ P, sign * (P @ G)
     corner = c_y * (C.T @ C) + sign * (drift + drift.T + rate * P)
@@ -74,7 +81,7 @@ def numbers(c: Detectability) -> Inequality:
 def rational(c: Detectability) -> Inequality:
     """The same numbers without rounding."""
 
-    def exact(X: Array) -> Any:
+    def exact(X: Array) -> Numbers:
         return np.array([Fraction(x) for x in X.ravel().tolist()], dtype=object).reshape(X.shape)
 
     P = exact(c.P)
@@ -110,7 +117,7 @@ def in_rationals(name: str, e: Inequality) -> tuple[float, str]:
     raise failure(name, float(value / size) if size else 0.0, (x / max(abs(x))).astype(float), "in rational numbers")
 
 
-def downhill(N: Any) -> tuple[Any, Any]:
+def downhill(N: Numbers) -> tuple[Numbers | None, Number]:
     """x with x'Nx <= 0 and this value, from the first pivot of L D L' that is not positive; None, None if N > 0."""
     n = len(N)
     N, X = N[::-1, ::-1].copy(), np.array([[Fraction(i == j) for j in range(n)] for i in range(n)])  # w comes first
@@ -123,7 +130,7 @@ def downhill(N: Any) -> tuple[Any, Any]:
     return None, None
 
 
-def failure(name: str, amount: float, direction: Any, how: str) -> Refused:
+def failure(name: str, amount: float, direction: Array, how: str) -> Refused:
     """What to say of an inequality that fails by `amount` along `direction`."""
     along = (direction / np.linalg.norm(direction)).tolist()
     shown = ", ".join(f"{x:.3g}" for x in along[:8]) + (", ..." if len(along) > 8 else "")

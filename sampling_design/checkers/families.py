@@ -9,7 +9,7 @@
 import numpy as np
 
 from .cover import judge
-from .frame import Frame, largest, size, turned
+from .frame import Frame, Index, largest, size, turned
 from .grammar import OfFamily
 from .numbers import EPS, Problem, definite, problem
 from .outcome import Refused
@@ -51,7 +51,7 @@ class Intervals(Frame):
     def __init__(self, numbers: Problem, target: Array, inequality: str, patterns: Mask) -> None:
         super().__init__(numbers, target, inequality, patterns)
 
-    def prove(self, P: Array, kinds: Array, low: Array, high: Array) -> float:
+    def prove(self, P: Array, kinds: Index, low: Array, high: Array) -> float:
         """Prove U <= I from each P, for samples of each kind, on every interval; return the slack."""
         start, bands = self.inverse_of(P)
         owner = np.repeat(np.arange(len(P)), CELLS)
@@ -81,7 +81,7 @@ class Intervals(Frame):
             raise self.undecided("it is tight or nearly so")
         return float(self.one - top)
 
-    def violated(self, Y: Array, E: Array, kind: Array, h: Array) -> None:
+    def violated(self, Y: Array, E: Array, kind: Index, h: Array) -> None:
         """Refused if the least U exceeds I at some h."""
         K = self.gain(Y, kind)
         U, left, lost = self.after(Y, kind, K)

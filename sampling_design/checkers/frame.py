@@ -10,7 +10,6 @@ errors of a matrix, entry by entry.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +77,7 @@ class Flows:
     wrong_F: Array
     wrong_W: Array
 
-    def __getitem__(self, index: Any) -> "Flows":
+    def __getitem__(self, index: int | Index) -> "Flows":
         return Flows(self.F[index], self.W[index], self.wrong_F[index], self.wrong_W[index])
 
 
@@ -158,7 +157,7 @@ class Frame:
 
     # --- between samples ---
 
-    def flow(self, durations: Any) -> Flows:
+    def flow(self, durations: npt.ArrayLike) -> Flows:
         """The flows of these durations; one that came before is remembered."""
         asked, which = np.unique(np.ravel(durations), return_inverse=True)
         if new := [h for h in asked.tolist() if h not in self.known]:
@@ -214,7 +213,7 @@ class Frame:
         lost = dominating((wrong + turned(wrong)) / 2)
         return flows.F @ Y @ turned(flows.F) + flows.W + lost, lost
 
-    def moved(self, Y: Array, durations: Any) -> Array:
+    def moved(self, Y: Array, durations: npt.ArrayLike) -> Array:
         """Y after each duration, from above."""
         return self.along(Y, self.flow(durations))[0]
 
@@ -229,7 +228,7 @@ class Frame:
 
     # --- at samples ---
 
-    def gain(self, Y: Array, at: Any) -> Array:
+    def gain(self, Y: Array, at: int | np.intp | Index) -> Array:
         """Nearly the best gain of a sample, one row after the other: outputs of any sizes may stand side by side."""
         C = self.rows[at]
         columns: list[Array] = []
@@ -243,7 +242,7 @@ class Frame:
                 Y = left @ Y @ turned(left) + column * turned(column)
         return np.concatenate([np.zeros((*Y.shape[:-1], 0)), *columns], axis=-1)
 
-    def after(self, Y: Array, at: Any, K: Array) -> tuple[Array, Array, Array]:
+    def after(self, Y: Array, at: int | np.intp | Index, K: Array) -> tuple[Array, Array, Array]:
         """Y after sample `at` with gain K, from above; I - KC; and what was added."""
         C, k, y = self.rows[at], np.abs(K), np.abs(Y)
         left, p = self.I - K @ C, C.shape[-2]
@@ -253,7 +252,7 @@ class Frame:
         lost = dominating(both + turned(both) + (2 * self.n + p + 4) * EPS * sizes)
         return left @ Y @ turned(left) + K @ turned(K) + lost, left, lost
 
-    def band_after(self, E: Array, Y: Array, at: Any, K: Array, left: Array, lost: Array) -> Array:
+    def band_after(self, E: Array, Y: Array, at: int | np.intp | Index, K: Array, left: Array, lost: Array) -> Array:
         """The band after that sample: the gain's distance from the best one and the looseness of V enter here."""
         C = self.rows[at]
         c, y, k = np.abs(C), np.abs(Y), np.abs(K)

@@ -8,7 +8,6 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from .strict import (
     BadFile,
     Mask,
     Reader,
+    Tree,
     anything,
     bit,
     count,
@@ -72,18 +72,18 @@ PERIODIC = table(
 )
 
 
-def schedule(value: Any, place: str) -> dict[str, Any]:
+def schedule(value: object, place: str) -> Tree:
     """The table of a schedule of either kind."""
     kinds = {"finite": FINITE, "periodic": PERIODIC}
     return dict(_of_kind(value, place, kinds, "a schedule"))
 
 
-def family(value: Any, place: str) -> dict[str, Any]:
+def family(value: object, place: str) -> Tree:
     """The table of a family of any kind."""
-    return dict(_of_kind(value, place, {kind: one.read for kind, one in FAMILIES.items()}, "a family"))
+    return _of_kind(value, place, {kind: one.read for kind, one in FAMILIES.items()}, "a family")
 
 
-def _of_kind(value: Any, place: str, kinds: Mapping[str, Reader], what: str) -> Any:
+def _of_kind(value: object, place: str, kinds: Mapping[str, Reader], what: str) -> Tree:
     if not isinstance(value, Mapping):
         raise refuse(place or what, f"must be a table of keys and values, got a {type(value).__name__}")
     kind = value.get("kind")
@@ -91,7 +91,7 @@ def _of_kind(value: Any, place: str, kinds: Mapping[str, Reader], what: str) -> 
         which = f"{place}.kind" if place else "kind"
         known = ", ".join(kinds)
         raise refuse(which, f"of {what} must be one of {known}, got {kind!r}")
-    return kinds[kind](value, place)
+    return dict(kinds[kind](value, place))
 
 
 # --- certificates ----------------------------------------------------------------------------------------------------
@@ -293,14 +293,14 @@ CLAIMS: dict[str, Reader] = {
 """What a file of each claim holds, no more and no less."""
 
 
-def digest(data: Mapping[str, Any]) -> str:
+def digest(data: Mapping[str, object]) -> str:
     """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
     rest = {key: value for key, value in data.items() if key != "digest"}
     canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
 
 
-def certificate(data: Mapping[str, Any]) -> Sampled | OfFamily | Detectability:
+def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability:
     """Return the certificate in the plain data of a file, or raise BadFile."""
     if not isinstance(data, Mapping):
         raise refuse("", f"must hold one table, got {type(data).__name__}")
@@ -323,7 +323,7 @@ def certificate(data: Mapping[str, Any]) -> Sampled | OfFamily | Detectability:
     return of_family(read, plant, weights)
 
 
-def plant_of(read: dict[str, Any]) -> Plant:
+def plant_of(read: Tree) -> Plant:
     """The plant, its matrices of sizes that fit."""
     m = read["matrices"]
     if "time_unit" not in read:
@@ -343,15 +343,15 @@ def sized(M: Array, place: str, size: int) -> Array:
     return M.reshape(size, size)
 
 
-def weights_of(read: dict[str, Any], plant: Plant) -> Weights:
+def weights_of(read: Tree, plant: Plant) -> Weights:
     """Weights of the sizes of the plant."""
     n, p, q = plant.n, len(plant.C), plant.G.shape[1]
     sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
-    values: dict[str, Any] = {key: sized(read[key], key, size) for key, size in sizes.items()}
+    values: Tree = {key: sized(read[key], key, size) for key, size in sizes.items()}
     return Weights(**values, **{key: read[key] for key in _numbers})
 
 
-def witness_of(read: dict[str, Any] | None, n: int) -> Witness | None:
+def witness_of(read: Tree | None, n: int) -> Witness | None:
     """The witness, its direction of the plant's size."""
     if read is None:
         return None
@@ -360,7 +360,7 @@ def witness_of(read: dict[str, Any] | None, n: int) -> Witness | None:
     return Witness(**{**read, "direction": np.array(read["direction"])})
 
 
-def laps_of(value: Any, plant: Plant, place: str = "times") -> Laps:
+def laps_of(value: object, plant: Plant, place: str = "times") -> Laps:
     """One schedule of a certificate: in the plant's unit, one column per output."""
     mask = or_nothing(list_of(list_of(bit, len(plant.C))))
     shapes = {
@@ -370,7 +370,7 @@ def laps_of(value: Any, plant: Plant, place: str = "times") -> Laps:
     return laps(_of_kind(value, place, shapes, "a schedule"), plant, place)
 
 
-def laps(read: dict[str, Any], plant: Plant, place: str) -> Laps:
+def laps(read: Tree, plant: Plant, place: str) -> Laps:
     """The schedule in a table that was read, its times judged."""
     periodic = read["kind"] == "periodic"
     stated = np.array(read["gaps" if periodic else "times"], dtype=np.float64)
@@ -391,7 +391,7 @@ def laps(read: dict[str, Any], plant: Plant, place: str) -> Laps:
 # --- families --------------------------------------------------------------------------------------------------------
 
 
-def of_family(read: dict[str, Any], plant: Plant, weights: Weights) -> OfFamily:
+def of_family(read: Tree, plant: Plant, weights: Weights) -> OfFamily:
     """A file of claim "family"; its graph has its shape only."""
     if read["witness"] is not None:
         raise refuse("witness", "must be null: a family certificate has no witness")
@@ -401,7 +401,7 @@ def of_family(read: dict[str, Any], plant: Plant, weights: Weights) -> OfFamily:
     return OfFamily(plant, weights, family_of(read["times"], plant), graph_of(read["graph"], plant, weights))
 
 
-def family_of(value: Any, plant: Plant) -> Family:
+def family_of(value: object, plant: Plant) -> Family:
     """The family, in the plant's unit, its parameters judged."""
     read = family(value, "times")
     kind, nominal = read["kind"], read.get("schedule")
@@ -411,7 +411,7 @@ def family_of(value: Any, plant: Plant) -> Family:
     return FAMILIES[kind].build(read, plant)
 
 
-def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
+def nominal_of(read: Tree, plant: Plant) -> Laps:
     """The nominal schedule of a family: periodic, with gaps, and columns that are the plant's outputs."""
     place = "times.schedule"
     if read["kind"] != "periodic" or "gaps" not in read:
@@ -429,14 +429,14 @@ def nominal_of(read: dict[str, Any], plant: Plant) -> Laps:
     return found
 
 
-def gap_range(read: dict[str, Any], plant: Plant) -> GapRange:
+def gap_range(read: Tree, plant: Plant) -> GapRange:
     """Gaps between two bounds."""
     if read["shortest"] > read["longest"]:
         raise refuse("times.longest", "must be at least `times.shortest`")
     return GapRange(read["shortest"], read["longest"])
 
 
-def spaced_windows(read: dict[str, Any], plant: Plant) -> SpacedWindows:
+def spaced_windows(read: Tree, plant: Plant) -> SpacedWindows:
     """Windows that an endless schedule can fill."""
     T, k, spacing = read["window"], read["count"], read["spacing"]
     if k < 1 or k * spacing > T * (1 + 1e-9):
@@ -444,14 +444,14 @@ def spaced_windows(read: dict[str, Any], plant: Plant) -> SpacedWindows:
     return SpacedWindows(T, k, spacing)
 
 
-def lost_samples(read: dict[str, Any], plant: Plant) -> LostSamples:
+def lost_samples(read: Tree, plant: Plant) -> LostSamples:
     """Fewer losses than samples."""
     if not read["most"] < read["of"]:
         raise refuse("times.most", "must be less than `times.of`")
     return LostSamples(nominal_of(read["schedule"], plant), read["most"], read["of"])
 
 
-def jitter(read: dict[str, Any], plant: Plant) -> Jitter:
+def jitter(read: Tree, plant: Plant) -> Jitter:
     """Deviations that change no order."""
     path = nominal_of(read["schedule"], plant)
     if 2 * read["radius"] >= path.gaps.min():
@@ -464,7 +464,7 @@ class Kind:
     """How families of one kind are read: their table, and the record of its judged parameters."""
 
     read: Reader
-    build: Callable[[dict[str, Any], Plant], Family]
+    build: Callable[[Tree, Plant], Family]
 
 
 _unit: dict[str, Reader] = {"time_unit": or_nothing(time_unit)}
@@ -479,7 +479,7 @@ FAMILIES: dict[str, Kind] = {
 """What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
 
 
-def graph_of(read: dict[str, Any], plant: Plant, weights: Weights) -> Graph:
+def graph_of(read: Tree, plant: Plant, weights: Weights) -> Graph:
     """Words, edges and matrices of sizes that fit each other."""
     words = tuple(tuple(entries) for entries in read["words"])
     if len(words) != len(read["P"]) + 1 or words[0] != ():
@@ -489,7 +489,7 @@ def graph_of(read: dict[str, Any], plant: Plant, weights: Weights) -> Graph:
     return Graph(words, tuple(edges), (weights.P2, *P))
 
 
-def edge_of(value: Any, place: str, nodes: int, p: int) -> Edge:
+def edge_of(value: list[object], place: str, nodes: int, p: int) -> Edge:
     """One edge [source, target, low, high, outputs]."""
     readers: tuple[Reader, ...] = (count, count, nonnegative, nonnegative, list_of(bit, p))
     source, target, low, high, outputs = (

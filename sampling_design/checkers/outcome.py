@@ -1,7 +1,8 @@
 """How a check ends."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+
+from .strict import Tree
 
 PROVEN, REFUTED, UNDECIDED, BAD_FILE = "proven", "refuted", "undecided", "bad file"
 EXIT_CODES = {PROVEN: 0, REFUTED: 1, BAD_FILE: 2, UNDECIDED: 3}
@@ -58,7 +59,7 @@ class Verdict:
         """0 proven, 1 the mathematics says no, 2 bad file, 3 undecided."""
         return EXIT_CODES[self.verdict]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Tree:
         """Plain data."""
         return {"passed": self.passed, **asdict(self)}
 

@@ -1,11 +1,9 @@
 """Do the signals of a plant name what its matrices hold?"""
 
-from typing import Any
-
-from .strict import refuse
+from .strict import Tree, refuse
 
 
-def signals_of(read: dict[str, Any], n: int, p: int, q: int) -> None:
+def signals_of(read: Tree, n: int, p: int, q: int) -> None:
     """Refuse signals that do not name what the matrices hold: nothing is proven of them, but they are read."""
     m, given = read["matrices"], {key: len(read[key]["names"]) for key in ("inputs", "disturbances") if key in read}
     inputs = (m["B"].shape[1] if "B" in m else 0) if n else given.get("inputs", 0)  # no rows say no columns

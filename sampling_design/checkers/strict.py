@@ -8,7 +8,7 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,9 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Reader = Callable[[Any, str], Any]
+Reader = Callable[[object, str], Any]
+Tree = dict[str, Any]
+"""A table as a file holds it or a reader made it; the type of each key's value is not what a dictionary can say."""
 
 MOST_BYTES = 100_000_000  # of one file; a family certificate of 400 nodes and 20 states has 5 million
 MOST_DEPTH = 20  # lists and tables inside each other; certificates have six levels
@@ -36,7 +38,7 @@ def refuse(place: str, what: str) -> BadFile:
     return BadFile(f"`{place}` {what}" if place else what)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """What came, in a few words."""
     names = {bool: "a boolean", str: "a text", dict: "a table", list: "a list", tuple: "a list"}
     if value is None:
@@ -60,7 +62,7 @@ def decoded(content: bytes) -> str:
         raise refuse("", "is not a text file (not UTF-8)") from None
 
 
-def from_json(text: str) -> dict[str, Any]:
+def from_json(text: str) -> Tree:
     """Return the object in a JSON text: finite numbers, no key twice, no more than `MOST_DEPTH` levels."""
     shallow(text)
     try:
@@ -82,7 +84,7 @@ def shallow(text: str) -> None:
             raise refuse("", f"is nested more than {MOST_DEPTH} levels deep")
 
 
-def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def unique(pairs: list[tuple[str, object]]) -> Tree:
     """A table whose keys occur once."""
     result = dict(pairs)
     if len(result) < len(pairs):
@@ -121,7 +123,7 @@ def whole(word: str) -> int:
 # --- single values ---------------------------------------------------------------------------------------------------
 
 
-def number(value: Any, place: str) -> float:
+def number(value: object, place: str) -> float:
     """A finite number."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise refuse(place, f"must be a number, got {shown(value)}")
@@ -132,7 +134,7 @@ def number(value: Any, place: str) -> float:
     return float(value)
 
 
-def positive(value: Any, place: str) -> float:
+def positive(value: object, place: str) -> float:
     """A finite number > 0."""
     found = number(value, place)
     if found <= 0:
@@ -140,7 +142,7 @@ def positive(value: Any, place: str) -> float:
     return found
 
 
-def nonnegative(value: Any, place: str) -> float:
+def nonnegative(value: object, place: str) -> float:
     """A finite number >= 0."""
     found = number(value, place)
     if found < 0:
@@ -148,28 +150,28 @@ def nonnegative(value: Any, place: str) -> float:
     return found
 
 
-def count(value: Any, place: str) -> int:
+def count(value: object, place: str) -> int:
     """A whole number >= 0, written without a point."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 0 <= value <= MOST_WHOLE:
         raise refuse(place, f"must be a whole number, got {shown(value)}")
     return int(value)
 
 
-def bit(value: Any, place: str) -> bool:
+def bit(value: object, place: str) -> bool:
     """0 or 1, written as a number."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value not in (0, 1):
         raise refuse(place, f"must be 1 (measured) or 0, got {shown(value)}")
     return bool(value)
 
 
-def flag(value: Any, place: str) -> bool:
+def flag(value: object, place: str) -> bool:
     """true or false."""
     if not isinstance(value, (bool, np.bool_)):
         raise refuse(place, f"must be true or false, got {shown(value)}")
     return bool(value)
 
 
-def text(value: Any, place: str) -> str:
+def text(value: object, place: str) -> str:
     """A text."""
     if not isinstance(value, str):
         raise refuse(place, f"must be a string, got {shown(value)}")
@@ -179,7 +181,7 @@ def text(value: Any, place: str) -> str:
 def word(*known: str) -> Reader:
     """Reader of one of these words."""
 
-    def read(value: Any, place: str) -> str:
+    def read(value: object, place: str) -> str:
         if not isinstance(value, str) or value not in known:
             expected = repr(known[0]) if len(known) == 1 else f"one of {', '.join(known)}"
             sentence = f"must be {expected}, got {value!r:.60}"
@@ -189,7 +191,7 @@ def word(*known: str) -> Reader:
     return read
 
 
-def anything(value: Any, place: str) -> Any:
+def anything(value: object, place: str) -> object:
     """Plain data of any shape, numbers finite: provenance that decides nothing."""
     if isinstance(value, dict):
         return {text(key, place): anything(item, f"{place}.{key}") for key, item in value.items()}
@@ -211,7 +213,7 @@ def or_nothing(read: Reader) -> Reader:
 def list_of(read: Reader, length: int | None = None) -> Reader:
     """Reader of a list whose items `read` reads, of that length if given."""
 
-    def read_list(value: Any, place: str) -> list[Any]:
+    def read_list(value: object, place: str) -> list[object]:
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if not isinstance(value, (list, tuple)):
@@ -226,7 +228,7 @@ def list_of(read: Reader, length: int | None = None) -> Reader:
 def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
     """Reader of a list of rows of finite numbers, all of one length; without rows it has the columns asked for."""
 
-    def read(value: Any, place: str) -> Array:
+    def read(value: object, place: str) -> Array:
         table = list_of(list_of(number))(value, place)
         wide = columns if columns is not None else len(table[0]) if table else 0
         if (rows is not None and len(table) != rows) or any(len(row) != wide for row in table):
@@ -238,7 +240,9 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
     return read
 
 
-def known_keys(value: Any, place: str, needed: Mapping[str, Any], optional: Mapping[str, Any], whole: str) -> None:
+def known_keys(
+    value: object, place: str, needed: Collection[str], optional: Collection[str], whole: str
+) -> Mapping[str, object]:
     """Refuse what is no table, an unknown key (naming the nearest known one), or one that is missing."""
     where = f"`{place}`" if place else whole
     if not isinstance(value, Mapping):
@@ -250,6 +254,7 @@ def known_keys(value: Any, place: str, needed: Mapping[str, Any], optional: Mapp
     for key in needed:
         if key not in value:
             raise refuse("", f"`{key}` is missing in {where}. Was the file cut off?")
+    return value
 
 
 def table(
@@ -258,8 +263,8 @@ def table(
     """Reader of a table with these keys, no more; optional ones may be left out; `whole` names one in no other."""
     readers = {**needed, **(optional or {})}
 
-    def read(value: Any, place: str) -> dict[str, Any]:
-        known_keys(value, place, needed, optional or {}, whole)
-        return {key: readers[key](item, f"{place}.{key}" if place else key) for key, item in value.items()}
+    def read(value: object, place: str) -> Tree:
+        found = known_keys(value, place, needed, optional or (), whole)
+        return {key: readers[key](item, f"{place}.{key}" if place else key) for key, item in found.items()}
 
     return read

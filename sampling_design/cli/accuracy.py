@@ -35,6 +35,10 @@ def accuracy(
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
+    if not isinstance(schedule, sd.PeriodicSchedule):
+        raise ArgumentError(
+            f"`SCHEDULE` {schedule_file} ends: accuracy is bracketed on a schedule that repeats (period=...)."
+        )
     names = [name.strip() for name in of.split(",") if name.strip()]
     bounds = (_numbers("--w-bound", w_bound), _numbers("--v-bound", v_bound))
     with settings.progress("accuracy"):

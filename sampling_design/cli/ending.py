@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from typing import Any, NoReturn
+from typing import NoReturn, TextIO
 
 DEFECT = 70
 """Exit code of an error that is none of ours: a defect of this program, with its traceback."""
@@ -25,11 +25,11 @@ class _Interrupt:
             signal.signal(signal.SIGINT, self._ring)
             sys.unraisablehook = self._unraisable
 
-    def _ring(self, *_: Any) -> None:
+    def _ring(self, *_: object) -> None:
         self.rung = True
         raise KeyboardInterrupt
 
-    def _unraisable(self, found: Any) -> None:
+    def _unraisable(self, found: sys.UnraisableHookArgs) -> None:
         if self.rung:
             self.end()
         sys.__unraisablehook__(found)
@@ -110,7 +110,7 @@ def _say(text: str) -> None:
         pass
 
 
-def _drop(stream: Any) -> None:
+def _drop(stream: TextIO) -> None:
     """Let what is still in a stream's buffer go nowhere: Python would complain on its way out."""
     try:
         hole = os.open(os.devnull, os.O_WRONLY)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
+from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design._checks import positive
@@ -18,7 +19,9 @@ from sampling_design.cli.settings import Settings, record_table, save_picture, t
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.modes import ModalSplit
 from sampling_design.schedules.calendar import repeats_by_rule
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.time_stamps import parse_date
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
@@ -36,8 +39,8 @@ def info(
     """
     plant = reading.plant(plant_file)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
-    tables: list[Any] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
-    data: dict[str, Any] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
+    tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
+    data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
     if split.retained.n_states:
         count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
         tables += [record_table(count), count.explain()]
@@ -45,7 +48,7 @@ def info(
     settings.show(data, *tables)
 
 
-def window_length(settings: Settings, split: Any, given: float | None) -> float:
+def window_length(settings: Settings, split: ModalSplit, given: float | None) -> float:
     """Return the window that was given, or the plant's default with a notice that says so."""
     if given is not None:
         return positive("window", given)
@@ -54,7 +57,7 @@ def window_length(settings: Settings, split: Any, given: float | None) -> float:
     return length
 
 
-def schedule_for(settings: Settings, plant: Any, path: Path) -> Any:
+def schedule_for(settings: Settings, plant: sd.Plant, path: Path) -> AnySchedule:
     """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
     schedule = reading.schedule(path)
     if schedule.time_unit in (None, plant.time_unit):
@@ -63,7 +66,7 @@ def schedule_for(settings: Settings, plant: Any, path: Path) -> Any:
     return schedule.in_unit(plant.time_unit)
 
 
-def _modes(split: Any, unit: str) -> Any:
+def _modes(split: ModalSplit, unit: str) -> RichTable:
     rows = []
     for cluster in split.clusters:
         value = complex(cluster.value)
@@ -128,18 +131,24 @@ def design(
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
 
 
-def _write_design(settings: Settings, result: Any, zero: str | None, zone: str | None) -> None:
+def _write_design(settings: Settings, result: sd.ScheduleDesign, zero: str | None, zone: str | None) -> None:
     folder = settings.folder()
     if folder is None:
         return
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None:
-        _schedule_files(settings, result, folder, zero, zone)
+        _schedule_files(settings, result, result.schedule, folder, (zero, zone))
         settings.wrote(save_picture(result, folder / "design.png"))
 
 
-def _schedule_files(settings: Settings, result: Any, folder: Path, zero: str | None, zone: str | None) -> None:
-    schedule = result.schedule
+def _schedule_files(
+    settings: Settings,
+    result: sd.ScheduleDesign,
+    schedule: sd.PeriodicSchedule,
+    folder: Path,
+    calendar: tuple[str | None, str | None],
+) -> None:
+    zero, zone = calendar
     if zero is None:
         settings.wrote(sd.write_schedule(schedule, folder / "schedule.csv"))
         return
@@ -154,7 +163,7 @@ def _schedule_files(settings: Settings, result: Any, folder: Path, zero: str | N
     settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
 
 
-def _samples(result: Any) -> list[Any]:
+def _samples(result: sd.ScheduleDesign) -> list[RichTable | str]:
     if result.schedule is None:
         return []
     schedule, unit = result.schedule, result.schedule.time_unit or ""

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._files import write_text
+from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.detectability.best_rate import BUDGET
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 NOISE_BUDGET = 3.0
 """Default of `--noise-budget` for a certificate about samples."""
@@ -69,7 +73,7 @@ def certify(
     """
     plant = reading.plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
-    families = {k: v for k, v in given.items() if v is not None}
+    families: Tree = {k: v for k, v in given.items() if v is not None}
     if detectability:
         _refuse_samples(schedule_file, families)
         _detectability(settings, plant, certificate_file, eta, noise_budget)
@@ -78,24 +82,26 @@ def certify(
     with settings.progress("certify") as progress:
         budget = NOISE_BUDGET if noise_budget is None else noise_budget
         certificate = sd.certify(plant, times, eta=eta, budget=budget, progress=progress)
-    single = isinstance(times, (sd.Schedule, sd.PeriodicSchedule))
-    horizons = sd.four_horizons(plant, times, certificate) if single else None
+    horizons = None
+    if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
+        horizons = sd.four_horizons(plant, times, certificate)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
     if settings.folder() is not None:
         _files(settings, certificate, horizons)
-    notes = [] if horizons is None else [_horizons(horizons), *(f"{r.name}: {r.note}" for r in horizons.rows if r.note)]
+    notes: list[RichTable | str] = [] if horizons is None else [_horizons(horizons)]
+    notes += [] if horizons is None else [f"{r.name}: {r.note}" for r in horizons.rows if r.note]
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
 
 
-def _refuse_samples(schedule: Path | None, families: dict[str, Any]) -> None:
+def _refuse_samples(schedule: Path | None, families: Tree) -> None:
     if schedule is not None or families:
         other = "a SCHEDULE file" if schedule is not None else "`--" + next(iter(families)) + "`"
         raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")
 
 
 def _detectability(
-    settings: Settings, plant: Any, path: Path | None, eta: float | None, noise_budget: float | None
+    settings: Settings, plant: sd.Plant, path: Path | None, eta: float | None, noise_budget: float | None
 ) -> None:
     """Certify the plant alone, at the rate and within the budget that are asked for."""
     rate = None if eta is None else positive("eta", eta)
@@ -108,7 +114,7 @@ def _detectability(
     settings.show(certificate.to_dict(), record_table(certificate), certificate.explain())
 
 
-def sampling_certificate(path: Path, plant: Any) -> SampledCertificate:
+def sampling_certificate(path: Path, plant: sd.Plant) -> SampledCertificate:
     """The certificate of a file, if it is about samples of this plant."""
     certificate = reading.certificate(path, plant)
     if isinstance(certificate, sd.DetectabilityCertificate):
@@ -119,7 +125,7 @@ def sampling_certificate(path: Path, plant: Any) -> SampledCertificate:
     return certificate
 
 
-def _times(settings: Settings, plant: Any, path: Path | None, families: dict[str, Any]) -> Any:
+def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tree) -> AnySchedule | SamplingFamily:
     """The schedule, or the one family that the flags describe."""
     if len(families) > 1:
         raise ArgumentError(f"`--{'` and `--'.join(families)}` exclude each other: certify one family at a time.")
@@ -129,19 +135,18 @@ def _times(settings: Settings, plant: Any, path: Path | None, families: dict[str
         raise ArgumentError(
             f"`certify` needs {need} {'with --' + kind if kind else 'or a family such as --gap-range'}."
         )
-    value: Any = families.get(kind or "")
     if kind == "gap-range":
-        return sd.GapRange(*value, time_unit=plant.time_unit)
+        return sd.GapRange(*families[kind], time_unit=plant.time_unit)
     if kind == "spaced":
-        return sd.SpacedWindows(*value, time_unit=plant.time_unit)
+        return sd.SpacedWindows(*families[kind], time_unit=plant.time_unit)
     assert path is not None
     schedule = schedule_for(settings, plant, path)
     if kind is None:
         return schedule
-    return sd.Jitter(schedule, value) if kind == "jitter" else sd.LostSamples(schedule, *value)
+    return sd.Jitter(schedule, families[kind]) if kind == "jitter" else sd.LostSamples(schedule, *families[kind])
 
 
-def _files(settings: Settings, certificate: SampledCertificate, horizons: Any) -> None:
+def _files(settings: Settings, certificate: SampledCertificate, horizons: FourHorizons | None) -> None:
     folder = settings.folder()
     assert folder is not None
     markdown, latex = [certificate.to_markdown()], [certificate.to_latex()]
@@ -156,7 +161,7 @@ def _files(settings: Settings, certificate: SampledCertificate, horizons: Any) -
     settings.wrote(write_text(folder / "constants.tex", "\n".join(latex)))
 
 
-def _horizons(horizons: Any) -> Any:
+def _horizons(horizons: FourHorizons) -> RichTable:
     unit = horizons.certificate.plant.time_unit
     heads = ["horizon", "source", f"M > [{unit}]", "C_x", "C_w", "C_v"]
     return table("Four horizons", heads, horizons.cells())

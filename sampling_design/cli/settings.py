@@ -19,6 +19,7 @@ from rich.table import Table
 import sampling_design
 from sampling_design._checks import positive, whole
 from sampling_design._files import to_json, write_text
+from sampling_design._record import Record
 from sampling_design.errors import ArgumentError
 
 ProgressCall = Callable[[float, str], None]
@@ -30,7 +31,7 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-_COMMON: dict[str, tuple[Any, Any]] = {
+_COMMON: dict[str, tuple[object, object]] = {
     "as_json": (Annotated[bool, typer.Option("--json", help="Print the result as JSON.")], False),
     "output": (Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")], None),
     "seed": (Annotated[int, typer.Option(help="Seed of everything random.")], 0),
@@ -87,15 +88,15 @@ class Settings:
         """Remember a written file, so that it is named at the end."""
         self.files.append(path)
 
-    def named(self, data: Mapping[str, Any]) -> dict[str, Any]:
+    def named(self, data: Mapping[str, object]) -> dict[str, object]:
         """Return `data` with the name of its format first: its own, else that of what this command answers."""
         return {"format": f"sampling-design/{self.command}/1", **data}
 
-    def write_json(self, path: Path, data: Mapping[str, Any]) -> None:
+    def write_json(self, path: Path, data: Mapping[str, object]) -> None:
         """Write a result with the name of its format, and remember the file."""
         self.wrote(write_text(path, to_json(self.named(data))))
 
-    def show(self, data: Mapping[str, Any], *tables: Table | str) -> None:
+    def show(self, data: Mapping[str, object], *tables: Table | str) -> None:
         """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
         if self.as_json:
             sys.stdout.write(to_json(self.named(data)))
@@ -136,7 +137,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     return result
 
 
-def record_table(record: Any) -> Table:
+def record_table(record: Record) -> Table:
     """Return the table of a record's rows."""
     result = Table(title=type(record).__name__, title_justify="left", show_header=False)
     result.add_column(style="bold")
@@ -154,7 +155,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
+def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
     """Give `function(settings, ...)` the common flags in place of its first parameter."""
     own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
     flags_of_this = [name for name in _COMMON if name != "budget" or function.__name__ not in NO_BUDGET]
@@ -164,13 +165,13 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     ]
 
     @functools.wraps(function)
-    def command(**arguments: Any) -> Any:
+    def command(**arguments: Any) -> None:
         flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
         whole("seed", flags["seed"])
         if "budget" in flags:
             positive("budget", flags["budget"])
-        return function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
+        function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     # one unbroken line to copy: the mark keeps the paragraph from being filled
@@ -180,7 +181,7 @@ def with_common_flags(function: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def save_picture(record: Any, path: Path, **beside: Any) -> Path:
+def save_picture(record: object, path: Path, **beside: Any) -> Path:
     """Draw a record into a file, with what the picture shows beside it; the plotting library loads only now."""
     from sampling_design import plotting
 

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import typer
+from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design._checks import freeze
 from sampling_design._files import write_text
 from sampling_design._record import short
+from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
+from sampling_design.estimators.online.estimator import Progress
+from sampling_design.schedules.family import AnySchedule
 
 POINTS_PER_GAP = 12
 """Points of the open-loop prediction between two samples, for the picture."""
@@ -79,7 +85,13 @@ def estimate(
         raise typer.Exit(1)
 
 
-def _write(settings: Settings, data: dict[str, Any], found: Any, curve: Any, record: Any) -> None:
+def _write(
+    settings: Settings,
+    data: Mapping[str, object],
+    found: sd.EstimateRecord,
+    curve: sd.EstimateRecord,
+    record: sd.Measurements,
+) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(sd.write_estimates(found, folder / "estimates.csv", origin=record.origin))
@@ -87,19 +99,19 @@ def _write(settings: Settings, data: dict[str, Any], found: Any, curve: Any, rec
         settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record))
 
 
-def _moved(record: Any, start: float) -> Any:
+def _moved(record: sd.EstimateRecord, start: float) -> sd.EstimateRecord:
     return replace(record, times=freeze(record.times + start))
 
 
 def _guarantee(
     settings: Settings,
-    plant: Any,
-    record: Any,
+    plant: sd.Plant,
+    record: sd.Measurements,
     certificate_file: Path | None,
-    schedule: Any,
+    schedule: AnySchedule | None,
     eta: float | None,
-    bounds: dict[str, Any],
-) -> tuple[Any, str]:
+    bounds: Tree,
+) -> tuple[SampledCertificate | None, str]:
     """The certificate that the estimates rest on (None if there is none), and words for it."""
     if certificate_file is not None or schedule is not None:
         words = f"Guarantee of {certificate_file}." if certificate_file else "Guarantee for the schedule given."
@@ -109,17 +121,23 @@ def _guarantee(
 
 
 def _certified(
-    settings: Settings, plant: Any, schedule: Any, path: Path | None, eta: float | None, bounds: dict[str, Any]
-) -> Any:
+    settings: Settings,
+    plant: sd.Plant,
+    schedule: AnySchedule | None,
+    path: Path | None,
+    eta: float | None,
+    bounds: Tree,
+) -> SampledCertificate:
     """The certificate of a file, else one of the schedule with weights that follow the bounds."""
     if path is not None:
         return sampling_certificate(path, plant)
+    assert schedule is not None
     rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
     with settings.progress("certificate") as progress:
         return sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))
 
 
-def _rate(settings: Settings, plant: Any, eta: float | None, longest: float) -> float:
+def _rate(settings: Settings, plant: sd.Plant, eta: float | None, longest: float) -> float:
     """The rate that was asked for, else one over the longest gap, with a notice."""
     if eta is None:  # the best rate of a whole family takes minutes to find
         eta = 1 / longest
@@ -127,14 +145,14 @@ def _rate(settings: Settings, plant: Any, eta: float | None, longest: float) -> 
     return eta
 
 
-def _weights(plant: Any, eta: float, bounds: dict[str, Any]) -> dict[str, Any]:
+def _weights(plant: sd.Plant, eta: float, bounds: Tree) -> Tree:
     """Weights that follow the bounds, for narrow radii; a bound of zero is weighed by the plant's scales."""
     signals = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
     used = {key: value if np.all(np.asarray(value) > 0) else signals[key].scales for key, value in bounds.items()}
     return sd.weights_from_bounds(plant, eta, **used)
 
 
-def _numbers(name: str, text: str | None) -> Any:
+def _numbers(name: str, text: str | None) -> float | list[float] | None:
     """None, a number, or a list of numbers."""
     if text is None:
         return None
@@ -146,10 +164,10 @@ def _numbers(name: str, text: str | None) -> Any:
 
 
 def _bounds(
-    settings: Settings, plant: Any, w_bound: str | None, v_bound: str | None, initial_error: str | None
-) -> dict[str, Any]:
+    settings: Settings, plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
+) -> Tree:
     """The bounds as given, else the plant's scales with a notice that says so."""
-    found: dict[str, Any] = {}
+    found: Tree = {}
     for name, text, signals in (
         ("w_bound", w_bound, plant.disturbances),
         ("v_bound", v_bound, plant.outputs),
@@ -164,10 +182,15 @@ def _bounds(
 
 
 def _from_gaps(
-    settings: Settings, plant: Any, record: Any, eta: float | None, bounds: dict[str, Any], progress: Any
-) -> tuple[Any, str]:
+    settings: Settings,
+    plant: sd.Plant,
+    record: sd.Measurements,
+    eta: float | None,
+    bounds: Tree,
+    progress: Progress,
+) -> tuple[SampledCertificate | None, str]:
     """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it."""
-    measured = np.isfinite(record.y).any(axis=1)
+    measured = np.asarray(np.isfinite(record.y).any(axis=1))
     times = np.unique(record.times[measured])
     if times.size < 2:
         return None, "No guarantee: one sample is no schedule that could be certified."
@@ -175,7 +198,7 @@ def _from_gaps(
     shortest, longest = float(gaps.min()), float(gaps.max())
     seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
     rate = _rate(settings, plant, eta, longest)
-    chosen = {"eta": rate, "progress": progress, **_weights(plant, rate, bounds)}
+    chosen: Tree = {"eta": rate, "progress": progress, **_weights(plant, rate, bounds)}
     if np.isfinite(record.y[measured]).all():
         family = sd.GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
@@ -194,8 +217,14 @@ def _from_gaps(
 
 
 def _estimator(
-    settings: Settings, plant: Any, certificate: Any, record: Any, horizon: Any, prior: Any, bounds: dict[str, Any]
-) -> Any:
+    settings: Settings,
+    plant: sd.Plant,
+    certificate: SampledCertificate | None,
+    record: sd.Measurements,
+    horizon: float | None,
+    prior: npt.ArrayLike | None,
+    bounds: Tree,
+) -> sd.MovingHorizonEstimator:
     if certificate is None and horizon is None:
         longest = float(np.max(np.diff(np.unique(record.times)), initial=0.0))
         horizon = GAPS_IN_HORIZON * longest if longest > 0 else 1.0
@@ -208,7 +237,9 @@ def _estimator(
     return estimator
 
 
-def _followed(estimator: Any, record: Any, progress: Any) -> tuple[sd.EstimateRecord, sd.EstimateRecord]:
+def _followed(
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, progress: Progress
+) -> tuple[sd.EstimateRecord, sd.EstimateRecord]:
     """Estimates at every row, and the same with the open loop between them."""
     rows, curve, last = [], [estimator.predict(0.0)], 0.0
     for k, (t, y, u) in enumerate(record):
@@ -219,10 +250,10 @@ def _followed(estimator: Any, record: Any, progress: Any) -> tuple[sd.EstimateRe
             curve.append(rows[-1])
             last = t
         progress((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
-    return sd.EstimateRecord.collect(record.plant, rows), sd.EstimateRecord.collect(record.plant, curve)
+    return sd.EstimateRecord.collect(estimator.plant, rows), sd.EstimateRecord.collect(estimator.plant, curve)
 
 
-def _last(record: Any) -> Any:
+def _last(record: sd.EstimateRecord) -> RichTable:
     states, unit = record.plant.states, record.plant.time_unit
     labels = states.labels()
     rows = [[labels[i], short(record.x[-1, i]), short(record.radii[-1, i])] for i in range(len(states))]
@@ -269,7 +300,7 @@ def validate(
         raise typer.Exit(1)
 
 
-def _report(settings: Settings, report: Any) -> None:
+def _report(settings: Settings, report: sd.ValidationReport) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._units import time_factor
+from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
@@ -34,7 +34,7 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 
@@ -223,7 +223,7 @@ class _Run:
     plant: Plant
     split: ModalSplit
     requirement: Requirement
-    used: dict[str, Any]
+    used: Tree
     zero_count: ZeroCountBound
     seed: int
     starts: int
@@ -359,7 +359,7 @@ class _Run:
         target = float(self.requirement.target_sigma or 0)
         low, high = self.limits()
         ruled_out, best, last = low - 1, None, None
-        too_few: dict[str, Any] = {}
+        too_few: Tree = {}
         for samples in range(low, high + 1):
             try:
                 last = sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
@@ -427,11 +427,9 @@ def _candidates(problem: DesignProblem, found: FoundSchedule, chosen: Mask) -> l
     return candidates
 
 
-def _out_of_reach(
-    target: float, high: int, best: ScheduleDesign | None, too_few: dict[str, Any]
-) -> InfeasibleRequirementError:
+def _out_of_reach(target: float, high: int, best: ScheduleDesign | None, too_few: Tree) -> InfeasibleRequirementError:
     """The error of a target that no count reaches; the nearest is what was proven with the best of them."""
-    nearest: dict[str, Any] = {**too_few, "target_sigma": None}  # where not even the most samples see the state
+    nearest: Tree = {**too_few, "target_sigma": None}  # where not even the most samples see the state
     reached = "no schedule that sees every state"
     if best is not None and best.schedule is not None and best.sigma > 0:
         proven = float(f"{best.sigma * (1 - 5e-5):.5g}")

@@ -8,7 +8,6 @@ the problem folded to period/b, of which the window is a whole multiple, has non
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from sampling_design.design.problem.feasible import obstacle
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SAME_RATIO = 1e-11  # relative: window/period counts as rational where it is one to rounding

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import Details, PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -185,5 +184,5 @@ def _without(design: ScheduleDesign, i: int, every_period: bool) -> PeriodicSche
         return None
     keep = np.arange(times.size) != i
     mask = None if schedule.outputs is None else np.tile(schedule.outputs, (laps, 1))[keep]
-    details: dict[str, Any] = {"time_unit": schedule.time_unit, "output_names": schedule.output_names}
+    details = Details(time_unit=schedule.time_unit, output_names=schedule.output_names)
     return PeriodicSchedule.from_times(times[keep], laps * schedule.period, mask, **details)

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._record import Plain, Table, short
 from sampling_design._workers import Workers, check_workers, mapped
+from sampling_design.checkers.strict import Tree
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
@@ -97,7 +97,7 @@ def pareto(
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     budget: float | None = None,
-    **options: Any,
+    **options: object,
 ) -> ParetoFront:
     """Design a schedule for every count of samples per period.
 
@@ -161,7 +161,7 @@ def _rest(place: int, jobs: int, workers: Workers) -> float:
     return max(1.0, (jobs - place) / hands)
 
 
-def _point(job: tuple[Plant, Requirement, int, dict[str, Any], float, float, float]) -> ParetoPoint:
+def _point(job: tuple[Plant, Requirement, int, Tree, float, float, float]) -> ParetoPoint:
     """One count, in its share of the time that is left; an impossible one is a point that says why."""
     plant, requirement, count, options, stop, seconds, rounds = job
     left = stop - time.time()
@@ -179,7 +179,7 @@ def _point(job: tuple[Plant, Requirement, int, dict[str, Any], float, float, flo
     return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()))
 
 
-def _key(plant: Plant, requirement: Requirement, options: dict[str, Any]) -> str:
+def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
     asked = requirement.replace(samples=None, target_sigma=None).to_dict()
     text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in sorted(options.items())}], sort_keys=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -69,13 +68,13 @@ class ScheduleDesign(Record):
     sigma_attained: float
     upper_bound: float
     requirement: Requirement
-    defaults_used: dict[str, Any]
+    defaults_used: dict[str, Plain]
     plant: Plant
     split: ModalSplit
     zero_count: ZeroCountBound | None
     window: WindowSigma | None
     bound: UpperBound | None
-    history: tuple[dict[str, Any], ...] = ()
+    history: tuple[dict[str, Plain], ...] = ()
     solver: tuple[SolverRecord, ...] = ()
     status: str = "complete"
     notes: tuple[str, ...] = field(default=())

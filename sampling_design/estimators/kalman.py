@@ -62,16 +62,16 @@ class KalmanFilter(OpenLoopEstimator):
         plant: Plant,
         certificate: SampledCertificate | None = None,
         *,
-        P2: Any = None,
-        Qw: Any = None,
-        R: Any = None,
-        Qv: Any = None,
+        P2: npt.ArrayLike | None = None,
+        Qw: npt.ArrayLike | None = None,
+        R: npt.ArrayLike | None = None,
+        Qv: npt.ArrayLike | None = None,
         eta: float | None = None,
-        prior: Any = None,
+        prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        w_bound: Any = None,
-        v_bound: Any = None,
-        initial_error: Any = None,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        initial_error: npt.ArrayLike | None = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
     ):
@@ -149,7 +149,7 @@ class KalmanFilter(OpenLoopEstimator):
             factor = float(np.sqrt((cost - terms + room) / np.float64(room)))
         return Contradiction(number, sample.t, self.plant.outputs.names[int(np.argmax(shown))], factor)
 
-    def smooth(self, record: Any) -> EstimateRecord:
+    def smooth(self, record: object) -> EstimateRecord:
         """Return the estimates at all samples given all samples (fixed-interval smoother); the filter stays as it is.
 
         Parameters

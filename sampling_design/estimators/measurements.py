@@ -49,8 +49,8 @@ class DataFrame(Protocol):
 
     index: Any
 
-    def reset_index(self) -> Any: ...
-    def to_csv(self, *, index: bool) -> Any: ...
+    def reset_index(self) -> DataFrame: ...
+    def to_csv(self, *, index: bool) -> str: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,7 +90,7 @@ class Measurements(Record):
             raise ArgumentError(f"`plant` must be a Plant, got {_checks.described(self.plant)}.")
         times = _checks.vector("times", self.times)
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
-        owned: dict[str, Any] = {"times": times}
+        owned = {"times": times}
         for key, (value, width) in shapes.items():
             blank = np.full((times.size, width), np.nan)
             array = blank if value is None else _checks.floats(key, value)
@@ -98,8 +98,8 @@ class Measurements(Record):
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False
             owned[key] = array
-        for key, value in owned.items():
-            object.__setattr__(self, key, value)
+        for key, held in owned.items():
+            object.__setattr__(self, key, held)
 
     def __len__(self) -> int:
         return self.times.size

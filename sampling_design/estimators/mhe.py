@@ -141,25 +141,25 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         certificate: SampledCertificate | None = None,
         *,
         horizon: float | None = None,
-        P2: Any = None,
-        Qw: Any = None,
-        R: Any = None,
-        Qv: Any = None,
+        P2: npt.ArrayLike | None = None,
+        Qw: npt.ArrayLike | None = None,
+        R: npt.ArrayLike | None = None,
+        Qv: npt.ArrayLike | None = None,
         eta: float | None = None,
-        prior: Any = None,
+        prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         cost: str = "certificate",
         arrival_cost: str = "fixed",
-        x_set: Any = None,
-        y_set: Any = None,
-        v_set: Any = None,
-        w_set: Any = None,
+        x_set: object = None,
+        y_set: object = None,
+        v_set: object = None,
+        w_set: object = None,
         check_spacing: float | None = None,
         w_model: str = "outer",
         engine: str = "auto",
-        w_bound: Any = None,
-        v_bound: Any = None,
-        initial_error: Any = None,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        initial_error: npt.ArrayLike | None = None,
         timing_tolerance: float = 0.0,
         input_side: str = "right",
     ):
@@ -180,7 +180,9 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self._bound_by_sets(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 
-    def _bound_by_sets(self, w_bound: Any, v_bound: Any, initial_error: Any) -> None:
+    def _bound_by_sets(
+        self, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None, initial_error: npt.ArrayLike | None
+    ) -> None:
         """Take the bounds as given, or else as the constraint sets imply them."""
         sets = self.constraints
         w_bound = _from_set(sets.w) if w_bound is None else w_bound
@@ -189,7 +191,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         if self.table.constant_w:
             self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
 
-    def initial_state(self, prior: Any = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2.
 
         Raises

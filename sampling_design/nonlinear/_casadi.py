@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from importlib import import_module
+from types import ModuleType
 
 from sampling_design.errors import MissingExtraError
 
 
-def casadi() -> Any:
+def casadi() -> ModuleType:
     """Return the module casadi.
 
     Raises
@@ -16,7 +17,6 @@ def casadi() -> Any:
         If it is not installed; the message names the extra.
     """
     try:
-        import casadi as module
+        return import_module("casadi")
     except ImportError:
         raise MissingExtraError("casadi", "nonlinear") from None
-    return module

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,22 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Plant, Signals
 
+if TYPE_CHECKING:
+    from casadi import SX
+
 Array = npt.NDArray[np.float64]
 
 
 @door
 def from_expressions(
-    x: Any, f: Any, h: Any, *, u: Any = None, w: Any = None, v: Any = None, **details: Any
+    x: object,
+    f: object,
+    h: object,
+    *,
+    u: object = None,
+    w: object = None,
+    v: object = None,
+    **details: Any,
 ) -> NonlinearPlant:
     """Return the plant of CasADi expressions f(x, u, w) and h(x, u, v).
 
@@ -51,25 +61,31 @@ def from_expressions(
     """
     ca = casadi()
     none = ca.SX.sym("none", 0)
-    u, w, v = (none if s is None else s for s in (u, w, v))
-    for key, value in {"x": x, "f": f, "h": h, "u": u, "w": w, "v": v}.items():
-        if not isinstance(value, (ca.SX, ca.MX)):
-            raise ArgumentError(f"`{key}` must be an expression of casadi, got {_checks.described(value)}.")
+    given = {"x": x, "f": f, "h": h, "u": u, "w": w, "v": v}
+    e = {key: _expression(key, none if value is None and key in "uwv" else value) for key, value in given.items()}
     try:
-        dynamics = ca.Function("dynamics", [x, u, w], [f])
-        measurement = ca.Function("measurement", [x, u, v], [h])
+        dynamics = ca.Function("dynamics", [e["x"], e["u"], e["w"]], [e["f"]])
+        measurement = ca.Function("measurement", [e["x"], e["u"], e["v"]], [e["h"]])
     except RuntimeError as error:
         raise ArgumentError(
             f"`f` and `h` must be expressions in x, u, w and x, u, v only ({str(error).splitlines()[-1]})."
         ) from None
     sizes = {
-        "states": x.numel(),
-        "inputs": u.numel(),
-        "disturbances": w.numel(),
-        "outputs": h.numel(),
-        "noises": v.numel(),
+        "states": e["x"].numel(),
+        "inputs": e["u"].numel(),
+        "disturbances": e["w"].numel(),
+        "outputs": e["h"].numel(),
+        "noises": e["v"].numel(),
     }
     return NonlinearPlant(lambda *a: dynamics(*a), lambda *a: measurement(*a), sizes, **details)
+
+
+def _expression(key: str, value: object) -> SX:
+    ca = casadi()
+    if not isinstance(value, (ca.SX, ca.MX)):
+        raise ArgumentError(f"`{key}` must be an expression of casadi, got {_checks.described(value)}.")
+    found: SX = value
+    return found
 
 
 @door
@@ -95,10 +111,10 @@ def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     [2.0, -1.0]
     """
 
-    def dynamics(x: Any, u: Any, w: Any) -> Any:
+    def dynamics(x: SX, u: SX, w: SX) -> SX:
         return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)
 
-    def measurement(x: Any, u: Any, v: Any) -> Any:
+    def measurement(x: SX, u: SX, v: SX) -> SX:
         return _times(plant.C, x) + _times(plant.D, u) + (v if noises else 0.0)
 
     sizes = {"states": plant.n_states, "inputs": plant.n_inputs, "disturbances": plant.n_disturbances}
@@ -113,7 +129,8 @@ def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     )
 
 
-def _times(matrix: Array, symbol: Any) -> Any:
+def _times(matrix: Array, symbol: SX) -> SX:
     """Return a numerical matrix times a casadi column, zeros left out."""
     ca = casadi()
-    return ca.mtimes(ca.sparsify(ca.DM(matrix)), symbol) if matrix.shape[1] else ca.SX.zeros(matrix.shape[0])
+    found: SX = ca.mtimes(ca.sparsify(ca.DM(matrix)), symbol) if matrix.shape[1] else ca.SX.zeros(matrix.shape[0])
+    return found

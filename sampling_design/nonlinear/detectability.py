@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from sampling_design.evidence import Claim
 from sampling_design.nonlinear.model import NonlinearPlant, own_box
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -114,18 +115,18 @@ class DetectabilityEvidence(Record):
 def check_detectability(
     plant: NonlinearPlant,
     schedule: Schedule | PeriodicSchedule,
-    start: Any = None,
+    start: object = None,
     *,
-    P1: Any = None,
-    P2: Any = None,
-    Qw: Any = None,
-    R: Any = None,
-    Qv: Any = None,
+    P1: object = None,
+    P2: object = None,
+    Qw: object = None,
+    R: object = None,
+    Qv: object = None,
     eta: float,
     duration: float,
     step: float | None = None,
     pairs: int = 100,
-    u: Any = None,
+    u: object = None,
     rng: np.random.Generator | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> DetectabilityEvidence:
@@ -203,7 +204,7 @@ class _Study:
     """What all pairs share."""
 
     def __init__(
-        self, plant: NonlinearPlant, weights: NonlinearWeights, start: Any, duration: Any, step: Any, u: Any
+        self, plant: NonlinearPlant, weights: NonlinearWeights, start: object, duration: object, step: object, u: object
     ) -> None:
         self.plant, self.weights = plant, weights
         self.start = own_box("states", plant.bounds["states"] if start is None else start, plant.n_states)
@@ -234,7 +235,7 @@ class _Study:
             least, growth, values, len(found), left_out, self.weights.eta, self.duration, unit, witness, claim
         )
 
-    def pair(self, times: Any, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:
+    def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:
         """Return least ratio, where, the scaled difference there, and the growth in P2; None if the pair leaves X."""
         samples = times.between(0.0, self.duration).times
         grid = _grid(self.duration, self.step, samples)
@@ -295,7 +296,14 @@ def _square(a: Array, W: Array) -> Array:
 
 
 def ratios(
-    grid: Array, x: Array, w: Array, v: Array, y: Array, sampled: Any, P1: Array, weights: NonlinearWeights
+    grid: Array,
+    x: Array,
+    w: Array,
+    v: Array,
+    y: Array,
+    sampled: npt.NDArray[np.bool_],
+    P1: Array,
+    weights: NonlinearWeights,
 ) -> Array:
     """Return, at each grid time, right side over left side of (16) for differences of one pair, all scaled.
 

@@ -7,18 +7,19 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, write_text
 from sampling_design._workers import Workers, check_workers, mapped
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.nonlinear import thyroid as model
 from sampling_design.nonlinear._casadi import casadi
-from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, Solve
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.patient_run import PatientRun
 from sampling_design.nonlinear.report import ThyroidReport
@@ -40,7 +41,7 @@ QW = 1.39e-3 * np.diag([1.0, 0.1])
 QV = np.diag([100.0, 100.0, 10.0])
 R = np.diag([200.0, 150.0, 100.0])
 
-CASES: dict[str, dict[str, Any]] = {
+CASES: dict[str, Tree] = {
     "per_second": {"w_reading": "per_second"},
     "per_day": {"w_reading": "per_day"},
     "per_day_slow": {
@@ -52,7 +53,7 @@ CASES: dict[str, dict[str, Any]] = {
 """Readings of the paper's w; the last one with a slow store of T4 in the thyroid, where w per day matters."""
 
 
-def paper_weights() -> dict[str, Any]:
+def paper_weights() -> Tree:
     """Return the paper's weights, printed for z = T x, as physical ones; Qw acts on the noisy w1 and w6 alone."""
     y, w = model.SCALING[[1, 2, 4]], model.SCALING[[0, 5]]
     own = {"P2": (P2, model.SCALING), "Qw": (QW, w), "Qv": (QV, y), "R": (R, y)}
@@ -110,10 +111,16 @@ def patient_run(case: str = "per_second", run: int = 0, *, days: float = 20.0, s
     truth = simulate(plant, model.TRUE_START, times, w=w)
     y = truth[:, [1, 2, 4]] + v
     found = [_estimates(scheme, times, y, chosen) for chosen in (np.ones(times.size, dtype=bool), sampled)]
-    return PatientRun(case, run, times, truth, y, sampled, *(x for x, _ in found), *(solves for _, solves in found))
+    (standard, dense), (sparse, rare) = found
+    return PatientRun(case, run, times, truth, y, sampled, standard, sparse, dense, rare)
 
 
-def _estimates(scheme: NonlinearMovingHorizonEstimator, times: Any, y: Any, chosen: Any) -> tuple[Any, tuple[Any, ...]]:
+def _estimates(
+    scheme: NonlinearMovingHorizonEstimator,
+    times: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
+    chosen: npt.NDArray[np.bool_],
+) -> tuple[npt.NDArray[np.float64], tuple[Solve, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.reset(model.PRIOR_START)
     estimates = []
@@ -187,7 +194,7 @@ def thyroid_experiment(
     check_workers(workers)
     for case in cases:
         _known_case(case)
-    settings: dict[str, Any] = {"days": _grid_steps(days) * STEP, "seed": _checks.whole("seed", seed)}
+    settings: Tree = {"days": _grid_steps(days) * STEP, "seed": _checks.whole("seed", seed)}
     lines = {} if path is None else _read(Path(path), settings)
     wanted = [(case, run) for case in cases for run in range(count)]
     missing = [key for key in wanted if key not in lines]
@@ -205,14 +212,14 @@ def thyroid_experiment(
     return ThyroidReport(tuple(cases), count, settings["days"], settings["seed"], tuple(lines[key] for key in wanted))
 
 
-def _solved(missing: list[tuple[str, int]], settings: dict[str, Any], workers: Workers) -> Iterator[dict[str, Any]]:
+def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) -> Iterator[Tree]:
     """Yield the line of each missing run as it comes."""
     jobs = [(case, run, settings) for case, run in missing]
     chosen = min(os.cpu_count() or 1, len(jobs)) if workers is None else workers
     return mapped(_line, jobs, None if chosen == 1 or len(jobs) < 2 else chosen, ordered=False)
 
 
-def _line(job: tuple[str, int, dict[str, Any]]) -> dict[str, Any]:
+def _line(job: tuple[str, int, Tree]) -> Tree:
     case, run, settings = job
     return patient_run(case, run, days=settings["days"], seed=settings["seed"]).summary()
 
@@ -229,12 +236,12 @@ def _grid_steps(days: float) -> int:
     return steps
 
 
-def _write(path: Path, settings: dict[str, Any], lines: dict[tuple[str, int], dict[str, Any]]) -> None:
+def _write(path: Path, settings: Tree, lines: dict[tuple[str, int], Tree]) -> None:
     rows = [{"format": FORMAT, **settings}, *(lines[key] for key in sorted(lines))]
     write_text(path, "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))
 
 
-def _read(path: Path, settings: dict[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
+def _read(path: Path, settings: Tree) -> dict[tuple[str, int], Tree]:
     """Return the runs of a result file (none if there is no such file)."""
     if not path.exists():
         return {}

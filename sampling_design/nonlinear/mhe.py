@@ -119,12 +119,12 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         plant: NonlinearPlant,
         *,
         horizon: float,
-        P2: Any = None,
-        Qw: Any = None,
-        R: Any = None,
-        Qv: Any = None,
+        P2: object = None,
+        Qw: object = None,
+        R: object = None,
+        Qv: object = None,
         eta: float = 0.0,
-        prior: Any = None,
+        prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         w_step: float | None = None,
         degree: int = 2,
@@ -164,11 +164,11 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.solves: list[Solve] = []
         self.window: WindowSolution | None = None
 
-    def reset(self, prior: Any = None, prior_time: float = 0.0) -> None:
+    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples and start again from a prior; the program stays built."""
         self._restart(self.initial_state(prior, prior_time))
 
-    def initial_state(self, prior: Any = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
         """Return the state before any sample: `prior` (default 0) at `prior_time`.
 
         Raises

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.plants.plant import Plant, Signals
+
+if TYPE_CHECKING:
+    from casadi import SX, Function
 
 Array = npt.NDArray[np.float64]
 Box = tuple[Array, Array]
@@ -74,8 +77,8 @@ class NonlinearPlant(Record):
     [[0.0, 1.0], [-1.0, 0.0]]
     """
 
-    dynamics: Callable[..., Any]
-    measurement: Callable[..., Any]
+    dynamics: Callable[..., SX | Sequence[SX]]
+    measurement: Callable[..., SX | Sequence[SX]]
     sizes: Mapping[str, int]
     time_unit: str = field(default="s", kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -107,7 +110,7 @@ class NonlinearPlant(Record):
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
 
     @cached_property
-    def _functions(self) -> tuple[Any, Any]:
+    def _functions(self) -> tuple[Function, Function]:
         ca = casadi()
         x, u, w, v = (
             ca.SX.sym(k, self.sizes[s])
@@ -133,12 +136,12 @@ class NonlinearPlant(Record):
         return built[0], built[1]
 
     @property
-    def f_casadi(self) -> Any:
+    def f_casadi(self) -> Function:
         """f as a casadi Function of (x, u, w)."""
         return self._functions[0]
 
     @property
-    def h_casadi(self) -> Any:
+    def h_casadi(self) -> Function:
         """h as a casadi Function of (x, u, v)."""
         return self._functions[1]
 
@@ -199,7 +202,7 @@ class NonlinearPlant(Record):
         """Return y = h(x, u, v), shape (p,); v defaults to zero."""
         return self._evaluate(self.h_casadi, "noises", x, u, v)
 
-    def _evaluate(self, function: Any, last: str, x: Any, u: Any, z: Any) -> Array:
+    def _evaluate(self, function: Function, last: str, x: object, u: object, z: object) -> Array:
         x = _checks.vector("x", x, self.sizes["states"])
         u = _checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
         z = _checks.vector(
@@ -264,7 +267,7 @@ class NonlinearPlant(Record):
                 return np.asarray(z * scale)
         raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
 
-    def with_bounds(self, **boxes: Any) -> NonlinearPlant:
+    def with_bounds(self, **boxes: object) -> NonlinearPlant:
         """Return the same plant with other boxes, for example `with_bounds(states=(0.0, np.inf), noises=None)`.
 
         Raises
@@ -290,19 +293,19 @@ _NEWTON_STEPS = 100
 _NEWTON_TOLERANCE = 1e-13
 
 
-def _given(u: Any, size: int) -> Any:
+def _given(u: object, size: int) -> object:
     """The input as it was given; nothing at all stands for zero."""
     return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
 
 
-def _side(key: str, value: Any, size: int) -> Array:
+def _side(key: str, value: object, size: int) -> Array:
     side = _checks.floats(f"bounds[{key!r}]", value)
     if side.shape not in ((), (size,)):
         raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
     return np.broadcast_to(side, (size,)).copy()
 
 
-def own_box(key: str, box: Any, size: int) -> Box:
+def own_box(key: str, box: object, size: int) -> Box:
     """Return (lower, upper) as frozen vectors; infinite where there is no bound.
 
     Raises
@@ -319,13 +322,13 @@ def own_box(key: str, box: Any, size: int) -> Box:
     return lower, upper
 
 
-def _pair(key: str, box: Any) -> Sequence[Any]:
+def _pair(key: str, box: object) -> Sequence[object]:
     if not isinstance(box, (Sequence, np.ndarray)) or isinstance(box, str) or len(box) != 2:
         raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {_checks.described(box)}.")
     return box  # type: ignore[return-value]
 
 
-def _own_signals(key: str, value: Any, size: int) -> Signals:
+def _own_signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Signals:
     if isinstance(value, Signals):
         if len(value) != size:
             raise ArgumentError(f"`signals[{key!r}]` must have {size} entries, got {len(value)}.")

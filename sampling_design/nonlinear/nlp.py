@@ -8,16 +8,20 @@ equation at the Radau points, so that stiff plants cost no small steps. Everythi
 from __future__ import annotations
 
 import time
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import Tree
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import NonlinearWeights
+
+if TYPE_CHECKING:
+    from casadi import SX, Function
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +102,7 @@ class WindowProgram:
         self._fit = self._fit_weight()
         self._fit_at = np.nonzero(np.triu(np.linalg.matrix_power(self._fit != 0, max(1, plant.n_outputs))))
         self._fit_roots: dict[bytes, Array] = {}
-        self._solvers: dict[bool, Any] = {}
+        self._solvers: dict[bool, Function] = {}
         self._problem = self._assemble()
         self._boxes = self._bounds()
 
@@ -121,7 +125,7 @@ class WindowProgram:
             return guess._replace(status="solver failed", message=message, seconds=time.thread_time() - started)
         return self._unpack(data.edges, found, stats, time.thread_time() - started)
 
-    def _solver(self, warm: bool) -> Any:
+    def _solver(self, warm: bool) -> Function:
         """The solver of one kind, built when first asked for."""
         if warm not in self._solvers:
             options: dict[str, Any] = {
@@ -140,7 +144,7 @@ class WindowProgram:
             self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
         return self._solvers[warm]
 
-    def _interval(self) -> tuple[Any, Any]:
+    def _interval(self) -> tuple[Function, Function]:
         """Return the dynamic rows of one interval, of (z0, Z, w, u, h), and the output at a node, of (z, v, u)."""
         ca, plant = casadi(), self.plant
         n, scale = plant.n_states, {key: plant.signals[key].scales for key in plant.sizes}
@@ -160,7 +164,7 @@ class WindowProgram:
             ca.Function("shown", [z0, v, u], [shown]),
         )
 
-    def _assemble(self) -> dict[str, Any]:
+    def _assemble(self) -> dict[str, SX]:
         ca, plant, N = casadi(), self.plant, self.capacity
         n, m, q, r, p = plant.n_states, plant.n_inputs, plant.n_disturbances, self.n_noises, plant.n_outputs
         rows, shown = self._interval()
@@ -276,7 +280,7 @@ class WindowProgram:
         outputs[self.capacity + 1 - len(guess.output_multipliers) :] = guess.output_multipliers
         return np.concatenate([rows.ravel(), outputs.ravel()])
 
-    def _split(self, vector: Any, used: int) -> ProgramPoint:
+    def _split(self, vector: object, used: int) -> ProgramPoint:
         """Return the used part of a vector of unknowns."""
         n, q, r, N = self.plant.n_states, self.plant.n_disturbances, self.n_noises, self.capacity
         flat = np.array(vector).ravel()
@@ -286,7 +290,7 @@ class WindowProgram:
         first = states[N - used - 1, -1] if used < N else flat[:n]
         return ProgramPoint(first, v[N - used :], body[N - used :, :q], states[N - used :])
 
-    def _unpack(self, edges: Array, found: Any, stats: Any, seconds: float) -> WindowSolution:
+    def _unpack(self, edges: Array, found: dict[str, SX], stats: Tree, seconds: float) -> WindowSolution:
         K, N = edges.size - 1, self.capacity
         word = str(stats["return_status"])
         status: Literal["ok", "infeasible", "solver failed"] = "solver failed"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Record, short
+from sampling_design.checkers.strict import Tree
 from sampling_design.nonlinear.mhe import Solve
 from sampling_design.nonlinear.thyroid import SCALING
 
@@ -59,9 +60,9 @@ class PatientRun(Record):
         chosen = self.times >= SPANS[span]
         return rmse(self.errors(scheme)[chosen]) if chosen.any() else float("nan")
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Tree:
         """Plain data of what a report needs; None for a span that the run does not reach."""
-        line: dict[str, Any] = {"case": self.case, "run": self.run, "samples": int(self.sampled.sum())}
+        line: Tree = {"case": self.case, "run": self.run, "samples": int(self.sampled.sum())}
         for scheme in SCHEMES:
             solves: tuple[Solve, ...] = getattr(self, f"solves_{scheme}")
             values = {span: self.rmse(scheme, span) for span in SPANS}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from sampling_design._record import Record, short
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.patient_run import SCHEMES, SPANS
 
@@ -57,7 +56,7 @@ class ThyroidReport(Record):
     runs: int
     days: float
     seed: int
-    lines: tuple[Mapping[str, Any], ...]
+    lines: tuple[Tree, ...]
 
     def rmse(self, case: str, scheme: str, span: str = "all") -> np.ndarray:
         """Return the RMSE of every run of a case (NaN where a run is too short for the span)."""
@@ -82,7 +81,7 @@ class ThyroidReport(Record):
         """Window problems that failed, over all runs and both schemes."""
         return sum(int(line[scheme]["failed"]) for line in self.lines for scheme in SCHEMES)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Tree:
         """Plain data: means over the runs, per case, scheme and span."""
         return {
             "runs": self.runs,
@@ -94,8 +93,8 @@ class ThyroidReport(Record):
             "open_points": [list(pair) for pair in OPEN_POINTS],
         }
 
-    def _case(self, case: str) -> dict[str, Any]:
-        data: dict[str, Any] = {"ratio": {span: _number(self.ratio(case, span)) for span in SPANS}}
+    def _case(self, case: str) -> Tree:
+        data: Tree = {"ratio": {span: _number(self.ratio(case, span)) for span in SPANS}}
         for scheme in SCHEMES:
             seconds = self.seconds(case, scheme)
             values = {span: self.rmse(case, scheme, span) for span in SPANS}
@@ -159,7 +158,7 @@ def _paper_ratio() -> float:
     return PAPER_RMSE["sample_based"] / PAPER_RMSE["standard"]
 
 
-def _number(value: Any) -> float | None:
+def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
@@ -167,13 +166,13 @@ def _figure(value: float | None, spread: float | None) -> str:
     return "-" if value is None else f"{value:.4f} ({spread:.4f})"
 
 
-def _error_row(case: str, span: str, data: Mapping[str, Any]) -> list[str]:
+def _error_row(case: str, span: str, data: Tree) -> list[str]:
     figures = [_figure(data[scheme]["rmse"][span], data[scheme]["spread"][span]) for scheme in SCHEMES]
     ratio = data["ratio"][span]
     return [case, _SPAN_WORDS[span], *figures, "-" if ratio is None else f"{ratio:.3f}"]
 
 
-def _solver_row(case: str, scheme: str, data: Mapping[str, Any]) -> list[str]:
+def _solver_row(case: str, scheme: str, data: Tree) -> list[str]:
     times = [f"{data[key]:.3f}" for key in ("seconds_mean", "seconds_max")]
     times.append(f"{data['problems'] * data['seconds_mean']:.1f}")
     return [case, scheme.replace("_", "-"), str(data["problems"]), *times, str(data["failed"])]

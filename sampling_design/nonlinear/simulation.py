@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -94,7 +93,7 @@ class Integrator:
         self.plant, self.scale = plant, plant.signals["states"].scales
         rate = plant.f_casadi(z * self.scale, uw[:m], uw[m:]) / self.scale
         problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
-        options: dict[str, Any] = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
+        options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
         options |= {"disable_internal_warnings": True, "show_eval_warnings": False}  # raised, not printed
         self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from sampling_design._checks import known_keys
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
+
+if TYPE_CHECKING:
+    from casadi import SX
 
 DAY = 86400.0
 """Seconds in a day; every rate below is per second."""
@@ -92,7 +95,7 @@ _OUTPUTS = Signals(("T4", "T3_p", "TSH"), ("mol/l", "mol/l", "mU/l"), 1 / SCALIN
 _INPUTS = Signals(("u_T4", "u_T3"), ("mol/s", "mol/s"), np.array([1e-12, 1e-13]))
 
 
-def rates(x: Any, u: Any, w: Any, p: Mapping[str, float]) -> list[Any]:
+def rates(x: SX, u: SX, w: SX | tuple[SX, SX], p: Mapping[str, float]) -> list[SX]:
     """Return dx/dt in 1/s: the equations, term by term; `u` = absorbed (T4, T3) [mol/s], `w` = (w1, w6) per second."""
     T4_th, T4, T3_p, T3_c, TSH, TSH_c = (x[i] for i in range(6))
     FT4 = T4 / (1 + p["K41"] * p["TBG"] + p["K42"] * p["TBPA"])
@@ -167,7 +170,7 @@ def thyroid(
     values.update(changes)
     unit = 1.0 if w_reading == "per_second" else 1 / DAY
 
-    def dynamics(x: Any, u: Any, w: Any) -> list[Any]:
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
         return [DAY * rate for rate in rates(x, u, (w[0] * unit, w[1] * unit), values)]
 
     return NonlinearPlant(

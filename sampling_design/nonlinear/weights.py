@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +26,10 @@ class NonlinearWeights:
 
 def scaled_weights(
     plant: NonlinearPlant,
-    P2: Any = None,
-    Qw: Any = None,
-    R: Any = None,
-    Qv: Any = None,
+    P2: object = None,
+    Qw: object = None,
+    R: object = None,
+    Qv: object = None,
     eta: float = 0.0,
     name: str = "P2",
 ) -> NonlinearWeights:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 
 from sampling_design import _checks
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
 
 AnySchedule = Schedule | PeriodicSchedule
 
@@ -78,7 +78,7 @@ def _in_order(schedule: AnySchedule, theirs: tuple[str, ...], mine: tuple[str, .
     _checks.known_keys("`schedule.output_names`", theirs, mine)
     mask = np.zeros((len(schedule), len(mine)), dtype=bool)
     mask[:, [mine.index(name) for name in theirs]] = True if schedule.outputs is None else schedule.outputs
-    details: dict[str, Any] = {"time_unit": schedule.time_unit, "origin": schedule.origin, "output_names": mine}
+    details = Details(time_unit=schedule.time_unit, origin=schedule.origin, output_names=mine)
     if isinstance(schedule, PeriodicSchedule):
         return PeriodicSchedule.from_times(schedule.times, schedule.period, mask, **details)
     return Schedule(schedule.times, mask, **details)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -147,7 +146,7 @@ def eigenvalue_clusters(
     return clusters_of(balanced_schur(matrix), error, _checks.positive("cap", cap))[0]
 
 
-def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[EigenvalueCluster, ...], list[Any]]:
+def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[EigenvalueCluster, ...], list[list[int]]]:
     """Return the clusters of a Schur form, and for each the positions of its members on the diagonal."""
     groups = group_eigenvalues(form, error, cap)
     wider = {tuple(g): block_index(form, g, DOUBT * error)[0] for g in group_eigenvalues(form, DOUBT * error, cap)}

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._units import check_time_unit
 from sampling_design.checkers.grammar import PLANT
-from sampling_design.checkers.strict import MOST_BYTES, BadFile
+from sampling_design.checkers.strict import MOST_BYTES, BadFile, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 
@@ -120,7 +121,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     _checks.known_keys("[source]", source, ("citation",))
     groups = {group: _signals_from_dict(group, _table(data, group)) for group in GROUPS}
     _exactly(data)
-    arrays = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
+    arrays: Tree = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
     return Plant(
         **arrays,
         **groups,  # type: ignore[arg-type]
@@ -144,7 +145,7 @@ def _located(where: str, error: ArgumentError) -> FileFormatError:
     return FileFormatError(f"{where}: {error}", where)
 
 
-def _agreed_unit(in_file: Any, given: str | None) -> str:
+def _agreed_unit(in_file: object, given: str | None) -> str:
     if in_file is None and given is None:
         raise ArgumentError("`time_unit` is missing. Write it into the file or give it as an argument.")
     unit = check_time_unit(given if in_file is None else in_file)
@@ -160,13 +161,13 @@ def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return value
 
 
-def _text(key: str, value: Any) -> str:
+def _text(key: str, value: object) -> str:
     if not isinstance(value, str):
         raise ArgumentError(f"`{key}` must be a string, got {value!r:.60}.")
     return value
 
 
-def _rows(value: Any, columns: Sized | None) -> Any:
+def _rows(value: npt.ArrayLike, columns: Sized | None) -> npt.ArrayLike:
     """An empty list of rows does not say how many columns it has; the names of the signals do."""
     return np.zeros((0, len(columns or ()))) if isinstance(value, list) and not value else value
 
@@ -191,15 +192,15 @@ def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[
     return table[suffix]
 
 
-def _read_toml(where: str) -> dict[str, Any]:
+def _read_toml(where: str) -> Tree:
     return _files.from_toml(_files.read_text(where), where)
 
 
-def _read_json(where: str) -> dict[str, Any]:
+def _read_json(where: str) -> Tree:
     return _files.from_json(_files.read_text(where), where)
 
 
-def _as_toml(tree: dict[str, Any]) -> bytes:
+def _as_toml(tree: Tree) -> bytes:
     import tomli_w
 
     head = {key: value for key, value in tree.items() if not isinstance(value, dict)}
@@ -215,11 +216,11 @@ def _toml_matrix(key: str, rows: list[list[float]]) -> str:
     return f"{key} = [\n{lines}]\n"
 
 
-def _as_json(tree: dict[str, Any]) -> bytes:
+def _as_json(tree: Tree) -> bytes:
     return _files.to_json(tree).encode("utf-8")
 
 
-def _read_npz(where: str) -> dict[str, Any]:
+def _read_npz(where: str) -> Tree:
     content = _files.read_bytes(where)
     try:
         _check_archive(content, where)
@@ -246,7 +247,7 @@ def _check_archive(content: bytes, where: str) -> None:
         raise FileFormatError(f"{where}: is too large: {size} bytes, expected at most {MOST_BYTES}.", where)
 
 
-def _read_mat(where: str) -> dict[str, Any]:
+def _read_mat(where: str) -> Tree:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadWarning
 
@@ -262,7 +263,7 @@ def _read_mat(where: str) -> dict[str, Any]:
     return _tree({key: value for key, value in flat.items() if not key.startswith("__")}, where)
 
 
-def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _tree(flat: Mapping[str, Any], where: str) -> Tree:
     """Return flat array names as the tree of the file format."""
     try:
         _checks.known_keys("the file", flat, _FLAT)
@@ -271,16 +272,14 @@ def _tree(flat: Mapping[str, Any], where: str) -> dict[str, Any]:
         raise _located(where, error) from None
 
 
-def _tree_of(flat: Mapping[str, Any]) -> dict[str, Any]:
-    tree: dict[str, Any] = {"format": FORMAT, "matrices": {}}
+def _tree_of(flat: Mapping[str, Any]) -> Tree:
+    tree: Tree = {"format": FORMAT, "matrices": {}}
     tree["matrices"] = {key: _plain(key, flat[key]) for key in MATRICES if key in flat}
     for key in ("format", "name", "time_unit"):
         if key in flat:
             tree[key] = "".join(_words(key, flat[key]))
     for group in GROUPS:
-        table: dict[str, Any] = {
-            k: _words(f"{group}_{k}", flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat
-        }
+        table: Tree = {k: _words(f"{group}_{k}", flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat}
         if f"{group}_scales" in flat:
             table["scales"] = np.ravel(_plain(f"{group}_scales", flat[f"{group}_scales"]))
         if table:
@@ -290,7 +289,7 @@ def _tree_of(flat: Mapping[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def _plain(key: str, value: Any) -> Any:
+def _plain(key: str, value: object) -> npt.NDArray[np.float64]:
     """An array of numbers as it is: no records, no cells, no texts, no truth values."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
         kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
@@ -298,7 +297,7 @@ def _plain(key: str, value: Any) -> Any:
     return value
 
 
-def _words(key: str, value: Any) -> list[str]:
+def _words(key: str, value: object) -> list[str]:
     """Strings of a string array, or of a MATLAB cell or character array (rows padded with blanks)."""
     array = np.asarray(value)
     cells = [np.asarray(cell) for cell in array.ravel()] if array.dtype == object else [array]
@@ -309,8 +308,8 @@ def _words(key: str, value: Any) -> list[str]:
     return [str(v).rstrip() for v in array.ravel()]
 
 
-def _flat(tree: dict[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
+def _flat(tree: Tree) -> Tree:
+    flat: Tree = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
     for key, rows in tree["matrices"].items():
         flat[key] = np.array(_rows(rows, tree.get(_COLUMNS[key], {}).get("names")), dtype=np.float64)
     for group in GROUPS:
@@ -321,13 +320,13 @@ def _flat(tree: dict[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def _as_npz(tree: dict[str, Any]) -> bytes:
+def _as_npz(tree: Tree) -> bytes:
     stream = io.BytesIO()
     np.savez(stream, **_flat(tree))
     return stream.getvalue()
 
 
-def _as_mat(tree: dict[str, Any]) -> bytes:
+def _as_mat(tree: Tree) -> bytes:
     from scipy.io import savemat
 
     stream = io.BytesIO()

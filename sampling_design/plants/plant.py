@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,9 @@ from sampling_design._modal import exponential
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import control
 
 Array = npt.NDArray[np.float64]
 FORMAT = "sampling-design/plant/1"
@@ -77,7 +80,7 @@ class Signals(Record):
 
     def to_dict(self) -> dict[str, Plain]:
         """Return a table of the plant file format; units and scales that say nothing are left out."""
-        table: dict[str, Any] = {"names": list(self.names)}
+        table: dict[str, Plain] = {"names": list(self.names)}
         if any(self.units):
             table["units"] = list(self.units)
         if np.any(self.scales != 1):
@@ -186,7 +189,7 @@ class Plant(Record):
         B = _checks.matrix("B", np.zeros((n, 0)) if self.B is None else self.B, n)
         D = _checks.matrix("D", np.zeros((p, B.shape[1])) if self.D is None else self.D, p, B.shape[1])
         G = _checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
-        owned: dict[str, Any] = {"A": A, "B": B, "C": C, "D": D, "G": G}
+        owned: dict[str, object] = {"A": A, "B": B, "C": C, "D": D, "G": G}
         owned["time_unit"] = check_time_unit(self.time_unit)
         for key in ("name", "source"):
             if not isinstance(getattr(self, key), str):
@@ -265,7 +268,7 @@ class Plant(Record):
         return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
 
     @classmethod
-    def from_control(cls, system: Any, **details: Any) -> Plant:
+    def from_control(cls, system: StateSpace, **details: Any) -> Plant:
         """Return the plant of a continuous-time `control.StateSpace`; `details` as for `Plant` (time_unit, ...).
 
         Raises
@@ -282,7 +285,7 @@ class Plant(Record):
         return cls(system.A, system.C, system.B, system.D, **details)
 
     @classmethod
-    def _foreign(cls, system: Any) -> Callable[[Any, str], Plant] | None:
+    def _foreign(cls, system: object) -> Callable[[StateSpace, str], Plant] | None:
         """How the door makes a plant of a state-space system of `control` or `scipy.signal`; None: it is neither."""
         made = _LIBRARIES.get(type(system).__module__.partition(".")[0])
         if made is None or not hasattr(system, "dt"):
@@ -290,7 +293,7 @@ class Plant(Record):
         return lambda value, unit: getattr(cls, made)(value, time_unit=unit)
 
     @classmethod
-    def from_scipy(cls, system: Any, **details: Any) -> Plant:
+    def from_scipy(cls, system: StateSpace, **details: Any) -> Plant:
         """Return the plant of a continuous-time `scipy.signal.StateSpace`; `details` as for `Plant`.
 
         Raises
@@ -301,7 +304,7 @@ class Plant(Record):
         _refuse_discrete(system)
         return cls(system.A, system.C, system.B, system.D, **details)
 
-    def to_control(self) -> Any:
+    def to_control(self) -> control.StateSpace:
         """Return this plant as a `control.StateSpace` (inputs u only; G, units and scales are left behind)."""
         import control
 
@@ -325,7 +328,7 @@ class Plant(Record):
             given["D"] = self.D
         if self.G.shape != self.A.shape or not _same_bits(self.G, np.eye(self.n_states)):
             given["G"] = self.G
-        tree: dict[str, Any] = {"format": FORMAT, "name": self.name, "time_unit": self.time_unit}
+        tree: dict[str, Plain] = {"format": FORMAT, "name": self.name, "time_unit": self.time_unit}
         tree["matrices"] = {key: given[key].tolist() for key in MATRICES if key in given}
         tree |= {group: signals.to_dict() for group in GROUPS if len(signals := getattr(self, group))}
         return tree | ({"source": {"citation": self.source}} if self.source else {})
@@ -340,6 +343,15 @@ class Plant(Record):
             f"{self.name or 'A plant'} with {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs "
             f"and {self.n_disturbances} disturbances; time in {self.time_unit}."
         )
+
+
+class StateSpace(Protocol):
+    """A state-space system of another library."""
+
+    A: npt.ArrayLike
+    B: npt.ArrayLike
+    C: npt.ArrayLike
+    D: npt.ArrayLike
 
 
 def first_difference(mine: Plant, theirs: Plant) -> str:
@@ -363,7 +375,7 @@ def _same_bits(a: Array, b: Array) -> bool:
     return np.ascontiguousarray(a).tobytes() == np.ascontiguousarray(b).tobytes()
 
 
-def _signals(key: str, value: Any, size: int) -> Signals:
+def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Signals:
     if isinstance(value, Signals):
         if len(value) != size:
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
@@ -371,7 +383,7 @@ def _signals(key: str, value: Any, size: int) -> Signals:
     return Signals(_checks.names(key, value, size, _PREFIX[key]))
 
 
-def _refuse_discrete(system: Any) -> None:
+def _refuse_discrete(system: StateSpace) -> None:
     if not all(hasattr(system, m) for m in "ABCD"):
         raise ArgumentError(
             f"`system` must be a state-space system with A, B, C, D, got {type(system).__name__}: choose its states "
@@ -379,6 +391,6 @@ def _refuse_discrete(system: Any) -> None:
         )
     if getattr(system, "dt", None) not in (None, 0, 0.0):
         raise ArgumentError(
-            f"`system` must be continuous-time, got a discrete one with dt = {system.dt}. "
+            f"`system` must be continuous-time, got a discrete one with dt = {getattr(system, 'dt', None)}. "
             "Sample times are what this package chooses; give the plant before it was discretised."
         )

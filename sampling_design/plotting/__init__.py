@@ -36,7 +36,7 @@ _PICTURES = {
 }
 
 
-def draw(record: Any, ax: Any = None, **beside: Any) -> Any:
+def draw(record: object, ax: object = None, **beside: object) -> Any:
     """Draw `record` and return the axes (a list of axes where the picture has several); a notebook shows them.
 
     `beside` is what some pictures show beside the record, such as the measurements of estimates.
@@ -54,14 +54,14 @@ def draw(record: Any, ax: Any = None, **beside: Any) -> Any:
     return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)
 
 
-def _check_axes(ax: Any) -> None:
+def _check_axes(ax: object) -> None:
     """Refuse what is no axes; several of them come as a list or an array."""
     each = list(np.ravel(np.asarray(ax, dtype=object))) if isinstance(ax, (list, tuple, np.ndarray)) else [ax]
     if ax is not None and not (each and all(hasattr(a, "plot") and hasattr(a, "transAxes") for a in each)):
         raise ArgumentError(f"`ax` must be axes of matplotlib, or None for a new figure, got {described(ax)}.")
 
 
-def save(record: Any, path: str | os.PathLike[str], dpi: int = 130, **beside: Any) -> Path:
+def save(record: object, path: str | os.PathLike[str], dpi: int = 130, **beside: object) -> Path:
     """Draw `record` into a new figure and write it to `path` (.png, .svg or .pdf), whole or not at all.
 
     Raises

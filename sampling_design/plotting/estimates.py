@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
+from sampling_design.estimators.measurements import Measurements
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.plotting import style
 
 
-def draw_estimates(record: EstimateRecord, ax: Axes | None = None, measurements: Any = None) -> Axes | style.Panels:
+def draw_estimates(
+    record: EstimateRecord, ax: Axes | None = None, measurements: Measurements | None = None
+) -> Axes | style.Panels:
     """Draw one panel per state: the estimate, the tube that is proven to hold the truth, and what was measured.
 
     A measured output appears in the panel of the state that it reads; ticks at the bottom mark the other samples.
@@ -31,7 +32,7 @@ def draw_estimates(record: EstimateRecord, ax: Axes | None = None, measurements:
     return axes
 
 
-def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Any) -> Axes:
+def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None) -> Axes:
     t, x, radius = record.times, record.x[:, i], record.radii[:, i]
     known = np.isfinite(radius) & record.certified
     low, high = np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
@@ -48,7 +49,7 @@ def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Any) -> Axes:
     return ax
 
 
-def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Any) -> None:
+def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements) -> None:
     """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
     C = record.plant.C
     reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
@@ -37,7 +36,9 @@ def _rows(schedule: Schedule | PeriodicSchedule) -> int:
     return len(schedule.output_names) if schedule.output_names else 1
 
 
-def _stems(ax: Axes, times: Any, outputs: Any, rows: int, alpha: float) -> None:
+def _stems(
+    ax: Axes, times: npt.NDArray[np.float64], outputs: npt.NDArray[np.bool_] | None, rows: int, alpha: float
+) -> None:
     mask = np.ones((len(times), rows), dtype=bool) if outputs is None else outputs
     for row in range(rows):
         chosen = np.asarray(times)[mask[:, row]]

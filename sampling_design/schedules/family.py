@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -76,7 +76,7 @@ class SamplingFamily(Record, ABC):
     KINDS: ClassVar[dict[str, type[SamplingFamily]]] = {}
     kind: ClassVar[str]
 
-    def __init_subclass__(cls, kind: str, **others: Any) -> None:
+    def __init_subclass__(cls, kind: str, **others: object) -> None:
         super().__init_subclass__(**others)
         if kind in SamplingFamily.KINDS:
             raise ArgumentError(f"`kind` {kind!r} is taken by {SamplingFamily.KINDS[kind].__name__}.")
@@ -232,7 +232,7 @@ def period_of(schedule: AnySchedule) -> PeriodicSchedule:
     return schedule
 
 
-def in_family_unit(schedule: Any, time_unit: str | None) -> AnySchedule:
+def in_family_unit(schedule: object, time_unit: str | None) -> AnySchedule:
     """Return `schedule` in the family's time unit where both are known, else as it is.
 
     Raises

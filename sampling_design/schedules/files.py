@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sampling_design.checkers import grammar
 from sampling_design.checkers.strict import BadFile, Reader
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
 
 FORMAT = "sampling-design/schedule/1"
 _MARK = "# sampling-design schedule"
@@ -105,7 +106,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     return by_times
 
 
-def exactly(read: Reader, data: Mapping[str, Any]) -> None:
+def exactly(read: Reader, data: Mapping[str, object]) -> None:
     """Refuse plain data whose types are not exactly those of its grammar (no booleans or texts as numbers).
 
     Raises
@@ -251,14 +252,14 @@ def _from_csv(text: str, where: str) -> AnySchedule:
     for number, cells in rows[1:]:
         if len(cells) != len(header):
             raise fail(number, f"expected {len(header)} cells, got {len(cells)}. Was the file cut off?")
-        times.append(_time(cells[0], times, lambda what, n=number: fail(n, what)))
+        times.append(_time(cells[0], times, partial(fail, number)))
         if any(cell not in ("0", "1") for cell in cells[1:]):
             raise fail(number, f"cells after the time must be 1 (measured) or 0, got {', '.join(cells[1:]):.60}.")
         mask.append([int(cell) for cell in cells[1:]])
     return _build(times, mask, header[1:], keys, where)
 
 
-def _time(cell: str, before: list[float], fail: Any) -> float:
+def _time(cell: str, before: list[float], fail: Callable[[str], Exception]) -> float:
     value = decimal(cell)
     if value is None:
         raise fail(f"the time must be a finite number, got {cell!r:.60}.")
@@ -294,8 +295,7 @@ def _build(
         check_time_unit(keys["time_unit"])
         every = not names or all(all(row) for row in mask)
         outputs = None if every else np.array(mask, dtype=bool)
-        details: dict[str, Any] = {"time_unit": keys["time_unit"], "origin": keys.get("origin")}
-        details["output_names"] = tuple(names) or None
+        details = Details(time_unit=keys["time_unit"], origin=keys.get("origin"), output_names=tuple(names) or None)
         if "period" not in keys:
             return Schedule(np.array(times), outputs, **details)
         period = decimal(keys["period"])

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
@@ -126,7 +126,7 @@ class SamplingSet(Record):
         i = self._index(i)
         if i == 1:
             return self.schedule
-        mask, details = self.schedule.outputs, {**self.schedule._details(), "origin": None}
+        mask, details = self.schedule.outputs, self.schedule._details() | Details(origin=None)
         if isinstance(self.schedule, PeriodicSchedule):
             turn = -((i - 1) % len(self.schedule))
             turned = None if mask is None else np.roll(mask, turn, axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,14 @@ MOST_TIMES = 20_000_000
 _GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."
 
 
+class Details(TypedDict, total=False):
+    """What a schedule may carry besides its times, all of it optional."""
+
+    time_unit: str | None
+    origin: str | None
+    output_names: tuple[str, ...] | None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class _Sampled(Record):
     """Details that every schedule may carry besides its times."""
@@ -28,7 +36,7 @@ class _Sampled(Record):
     origin: str | None = field(default=None, kw_only=True)
     output_names: tuple[str, ...] | None = field(default=None, kw_only=True)
 
-    def _own(self, **values: Any) -> None:
+    def _own(self, **values: Array | Mask | float | tuple[str, ...] | None) -> None:
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         mask = values.get("outputs")
@@ -36,18 +44,19 @@ class _Sampled(Record):
             if not isinstance(self.output_names, (tuple, list)):
                 came = _checks.described(self.output_names)
                 raise ArgumentError(f"`output_names` must be a list of strings, got {came}.")
-            length = len(self.output_names) if mask is None else mask.shape[1]
+            length = len(self.output_names) if mask is None else np.shape(mask)[1]
             values["output_names"] = _checks.names("output_names", self.output_names, length, "y")
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
-    def _details(self) -> dict[str, Any]:
+    def _details(self) -> Details:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
 
-    def _plain(self, mask: Mask | None, **times: Any) -> dict[str, Any]:
+    def _plain(self, mask: Mask | None, **times: Plain) -> dict[str, Plain]:
         names = None if self.output_names is None else list(self.output_names)
         outputs = None if mask is None else mask.astype(int).tolist()
-        data = times | {"outputs": outputs} | self._details() | {"output_names": names}
+        details = {"time_unit": self.time_unit, "origin": self.origin, "output_names": names}
+        data = {**times, "outputs": outputs, **details}
         return {key: value for key, value in data.items() if value is not None}
 
 
@@ -88,7 +97,7 @@ class Schedule(_Sampled):
         self._own(times=times, outputs=_checks.output_mask("outputs", self.outputs, times.size))
 
     @classmethod
-    def from_gaps(cls, gaps: npt.ArrayLike, **details: Any) -> Schedule:
+    def from_gaps(cls, gaps: npt.ArrayLike, **details: Unpack[Details]) -> Schedule:
         """Return the schedule whose first sample is at gaps[0] and whose later ones follow by gaps[1], gaps[2], ...
 
         Raises
@@ -127,7 +136,7 @@ class Schedule(_Sampled):
     def in_unit(self, unit: str) -> Schedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
-        return Schedule(self.times * c, self.outputs, **{**self._details(), "time_unit": unit})
+        return Schedule(self.times * c, self.outputs, **(self._details() | Details(time_unit=unit)))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, exact; `schedule_from_dict` reads it back."""
@@ -208,7 +217,9 @@ class PeriodicSchedule(_Sampled):
         self._own(gaps=gaps, first=first, outputs=mask, times=times, period=period)
 
     @classmethod
-    def from_times(cls, times: npt.ArrayLike, period: float, outputs: Any = None, **details: Any) -> PeriodicSchedule:
+    def from_times(
+        cls, times: npt.ArrayLike, period: float, outputs: npt.ArrayLike | None = None, **details: Unpack[Details]
+    ) -> PeriodicSchedule:
         """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...
 
         `times` is one period: the first in [0, period], the last less than one period after it. Times and
@@ -231,7 +242,8 @@ class PeriodicSchedule(_Sampled):
         if owned[0] > length:
             raise ArgumentError(f"`times` must begin in [0, period] = [0, {length!r}], got {float(owned[0])!r}.")
         gaps = np.concatenate([[owned[0] + length - owned[-1]], np.diff(owned)])
-        schedule = cls(gaps, float(owned[0]), outputs, **details)
+        mask = _checks.output_mask("outputs", outputs, owned.size)
+        schedule = cls(gaps, float(owned[0]), mask, **details)
         # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
         schedule._own(times=owned, period=length)
         return schedule
@@ -268,13 +280,13 @@ class PeriodicSchedule(_Sampled):
     def in_unit(self, unit: str) -> PeriodicSchedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
-        details = {**self._details(), "time_unit": unit}
+        details = self._details() | Details(time_unit=unit)
         return PeriodicSchedule.from_times(self.times * c, self.period * c, self.outputs, **details)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, exact; `schedule_from_dict` reads it back."""
-        lap = {"gaps": self.gaps.tolist(), "first": self.first, "times": self.times.tolist(), "period": self.period}
-        return self._plain(self.outputs, kind="periodic", **lap)
+        period = {"gaps": self.gaps.tolist(), "first": self.first, "times": self.times.tolist(), "period": self.period}
+        return self._plain(self.outputs, kind="periodic", **period)
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -84,7 +83,7 @@ def import_time_stamps(
             raise FileFormatError(f"{where}, line {line}: times must increase strictly, got one not later.", where)
         times.append(value)
         mask.append(measured)
-    names: Any = tuple(outputs) if outputs else None
+    names = tuple(outputs) if outputs else None
     date = None if zero is None else zero.isoformat()
     chosen = np.array(mask, dtype=bool) if outputs and times else None
     return Schedule(np.array(times), chosen, time_unit=time_unit, origin=date, output_names=names)

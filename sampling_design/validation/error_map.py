@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow, symmetrise
+from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.validation.timeline import Timeline
+
+if TYPE_CHECKING:
+    from sampling_design.validation.scenario import ScenarioBounds
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -27,6 +31,12 @@ class Inputs(NamedTuple):
     e0: Array
     w: Array
     v: Array
+
+
+class Weighing(Protocol):
+    """An estimator, as far as its errors depend on it; `arrival_cost` is "fixed" where it names none."""
+
+    weights: Weights
 
 
 class Absorb(NamedTuple):
@@ -170,12 +180,13 @@ class ErrorMap:
         return np.where(errors.radius > 0, ratio, np.where(square > 0, np.inf, 0.0))
 
 
-def discounted(eta: float, h: Any) -> Any:
+def discounted(eta: float, h: npt.ArrayLike) -> Array:
     """Return int_0^h e^{-eta s} ds."""
-    return h if eta == 0 else -np.expm1(-eta * np.asarray(h)) / eta
+    length = np.asarray(h, dtype=np.float64)
+    return length if eta == 0 else np.asarray(-np.expm1(-eta * length) / eta)
 
 
-def build_error_map(timeline: Timeline, estimator: Any, bounds: Any) -> ErrorMap:
+def build_error_map(timeline: Timeline, estimator: Weighing, bounds: ScenarioBounds) -> ErrorMap:
     """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `arrival_cost`.
 
     Parameters
@@ -216,7 +227,9 @@ def build_error_map(timeline: Timeline, estimator: Any, bounds: Any) -> ErrorMap
 class _Builder:
     """Covariances and gains of all windows, in order of time."""
 
-    def __init__(self, estimator: Any, line: Timeline, F: Array, W: Array, growth: Array, H: Array, bounds: Any):
+    def __init__(
+        self, estimator: Weighing, line: Timeline, F: Array, W: Array, growth: Array, H: Array, bounds: ScenarioBounds
+    ):
         self.weights, self.line, self.F, self.W, self.growth, self.H = estimator.weights, line, F, W, growth, H
         self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
         self.closed = self.weights.cost == "paper"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._workers import Workers, mapped
-from sampling_design.validation.error_map import ErrorMap
+from sampling_design.validation.error_map import ErrorMap, Inputs
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 
@@ -50,7 +50,7 @@ def run_block(block: RunBlock) -> Trials:
     return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
 
 
-def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: Any) -> Trials:
+def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: Inputs) -> Trials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = found.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.measurements import Measurements
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import Inputs
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
 
@@ -37,7 +37,13 @@ class ScenarioBounds:
     e0: Array
 
     @classmethod
-    def of(cls, plant: Plant, w_bound: Any = None, v_bound: Any = None, initial_error: Any = None) -> ScenarioBounds:
+    def of(
+        cls,
+        plant: Plant,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        initial_error: npt.ArrayLike | None = None,
+    ) -> ScenarioBounds:
         """Return checked bounds; where None is given, the plant's scales, entry by entry.
 
         Raises
@@ -54,7 +60,7 @@ class ScenarioBounds:
         return {"w_bound": self.w.tolist(), "v_bound": self.v.tolist(), "initial_error": self.e0.tolist()}
 
 
-def _bound(name: str, value: Any, scales: Array) -> Array:
+def _bound(name: str, value: npt.ArrayLike | None, scales: Array) -> Array:
     if value is None:
         return scales
     if np.ndim(value) == 0:
@@ -215,13 +221,13 @@ class SimulatedRecord(Record):
 @door
 def simulate_record(
     plant: Plant,
-    schedule: Any,
+    schedule: AnySchedule,
     duration: float,
     *,
     x0: npt.ArrayLike | None = None,
     inputs: Sequence[tuple[float, npt.ArrayLike]] = (),
-    w_bound: Any = None,
-    v_bound: Any = None,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
     rng: np.random.Generator | None = None,
 ) -> SimulatedRecord:
     """Simulate a plant on a schedule, exactly: w is constant over cells much shorter than the gaps.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -130,7 +129,7 @@ def compare_schedule(
     times: npt.ArrayLike,
     window: float,
     *,
-    outputs: Any = None,
+    outputs: npt.ArrayLike | None = None,
     retained: Plant | None = None,
     budget: float = 20.0,
     progress: Callable[[float, str], None] | None = None,
@@ -181,7 +180,7 @@ def compare_schedule(
     if not actual.size:
         raise ArgumentError("`times` must hold at least one sample: there is nothing to compare with the plan.")
     length = _checks.positive("window", window)
-    taken = Schedule(actual, outputs, time_unit=plant.time_unit)
+    taken = Schedule(actual, _checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
     plan = meet(plant, schedule)
     planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
     if not len(planned):

@@ -14,7 +14,9 @@ from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
+from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
 from sampling_design.validation.monte_carlo import Trials, measured, monte_carlo, ratio
@@ -66,11 +68,11 @@ class Study:
     def __init__(
         self,
         plant: Plant,
-        schedule: Any,
+        schedule: AnySchedule,
         certificate: SampledCertificate | None,
         bounds: ScenarioBounds,
         options: dict[str, Any],
-        duration: Any,
+        duration: float | None,
     ):
         taken = [key for key in CHOSEN_HERE if key in options]
         if taken:
@@ -93,7 +95,7 @@ class Study:
         assert self.certificate is not None  # there is no promise without one
         return self.certificate
 
-    def _timeline(self, duration: Any, horizon: float) -> Timeline:
+    def _timeline(self, duration: float | None, horizon: float) -> Timeline:
         length = default_duration(self.schedule, horizon) if duration is None else duration
         length = _checks.positive("duration", length)
         if isinstance(self.schedule, Schedule):
@@ -105,7 +107,7 @@ class Study:
         bounds = {"w_bound": self.bounds.w, "v_bound": self.bounds.v, "initial_error": self.bounds.e0}
         return MovingHorizonEstimator(plant or self.plant, self.certificate, **{**self.options, **bounds, **more})
 
-    def _promise(self, estimator: Any) -> Promise | None:
+    def _promise(self, estimator: MovingHorizonEstimator) -> Promise | None:
         """The a-priori promise, if the estimator says that it is on the certificate's schedule all along."""
         if self.certificate is None:
             self.skipped.append("a-priori bounds and inequality (16): there is no certificate.")
@@ -132,7 +134,7 @@ class Study:
         if progress is not None:
             progress(1.0, "done")
 
-    def report(self, settings: dict[str, Any]) -> ValidationReport:
+    def report(self, settings: dict[str, object]) -> ValidationReport:
         """Return what was found."""
         bound = None if self.promise is None else np.sqrt(self._largest(self.promise))
         norm = "states over their scales" if self.promise is None else f"|e|_P1, {self.promise.theorem}"
@@ -154,7 +156,7 @@ class Study:
         energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
         return promise.at_most(self.line, self.map.rows, energies)
 
-    def _judge(self, scenario: str, seen: Trials, strength: Any = "sampled") -> None:
+    def _judge(self, scenario: str, seen: Trials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
         self.courses.append(Course(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
         if self.promise is not None:
@@ -164,7 +166,7 @@ class Study:
                 self._plain(scenario, seen, strength)
         self._ellipsoids(scenario, seen.ellipsoid, seen.ellipsoid[:, self.map.rows.samples], strength)
 
-    def _plain(self, scenario: str, seen: Trials, strength: Any) -> None:
+    def _plain(self, scenario: str, seen: Trials, strength: Strength) -> None:
         b, times = self.bounds, self.map.rows.times
         found = self._certified.error_bound(
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="sharp", length=self.horizon
@@ -172,7 +174,7 @@ class Study:
         worst = float(np.max(ratio(seen.plain.max(axis=0), found)))
         self._find("Euclidean error bound", scenario, 1.0, worst, source=self.promise.theorem, strength=strength)  # type: ignore[union-attr]
 
-    def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Any = "sampled") -> None:
+    def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Strength = "sampled") -> None:
         worst, share = float(ratios.max()), float(np.mean(ratios <= 1 + ROUNDING))
         after = at_samples[:, at_samples.shape[1] // 4 :]
         note = f"{short(100 * share)} % inside; median ratio {short(np.median(after), 3)} after the first quarter"

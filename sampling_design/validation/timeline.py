@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +69,7 @@ class Timeline:
         return np.diff(self.times)
 
 
-def build_timeline(plant: Plant, schedule: Any, duration: float, horizon: float = np.inf) -> Timeline:
+def build_timeline(plant: Plant, schedule: AnySchedule, duration: float, horizon: float = np.inf) -> Timeline:
     """Return the timeline of [0, duration] for a schedule and windows (t - horizon, t].
 
     Raises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -92,7 +92,7 @@ def real_run(line: Timeline, rows: ErrorRows, truth: Truth, estimator: Estimator
     return Run(tuple(found), truth)
 
 
-def extent(truth: Truth, room: float = 0.0) -> tuple[Any, Any]:
+def extent(truth: Truth, room: float = 0.0) -> tuple[Array, Array]:
     """Return a box that holds the truth at every break point and the prior 0, wider by `room` times its size."""
     low = np.minimum(truth.states.min(axis=0), 0.0)
     high = np.maximum(truth.states.max(axis=0), 0.0)

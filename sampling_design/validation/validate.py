@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from sampling_design._workers import Workers, check_workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.study import SCENARIOS, Study
@@ -26,19 +26,19 @@ Progress = Callable[[float, str], None]
 @door
 def validate(
     plant: Plant,
-    schedule: Any,
+    schedule: AnySchedule,
     certificate: SampledCertificate | None = None,
     *,
     runs: int = 200,
     duration: float | None = None,
-    w_bound: Any = None,
-    v_bound: Any = None,
-    initial_error: Any = None,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
+    initial_error: npt.ArrayLike | None = None,
     scenarios: Iterable[str] = SCENARIOS,
     rng: np.random.Generator | None = None,
     workers: Workers = None,
     progress: Progress | None = None,
-    **estimator: Any,
+    **estimator: object,
 ) -> ValidationReport:
     """Compare what a certificate and the online ellipsoids promise with what happens in trials and in worst cases.
 
@@ -111,7 +111,8 @@ def validate(
         raise ArgumentError(f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}.")
     bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
     source = np.random.default_rng(0) if rng is None else rng
-    root: Any = source.bit_generator.seed_seq
+    root = source.bit_generator.seed_seq
+    assert isinstance(root, np.random.SeedSequence)
     count = _checks.whole("runs", runs, 1)
     study = Study(plant, schedule, certificate, bounds, estimator, duration)
     study.run(chosen, root.spawn(count), workers, progress)
@@ -128,7 +129,7 @@ def validate(
     return study.report(settings)
 
 
-def _seed_of(root: Any) -> str:
+def _seed_of(root: np.random.SeedSequence) -> str:
     """The entropy that repeats the study, as text: it may be longer than a float of JSON holds."""
     key = "" if not root.spawn_key else f", spawn key {tuple(root.spawn_key)}"
     return f"{root.entropy}{key}"

@@ -40,3 +40,11 @@ def test_a_missing_bound_and_a_wrong_number_are_one_sentence(shell, schedule):
     wrong = shell("accuracy", OSCILLATOR, schedule, "--w", "small", "--v", "0.4")
     assert wrong.code == 2
     assert "`--w-bound` must be numbers with commas between" in wrong.err
+
+
+def test_a_schedule_that_ends_is_refused(shell, tmp_path):
+    path = tmp_path / "finite.json"
+    sd.write_schedule(sd.Schedule([0.7, 1.6], time_unit="s"), path)
+    result = shell("accuracy", OSCILLATOR, path, "--w", "0.02", "--v", "0.4")
+    assert result.code == 2
+    assert "ends: accuracy is bracketed on a schedule that repeats" in result.err

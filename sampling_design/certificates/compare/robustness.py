@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -13,13 +13,14 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.certify import certify
-from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.families.certify_family import FamilySearch, Proposal, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.sampling_set import SamplingSet
@@ -110,7 +111,7 @@ class Robustness(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the certificates; a lambda that does not exist is None."""
 
-        def plain(entry: TimingTrial | Losses) -> dict[str, Any]:
+        def plain(entry: TimingTrial | Losses) -> dict[str, Plain]:
             data = asdict(entry)
             return {**data, "lam": data["lam"] if np.isfinite(data["lam"]) else None}
 
@@ -154,6 +155,14 @@ class Robustness(Record):
         )
 
 
+class Planned(Protocol):
+    """What holds a schedule: a certificate about samples, or a design."""
+
+    @property
+    def schedule(self) -> Schedule | PeriodicSchedule | None:
+        """The schedule."""
+
+
 class _Breaker:
     """Families around one schedule, judged with the weights of its certificate."""
 
@@ -163,7 +172,7 @@ class _Breaker:
         self.plant, self.weights = c.plant, (c.Qw, c.R, c.Qv)
         self.late = False
 
-    def judge(self, family: Any, levels: list[int]) -> tuple[float, Proposal | None]:
+    def judge(self, family: SamplingFamily, levels: list[int]) -> tuple[float, Proposal | None]:
         """The lambda of a family, and its proposal if it survives; infinite where there is none."""
         best = np.inf
         for level in levels:
@@ -201,7 +210,7 @@ def _choose(n: int, k: int) -> int:
 @door
 def robustness(
     plant: Plant,
-    certificate: Any,
+    certificate: SampledCertificate | Planned,
     *,
     length: float | None = None,
     longest: int = 8,
@@ -252,9 +261,10 @@ def robustness(
     (True, True)
     """
     report = progress or (lambda fraction, message: None)
-    if not isinstance(getattr(certificate, "schedule", None), (Schedule, PeriodicSchedule)):
+    held = getattr(certificate, "schedule", None)
+    if not isinstance(held, (Schedule, PeriodicSchedule)):
         raise ArgumentError(f"`certificate` must be one about samples, got {_checks.described(certificate)}.")
-    planned = certificate if isinstance(certificate, Certificate) else certify(plant, certificate.schedule)
+    planned = certificate if isinstance(certificate, Certificate) else certify(plant, held)
     schedule = planned.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a PeriodicSchedule: losses and delays are counted without end.")
@@ -277,7 +287,7 @@ def robustness(
     )
 
 
-def _proven(breaker: _Breaker, family: Any, found: Proposal) -> FamilyCertificate:
+def _proven(breaker: _Breaker, family: SamplingFamily, found: Proposal) -> FamilyCertificate:
     family = in_plant_terms(breaker.plant, family)
     return certified(breaker.plant, family, breaker.weights, breaker.certificate.P2, found)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -97,7 +97,7 @@ class DetectabilityCertificate(Record):
         if self.gain is not None:
             object.__setattr__(self, "gain", _checks.matrix("gain", self.gain, n, p))
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> NoReturn:
         # what only a certificate about samples has: asked for by an estimator or a validation that was given this one
         raise AttributeError(
             f"a DetectabilityCertificate promises nothing about samples and has no `{name}`: "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +14,9 @@ Array = npt.NDArray[np.float64]
 
 
 @door
-def weights_from_bounds(plant: Plant, eta: float, w_bound: Any, v_bound: Any, initial_error: Any) -> dict[str, Array]:
+def weights_from_bounds(
+    plant: Plant, eta: float, w_bound: npt.ArrayLike, v_bound: npt.ArrayLike, initial_error: npt.ArrayLike
+) -> dict[str, Array]:
     """Return the weights with which prior, disturbance and each sample's noise cost at most one.
 
         |e0|^2_P2 <= 1,    int e^{-eta s} |w|^2_Qw ds <= 1,    |v|^2_R~ <= 1
@@ -66,7 +66,7 @@ def weights_from_bounds(plant: Plant, eta: float, w_bound: Any, v_bound: Any, in
     }
 
 
-def _unit_ball(name: str, bound: Any, size: int) -> Array:
+def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:
     """Q with |z|^2_Q <= 1 wherever the bound holds."""
     if np.ndim(bound) == 0:
         return np.eye(size) / _checks.positive(name, bound) ** 2

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -100,7 +100,7 @@ class SampledCertificate(Record, ABC):
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
-        owned: dict[str, object] = {"Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
+        owned: dict[str, Array | float] = {"Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
             owned[key] = _checks.definite(key, getattr(self, key), size)
         for key in ("eta", "lam", "lam_samples"):
@@ -125,7 +125,7 @@ class SampledCertificate(Record, ABC):
         """Largest gap, the one before the first sample included."""
 
     @abstractmethod
-    def _file_parts(self) -> dict[str, Any]:
+    def _file_parts(self) -> dict[str, Plain]:
         """What the file says of claim and times."""
 
     @abstractmethod
@@ -184,7 +184,7 @@ class SampledCertificate(Record, ABC):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
         seen = self.witness
-        parts: dict[str, Any] = {
+        parts: dict[str, Plain] = {
             **self._file_parts(),
             **{key: getattr(self, key).tolist() for key in MATRICES},
             **{key: getattr(self, key) for key in NUMBERS},
@@ -286,7 +286,7 @@ class Certificate(SampledCertificate):
         """The schedule."""
         return self.schedule
 
-    def _file_parts(self) -> dict[str, Any]:
+    def _file_parts(self) -> dict[str, Plain]:
         return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
 
     @classmethod

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -25,7 +23,7 @@ def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
     return np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy()
 
 
-def weights_of(plant: Plant, Qw: Any, R: Any, Qv: Any) -> tuple[Array, Array, Array]:
+def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> tuple[Array, Array, Array]:
     """Return the weights as given, where None the default; one of R and Qv stands for both."""
     w, r, _ = default_weights(plant)
     one = r if R is None and Qv is None else (Qv if R is None else R)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -209,8 +209,12 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
     )
 
 
+Repair = TypedDict("Repair", {"gap": int, "from": float, "to": float, "margin": float})
+"""One gap of a period, by its index, and what it becomes; `margin` is what is seen then."""
+
+
 @door
-def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> dict[str, Any] | None:
+def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Repair | None:
     """Return the smallest change of one gap after which the period sees every mode with margin, or None.
 
     Parameters

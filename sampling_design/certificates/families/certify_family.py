@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +36,9 @@ from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import SamplingFamily
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 LARGEST_LAM = 1e8
@@ -98,7 +98,7 @@ class FamilySearch:
     def __init__(
         self,
         plant: Plant,
-        family: Any,
+        family: SamplingFamily,
         weights: Weights,
         P2: Array | None,
         budget: float,
@@ -116,11 +116,13 @@ class FamilySearch:
         nominal = window_problem(self.plant, self.family.nominal, np.diag(1.0 / scales**2), *self.weights, eta)
         K = np.linalg.cholesky(np.mean(periodic_riccati_solution(nominal), axis=0))
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
-        dynamics = dynamics_of(self.plant, self.weights, eta, root, graph)
+        dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
         return Program(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.deadline)
 
-    def least_lam(self, program: Program, rtol: float, start: float = 2.0) -> tuple[float, Array | None, float, Any]:
+    def least_lam(
+        self, program: Program, rtol: float, start: float = 2.0
+    ) -> tuple[float, Array | None, float, SolverRecord]:
         """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all."""
         if program.P2 is not None:
             ratio, P, record = program.best_ratio()
@@ -243,7 +245,7 @@ def _horizon_of(found: Proposal) -> float:
 @door
 def certify_family(
     plant: Plant,
-    family: Any,
+    family: SamplingFamily,
     *,
     eta: float | None = None,
     P2: npt.ArrayLike | None = None,
@@ -322,7 +324,9 @@ def certify_family(
     return certified(plant, family, weights, given, found)
 
 
-def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, found: Proposal) -> FamilyCertificate:
+def certified(
+    plant: Plant, family: SamplingFamily, weights: Weights, given: Array | None, found: Proposal
+) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
     P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
     if given is not None:
@@ -356,7 +360,7 @@ def certified(plant: Plant, family: Any, weights: Weights, given: Array | None, 
 
 
 def without_states(
-    plant: Plant, family: Any, weights: Weights, rate: float, graph: PathCompleteGraph
+    plant: Plant, family: SamplingFamily, weights: Weights, rate: float, graph: PathCompleteGraph
 ) -> FamilyCertificate:
     """The certificate where there is nothing to prove."""
     empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))

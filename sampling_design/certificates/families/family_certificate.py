@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import short
+from sampling_design._record import Plain, short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
@@ -83,7 +82,7 @@ class FamilyCertificate(SampledCertificate):
         # the i-th last sample of any schedule lies at least i least gaps before `end`
         return np.asarray(end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1))
 
-    def _file_parts(self) -> dict[str, Any]:
+    def _file_parts(self) -> dict[str, Plain]:
         return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
 
     def _rows(self) -> list[tuple[str, str]]:

@@ -13,7 +13,6 @@ family certificate is this list of inequalities, F_h = e^{(A + eta/2) h}, Phi_h(
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,7 @@ import numpy.typing as npt
 from sampling_design._record import Plain
 
 Array = npt.NDArray[np.float64]
-Word = tuple[Any, ...]
+Word = tuple[float | str, ...]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,7 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.families.step_proof import Dynamics
 from sampling_design.evidence import SolverRecord
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 MARGIN = 2e-4
 """Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
@@ -51,7 +50,7 @@ class Program:
     margin: float = MARGIN
     edge_times: list[list[float]] = field(default_factory=list)
     node_times: list[list[float]] = field(default_factory=list)
-    _cache: dict[Any, tuple[Array, Array, Array]] = field(default_factory=dict)
+    _cache: dict[object, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.edge_times = [_grid(self.dynamics, e.low, e.high) for e in self.graph.edges]
@@ -80,7 +79,7 @@ class Program:
     def _width(self, scalar: bool) -> int:
         return (self.graph.count - 1 + (self.P2 is None)) * self.pairs + scalar
 
-    def _place(self, matrix: Any, node: int) -> slice:
+    def _place(self, matrix: object, node: int) -> slice:
         column = self._columns(node)
         assert column is not None
         return slice(column.start * self.pairs, column.stop * self.pairs)

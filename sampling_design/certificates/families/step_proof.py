@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from sampling_design.certificates.exact.window_problem import growing_flow, nois
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.plants.plant import Plant
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Doubles = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Weights = tuple[Doubles, Doubles, Doubles]
@@ -187,4 +186,4 @@ def _step(dynamics: Dynamics, conditions: Conditions, owner: Index, h: Array) ->
     c = np.linalg.eigvalsh(symmetrise(rate))[:, -1]
     gain = np.where(theta > 0, -np.log(np.where((theta > 0) & (theta < 1), theta, 1.0)), np.inf)
     free = (c <= 0) | np.isinf(gain)
-    return theta, np.where(free, np.inf, gain / np.where(free, 1.0, c))
+    return np.asarray(theta, dtype=np.float64), np.where(free, np.inf, gain / np.where(free, 1.0, c))

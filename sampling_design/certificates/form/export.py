@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.horizon import Horizon
@@ -11,7 +11,22 @@ _SHARP = "sharper horizon theorem"
 _PAPER = "Theorem 9"
 
 
-def constants_of(certificate: Any) -> ConstantList:
+class Rated(Protocol):
+    """A certificate about samples: rate, lambdas, margin and horizons."""
+
+    @property
+    def eta(self) -> float: ...
+    @property
+    def lam(self) -> float: ...
+    @property
+    def lam_samples(self) -> float: ...
+    @property
+    def margin(self) -> float: ...
+    def horizon(self, theorem: str) -> Horizon:
+        """The least horizon and its gains."""
+
+
+def constants_of(certificate: Rated) -> ConstantList:
     """Return the constants of a certificate: rate, lambdas, and both horizons with their gains.
 
     Parameters

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from sampling_design import __version__, _files
 from sampling_design._record import Plain
 from sampling_design.checkers.grammar import FORMAT, digest
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
@@ -30,9 +31,9 @@ class Recorded(Protocol):
         """Plain data."""
 
 
-def sealed(plant: Plant, parts: dict[str, Any], solver: SolverRecord | None) -> dict[str, Any]:
+def sealed(plant: Plant, parts: Tree, solver: SolverRecord | None) -> Tree:
     """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
-    data: dict[str, Any] = {
+    data: Tree = {
         "format": FORMAT,
         "plant": plant.to_dict(),
         **parts,

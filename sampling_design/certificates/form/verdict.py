@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from sampling_design._record import Plain, Record, short
 from sampling_design.checkers import check
+from sampling_design.checkers.strict import Tree
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,6 +64,6 @@ class Verification(Record):
         return f"{self.verdict.capitalize()}: {self.reason}"
 
 
-def verdict_of(data: dict[str, Any]) -> Verification:
+def verdict_of(data: Tree) -> Verification:
     """Return the verdict of the independent checker on the plain data of a certificate."""
     return Verification(**check(data))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -225,6 +225,16 @@ def constants_from_proof(
     return _record(plant, schedule, variant, split, chain, found)
 
 
+class Choices(TypedDict, total=False):
+    """What may be chosen in the proof, as for `constants_from_proof`."""
+
+    gain: npt.ArrayLike | None
+    Q: npt.ArrayLike | None
+    detectability: DetectabilityCertificate | None
+    sigma_bar: float | None
+    kappa: int | None
+
+
 _CHAINS = {"paper": paper_chain, "tightened": tightened_chain}
 
 
@@ -234,7 +244,7 @@ def certify_from_proof(
     schedule: Schedule | PeriodicSchedule,
     window: float | None = None,
     variant: str = "paper",
-    **choices: Any,
+    **choices: Unpack[Choices],
 ) -> Certificate:
     """Return the certificate with the constants of the paper's proof.
 

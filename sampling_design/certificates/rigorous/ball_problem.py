@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._ball_flow import BallFlow
 from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.checkers.strict import Tree
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ PROVEN, REFUTED, UNDECIDED = "proven", "refuted", "undecided"
 class Unproven(Exception):
     """What stops a proof: verdict (REFUTED or UNDECIDED), inequality, reason; what is known of where and how much."""
 
-    def __init__(self, verdict: str, inequality: str, reason: str, **where: Any) -> None:
+    def __init__(self, verdict: str, inequality: str, reason: str, **where: object) -> None:
         super().__init__(reason)
         self.verdict, self.inequality, self.reason, self.where = verdict, inequality, reason, where
 
@@ -49,7 +49,7 @@ def positive_definite(name: str, M: Matrix) -> None:
 class BallWeights:
     """Plant and weights of a certificate: A, C, S = G Qw^-1 G', V = R^-1 + Qv^-1, P2, eta; forms by symmetric part."""
 
-    def __init__(self, data: dict[str, Any]) -> None:
+    def __init__(self, data: Tree) -> None:
         plant = data["plant"]["matrices"]
         self.n, self.p = len(plant["A"]), len(plant["C"])
         self.A = matrix(np.reshape(plant["A"], (self.n, self.n)))
@@ -102,7 +102,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
     return flint().arb_mat([[flint().arb(x.numerator) / x.denominator for x in row] for row in found])
 
 
-def positive(name: str, value: Any) -> float:
+def positive(name: str, value: float) -> float:
     """Return a positive finite number of the file."""
     number = float(value)
     if not 0 < number < np.inf:
@@ -113,7 +113,7 @@ def positive(name: str, value: Any) -> float:
 class BallLaps:
     """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
 
-    def __init__(self, times: dict[str, Any], p: int) -> None:
+    def __init__(self, times: Tree, p: int) -> None:
         self.periodic = times["kind"] == "periodic"
         if self.periodic:
             self.gaps = [ball(gap) for gap in times["gaps"]]
@@ -143,23 +143,25 @@ class BallLaps:
 class BallFrame:
     """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I.
 
-    Of `laps` only `seen` is used here, which outputs each kind of sample measures.
+    `seen` says which outputs each kind of sample measures.
     """
 
-    def __init__(self, weights: BallWeights, laps: Any, target: Matrix, inequality: str) -> None:
+    def __init__(
+        self, weights: BallWeights, seen: Iterable[npt.NDArray[np.bool_]], target: Matrix, inequality: str
+    ) -> None:
         L = cholesky(target)
         if L is None:
             raise Unproven(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
-        self.weights, self.laps, self.n, self.inequality = weights, laps, weights.n, inequality
+        self.weights, self.n, self.inequality = weights, weights.n, inequality
         self.L, Lt = L, L.transpose()
         A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2
         self.flow = BallFlow(A, Lt * weights.S * L)
         self.start = Lt * weights.prior * L
         turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
         self.rows, self.noises = [], []
-        for seen in laps.seen:
-            self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(seen)]))
-            self.noises.append(weights.noise_of(seen))
+        for measured in seen:
+            self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(measured)]))
+            self.noises.append(weights.noise_of(measured))
         self.float_rows = [floats(row) for row in self.rows]
         self.float_noises = [floats(V) for V in self.noises]
         self.identity = identity(self.n)
@@ -186,3 +188,11 @@ class BallFrame:
         C = self.rows[i]
         CY = C * Y
         return Y - CY.transpose() * (CY * C.transpose() + self.noises[i]).solve(CY)
+
+
+class ScheduleFrame(BallFrame):
+    """The same, with the schedule that it runs along."""
+
+    def __init__(self, weights: BallWeights, laps: BallLaps, target: Matrix, inequality: str) -> None:
+        super().__init__(weights, laps.seen, target, inequality)
+        self.laps = laps

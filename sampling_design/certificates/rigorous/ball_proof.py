@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock, highest
 from sampling_design._balls import Ball, Matrix, definite, floats, largest, matrix, raised
-from sampling_design.certificates.rigorous.ball_problem import BallFrame
+from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 
 Array = npt.NDArray[np.float64]
 Proposal = tuple[Array, Array]
@@ -39,7 +39,7 @@ POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
 
 
-def settled(frame: BallFrame, flows: Sequence[Proposal], inflation: float) -> tuple[list[Array], float]:
+def settled(frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float) -> tuple[list[Array], float]:
     """Return Y after each sample of the last lap with inflated noise, in floats, and its largest eigenvalue on the lap.
 
     Raises
@@ -81,7 +81,7 @@ def _rest(whole: Array, before: Array, after: Array) -> Array:
 class BallWindows:
     """The proof for one target: a family that catches the windows, then every cell of window starts."""
 
-    def __init__(self, frame: BallFrame, clock: Clock) -> None:
+    def __init__(self, frame: ScheduleFrame, clock: Clock) -> None:
         self.frame, self.laps, self.clock, self.reached = frame, frame.laps, clock, 0.0
         self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.laps.gaps)]
         self.longest = reduce(lambda a, b: a.max(b), self.laps.reach)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
     REFUTED,
     UNDECIDED,
-    BallFrame,
     BallLaps,
     BallWeights,
+    ScheduleFrame,
     Unproven,
     positive,
     positive_definite,
@@ -31,7 +30,7 @@ from sampling_design.certificates.rigorous.dissipation_balls import detectabilit
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.grammar import certificate
-from sampling_design.checkers.strict import Altered, BadFile
+from sampling_design.checkers.strict import Altered, BadFile, Tree
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
@@ -68,7 +67,7 @@ class RigorousVerification(Verification):
         return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
 
 
-def judged(data: dict[str, Any], rigorous: bool, budget: float) -> Verification:
+def judged(data: Tree, rigorous: bool, budget: float) -> Verification:
     """Return the verdict on the plain data of a certificate.
 
     The checker says yes and no only beyond its bound of all rounding; what it leaves undecided goes to ball arithmetic,
@@ -80,7 +79,7 @@ def judged(data: dict[str, Any], rigorous: bool, budget: float) -> Verification:
     return verify_rigorously(data, budget if rigorous else min(budget, HANDED_OVER))
 
 
-def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVerification:
+def verify_rigorously(data: Tree, budget: float = 60.0) -> RigorousVerification:
     """Decide in ball arithmetic whether what a certificate file states is true.
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
@@ -111,7 +110,7 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
     """
     flint()
     began, clock = time.perf_counter(), Clock(budget)
-    found: dict[str, Any] = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
+    found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision():
             found |= _decided(data, clock)
@@ -128,7 +127,7 @@ def verify_rigorously(data: dict[str, Any], budget: float = 60.0) -> RigorousVer
     return RigorousVerification(**found, seconds=time.perf_counter() - began)
 
 
-def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
+def _decided(data: Tree, clock: Clock) -> Tree:
     try:
         certificate(data)
     except BadFile as error:
@@ -139,7 +138,7 @@ def _decided(data: dict[str, Any], clock: Clock) -> dict[str, Any]:
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
 
-def targets(data: dict[str, Any]) -> list[tuple[Matrix, str, bool]]:
+def targets(data: Tree) -> list[tuple[Matrix, str, bool]]:
     """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
     with reading():
         n, margin = len(data["P1"]), float(data["margin"])
@@ -163,7 +162,7 @@ def targets(data: dict[str, Any]) -> list[tuple[Matrix, str, bool]]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
+def assumption_7(data: Tree, clock: Clock) -> tuple[str, str, float]:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated = targets(data)
     with reading():
@@ -171,9 +170,9 @@ def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     slack = 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
 
-        def make(k: int = k, inequality: str = inequality) -> BallFrame:
+        def make(k: int = k, inequality: str = inequality) -> ScheduleFrame:
             weights = BallWeights(data)
-            return BallFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k][0], inequality)
+            return ScheduleFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k][0], inequality)
 
         slack = min(slack, prove(make, samples_only, clock))
     if stated and data["witness"] is not None:
@@ -182,11 +181,11 @@ def assumption_7(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     return names, "every real window start and every later t", slack
 
 
-def attained(data: dict[str, Any]) -> None:
+def attained(data: Tree) -> None:
     """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     weights = BallWeights(data)
     laps = BallLaps(data["times"], weights.p)
-    frame = BallFrame(weights, laps, weights.P2, "witness")
+    frame = ScheduleFrame(weights, laps, weights.P2, "witness")
     with reading():
         seen = data["witness"]
         start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
@@ -201,7 +200,7 @@ def attained(data: dict[str, Any]) -> None:
         raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: BallFrame, start: float, t: float) -> Matrix:
+def flown(frame: ScheduleFrame, start: float, t: float) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
     laps, Y, now = frame.laps, frame.start, ball(start)
     near, lap = NEAR * max(t, 1e-300), 0 * laps.period
@@ -217,7 +216,7 @@ def flown(frame: BallFrame, start: float, t: float) -> Matrix:
     return lowered(frame.flow.step(Y, ball(t) - now))
 
 
-def prove(make: Callable[[], BallFrame], samples_only: bool, clock: Clock) -> float:
+def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -> float:
     """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
     frame = make()
     windows = BallWindows(frame, clock)
@@ -238,12 +237,12 @@ def prove(make: Callable[[], BallFrame], samples_only: bool, clock: Clock) -> fl
     raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
 
 
-def of_family(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
+def of_family(data: Tree, clock: Clock) -> tuple[str, str, float]:
     """Prove a family certificate; the inequalities, for what, and the slack."""
     return family(data, targets(data), clock)
 
 
-CLAIMS: dict[str, Callable[[dict[str, Any], Clock], tuple[str, str, float]]] = {
+CLAIMS: dict[str, Callable[[Tree, Clock], tuple[str, str, float]]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: of_family,
     DETECTABILITY_CLAIM: detectability,

@@ -9,7 +9,6 @@ prove the slack, or evaluate the form along the direction.
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
 from sampling_design._record import short
 from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Unproven, positive, reading
+from sampling_design.checkers.strict import Tree
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
+def detectability(data: Tree, clock: Clock) -> tuple[str, str, float]:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises
@@ -44,7 +44,7 @@ def detectability(data: dict[str, Any], clock: Clock) -> tuple[str, str, float]:
     return INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes)
 
 
-def numbers(data: dict[str, Any]) -> SimpleNamespace:
+def numbers(data: Tree) -> SimpleNamespace:
     """The numbers of the file as balls of radius zero; P by its symmetric part."""
     plant = data["plant"]["matrices"]
     n, p = len(plant["A"]), len(plant["C"])

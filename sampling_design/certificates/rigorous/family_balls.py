@@ -7,8 +7,6 @@ per cell of h the left side lies below its chord plus |I - KC|^2 times the bulge
 from __future__ import annotations
 
 from fractions import Fraction
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -38,6 +36,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.grammar import OfFamily, certificate
 from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.strict import Tree
 
 Pattern = tuple[bool, ...]
 
@@ -51,7 +50,7 @@ class BallIntervals:
         self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Clock
     ) -> None:
         seen = [np.array(pattern, dtype=bool) for pattern in patterns]
-        self.frame = BallFrame(weights, SimpleNamespace(seen=seen), target, name)
+        self.frame = BallFrame(weights, seen, target, name)
         self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
 
     def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:
@@ -100,7 +99,7 @@ def _ball(time: Fraction) -> Ball:
     return flint().arb(time.numerator) / time.denominator
 
 
-def family(data: dict[str, Any], stated: list[tuple[Matrix, str, bool]], clock: Clock) -> tuple[str, str, float]:
+def family(data: Tree, stated: list[tuple[Matrix, str, bool]], clock: Clock) -> tuple[str, str, float]:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
     c = certificate(data)
     assert isinstance(c, OfFamily)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import ball, definite, floats, lowered, precision
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, BallFrame, Unproven
+from sampling_design.certificates.rigorous.ball_problem import REFUTED, ScheduleFrame, Unproven
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +45,7 @@ class WindowPoint:
 class RefutationSearch:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
-    def __init__(self, frame: BallFrame, samples_only: bool, clock: Clock) -> None:
+    def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: Clock) -> None:
         self.frame, self.laps, self.samples_only, self.clock = frame, frame.laps, samples_only, clock
         self.gaps = [float(gap) for gap in self.laps.gaps]
         self.reach = [float(gap) for gap in self.laps.reach]
@@ -132,7 +131,7 @@ class RefutationSearch:
 
         simplex = np.tile(best[free], (free.sum() + 1, 1))
         simplex[1:] += np.diag(np.where(simplex[0] > tops[free] / 2, -1, 1) * tops[free] / (2 * PARTS))
-        options: Any = {"initial_simplex": simplex, "xatol": 1e-9 * float(tops.max()), "fatol": 0.0, "maxfev": 150}
+        options = {"initial_simplex": simplex, "xatol": 1e-9 * float(tops.max()), "fatol": 0.0, "maxfev": 150}
         result = minimize(lost, best[free], method="Nelder-Mead", options=options)
         if -result.fun <= point.value:
             return point
@@ -140,7 +139,7 @@ class RefutationSearch:
         return WindowPoint(point.i, float(r), point.k, float(s), float(-result.fun))
 
 
-def fails_at(frame: BallFrame, point: WindowPoint) -> bool:
+def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
     """Whether Y <= I certainly fails at a point: a lower bound of Y is carried along, for the recursion is monotone."""
     laps = frame.laps
     Y = frame.flow.step(frame.start, ball(point.r).min(laps.reach[point.i]))
@@ -152,7 +151,7 @@ def fails_at(frame: BallFrame, point: WindowPoint) -> bool:
     return definite(frame.identity - Y) is False
 
 
-def refute(make: Callable[[], BallFrame], clock: Clock, samples_only: bool = False) -> None:
+def refute(make: Callable[[], ScheduleFrame], clock: Clock, samples_only: bool = False) -> None:
     """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)
@@ -164,7 +163,7 @@ def refute(make: Callable[[], BallFrame], clock: Clock, samples_only: bool = Fal
                 raise _refutation(frame, point)
 
 
-def _refutation(frame: BallFrame, point: WindowPoint) -> Unproven:
+def _refutation(frame: ScheduleFrame, point: WindowPoint) -> Unproven:
     """The exception that names the window, the time and by how much."""
     laps = frame.laps
     times, gaps = [float(t) for t in laps.times], [float(gap) for gap in laps.gaps]

@@ -9,8 +9,6 @@ g(d_i) + mu_i (d_i - i P/k): exact for even spacing where g is concave enough, w
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -31,7 +29,7 @@ from sampling_design.design.bounds.weak_duality import (
 from sampling_design.design.bounds.zones import follower_zones, widest_gap
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _VARIABLES = 240  # grid points over all followers, about: each follower gets its share
 _STARTS = 24  # window starts after the origin

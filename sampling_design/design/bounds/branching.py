@@ -11,7 +11,6 @@ import heapq
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,7 @@ from sampling_design.design.bounds.zone_bound import NARROW, ZoneRelaxation, mat
 from sampling_design.design.bounds.zones import SIDES, Side, halves, lateness, origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import doors
 from sampling_design._linalg import expm_batch
 from sampling_design._record import Plain
+from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
@@ -21,7 +22,7 @@ from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zon
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Method = Literal["placed", "alone", "averaged", "zones"]
 METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones")
 
@@ -129,7 +130,7 @@ class UpperBound:
         return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> UpperBound:
+    def from_dict(cls, data: Tree) -> UpperBound:
         """The inverse of `to_dict`.
 
         Raises
@@ -165,7 +166,7 @@ def _number(key: str, value: object) -> float:
     return float(value)
 
 
-def _table(where: str, data: object, keys: tuple[str, ...]) -> dict[str, Any]:
+def _table(where: str, data: object, keys: tuple[str, ...]) -> Tree:
     """The data, if they are a table with exactly these keys."""
     if not isinstance(data, dict):
         raise ArgumentError(f"{where} must be a table of names and values, got {_checks.described(data)}.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.evidence import SolverRecord
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
@@ -90,7 +89,7 @@ def relaxation_grid(
     P = problem.period
     step, tiny = P / N, 1e-9 * P
     ends = np.concatenate([problem.intervals[:, 0], problem.intervals[:, 1] - tiny])
-    times = np.arange(N) * step
+    times = np.arange(N, dtype=np.float64) * step
     if not problem.is_shift_invariant:  # between grid times and the ends of an interval g could rise unseen
         times = np.unique(np.mod(np.concatenate([times, ends]), P))
     mask = problem.mask(times)

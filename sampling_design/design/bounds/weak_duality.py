@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ import numpy.typing as npt
 from sampling_design._linalg import expm_batch
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 CELLS, CELLS_PER_RATE = 1200, 48.0
 """Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""

@@ -7,7 +7,6 @@ that might matter only those are posed that do: each round adds the ones that th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,7 @@ from sampling_design.design.bounds.weak_duality import (
 from sampling_design.design.bounds.zones import TINY
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _MOST_POINTS = 480  # however many cycles a window holds: cost grows with its square, and the bound is true with any
 _POINTS = 48  # grid times of one relaxation at least, spread over the zones

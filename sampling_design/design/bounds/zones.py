@@ -10,14 +10,14 @@ two again and again (`branching`).
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Side = Literal["late", "early"]
 SIDES: tuple[Side, ...] = ("late", "early")
 

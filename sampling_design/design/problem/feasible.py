@@ -11,10 +11,14 @@ import numpy.typing as npt
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.errors import InfeasibleRequirementError
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _REPAIRS = 5  # constraints that may have to give way together
 _SHARE = 1 - 1e-3  # of the room that is just enough: a schedule with no freedom at all is hard to find
+
+
+Change = dict[str, Any]
+"""Arguments of a problem and what they become: each has a type of its own."""
 
 
 class Obstacle(NamedTuple):
@@ -22,7 +26,7 @@ class Obstacle(NamedTuple):
 
     name: str
     words: str
-    changes: tuple[dict[str, Any], ...]
+    changes: tuple[Change, ...]
 
 
 def check_feasible(problem: DesignProblem) -> None:
@@ -30,7 +34,7 @@ def check_feasible(problem: DesignProblem) -> None:
     found = obstacle(problem)
     if found is None:
         return
-    nearest: dict[str, Any] = {}
+    nearest: Change = {}
     for change in found.changes:
         whole = _completed(problem, change)
         if whole is not None and obstacle(changed(problem, {**nearest, **whole})) is None:
@@ -40,7 +44,7 @@ def check_feasible(problem: DesignProblem) -> None:
     raise InfeasibleRequirementError(found.words + tail, found.name, nearest)
 
 
-def changed(problem: DesignProblem, change: dict[str, Any]) -> DesignProblem:
+def changed(problem: DesignProblem, change: Change) -> DesignProblem:
     """The problem with some of its numbers changed; the plant's rows are kept."""
     result = DesignProblem(**{f.name: change.get(f.name, getattr(problem, f.name)) for f in fields(problem)})
     if "rows" in problem.__dict__:
@@ -53,7 +57,7 @@ def obstacle(problem: DesignProblem) -> Obstacle | None:
     return _fixed(problem) or _room(problem) or _too_few(problem) or _too_dear(problem)
 
 
-def _completed(problem: DesignProblem, change: dict[str, Any]) -> dict[str, Any] | None:
+def _completed(problem: DesignProblem, change: Change) -> Change | None:
     """The change with whatever else it takes; None where that does not end."""
     for _ in range(_REPAIRS):
         found = obstacle(changed(problem, change))
@@ -110,7 +114,7 @@ def _room(problem: DesignProblem) -> Obstacle | None:
     limited = int(np.floor(period / eps * (1 + SLACK))) > room
     what = "`forbidden` and `fixed` times leave" if limited else f"`spacing` {eps:g} leaves"
     words = f"{what} room for {room} samples in the period {period:g}, {k} are asked for."
-    changes: tuple[dict[str, Any], ...] = (
+    changes: tuple[Change, ...] = (
         *(({"samples": room},) if room else ()),
         *(({"spacing": widest},) if widest > 0 else ()),
     )
@@ -149,7 +153,7 @@ def _too_dear(problem: DesignProblem) -> Obstacle | None:
         return None
     affordable = int(problem.cost_limit / least * (1 + SLACK))
     words = f"`cost_limit` {problem.cost_limit:g} is less than {problem.samples} of the cheapest measurements cost."
-    fewer: tuple[dict[str, Any], ...] = ({"samples": affordable},) if affordable else ()
+    fewer: tuple[Change, ...] = ({"samples": affordable},) if affordable else ()
     return Obstacle("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
 
 
@@ -176,7 +180,7 @@ def _rounded_down(value: float) -> float:
     return float(f"{np.floor(value / unit) * unit:.10g}")
 
 
-def _opened(problem: DesignProblem) -> tuple[dict[str, Any], ...]:
+def _opened(problem: DesignProblem) -> tuple[Change, ...]:
     """Closed times cut at their ends, all by the same share, as little as makes room: forbidden ones or all."""
     tries = [_shrunk_forbidden, _shrunk_all] if problem.forbidden.size else [_shrunk_all]
     for shrunk in tries:
@@ -190,15 +194,15 @@ def _opened(problem: DesignProblem) -> tuple[dict[str, Any], ...]:
     return ()
 
 
-def _has_room(problem: DesignProblem, change: dict[str, Any]) -> bool:
+def _has_room(problem: DesignProblem, change: Change) -> bool:
     return changed(problem, change).capacity() >= problem.samples
 
 
-def _shrunk_forbidden(problem: DesignProblem, share: float) -> dict[str, Any]:
+def _shrunk_forbidden(problem: DesignProblem, share: float) -> Change:
     return {"forbidden": _shrunk(problem.forbidden, share)}
 
 
-def _shrunk_all(problem: DesignProblem, share: float) -> dict[str, Any]:
+def _shrunk_all(problem: DesignProblem, share: float) -> Change:
     spans = tuple(None if a is None else _rest(_shrunk(_rest(a, problem), share), problem) for a in problem.available)
     return {"available": spans, **(_shrunk_forbidden(problem, share) if problem.forbidden.size else {})}
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from sampling_design._linalg import expm_batch
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _NODES = 2049
 _FLOOR = 1e-15  # eigenvalues of a scaled Gram matrix below this times the largest count as unseen
@@ -77,7 +76,7 @@ class ScaledRows:
         rows = np.linalg.solve(self.R.T, self._raw.T).T
         slopes = rows @ self.A
         shape = (_NODES, self.plant.n_outputs, self.plant.n_states)
-        return rows.reshape(shape), slopes.reshape(shape)
+        return np.asarray(rows.reshape(shape), dtype=np.float64), slopes.reshape(shape)
 
     def rows(self, r: Array) -> Array:
         """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation (search only, never proof)."""

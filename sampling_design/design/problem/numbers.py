@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.plants.plant import Plant
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
@@ -115,7 +114,7 @@ class DesignProblem:
             return np.sort(np.mod(np.concatenate([self.fixed, *inner]), self.period))
         if self._is_whole:
             most = self._around(gap)
-            return np.arange(most) * (self.period / max(most, 1))
+            return np.arange(most, dtype=np.float64) * (self.period / max(most, 1))
         packings = [self._greedy(a, a + self.period - gap, gap) for a, _ in self.intervals]
         return np.sort(np.mod(max(packings, key=len, default=[]), self.period))
 

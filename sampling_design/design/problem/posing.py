@@ -19,7 +19,7 @@ from sampling_design.observability.count.zero_count import zero_count_bound
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 MOST_DEFAULT_SAMPLES = 24
 

@@ -7,7 +7,6 @@ the end is proven by `observability.window_sigma`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.sliding import SlidingSums
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _NUMBERS = 400_000  # numbers per batch: fits into a cache

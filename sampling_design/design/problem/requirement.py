@@ -121,7 +121,7 @@ class Requirement(Record):
     scaled: bool | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        own: dict[str, Any] = {}
+        own: dict[str, object] = {}
         for key in ("window", "period", "spacing", "target_sigma", "cost_limit"):
             value = getattr(self, key)
             own[key] = None if value is None else _checks.positive(key, value)
@@ -149,7 +149,7 @@ class Requirement(Record):
         if self.fixed.size and self.fixed[-1] >= period:
             raise ArgumentError(f"`fixed` must lie in [0, period) = [0, {period!r}), got {float(self.fixed[-1])!r}.")
 
-    def replace(self, **changes: Any) -> Requirement:
+    def replace(self, **changes: object) -> Requirement:
         """Return a copy with some entries changed.
 
         Raises
@@ -163,7 +163,7 @@ class Requirement(Record):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, the tree of the requirement file; entries that were not given are left out."""
-        data: dict[str, Any] = {"format": FORMAT}
+        data: dict[str, Plain] = {"format": FORMAT}
         for key in ("window", "period", "spacing", "target_sigma", "cost_limit", "time_unit"):
             if getattr(self, key) is not None:
                 data[key] = getattr(self, key)
@@ -233,7 +233,7 @@ def _spans(value: Array | None, empty: str) -> str:
     return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
 
 
-def _intervals(name: str, value: Any) -> Array:
+def _intervals(name: str, value: npt.ArrayLike) -> Array:
     """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
     if np.size(value) == 0:
         return _checks.freeze(np.zeros((0, 2)))
@@ -256,7 +256,7 @@ def _intervals(name: str, value: Any) -> Array:
     return _checks.freeze(joined)
 
 
-def _counts(value: Any) -> dict[str, int]:
+def _counts(value: object) -> dict[str, int]:
     """The sample count as a dict with "exactly", or with "at_least" and "at_most"."""
     if value is None:
         return {}
@@ -271,7 +271,7 @@ def _counts(value: Any) -> dict[str, int]:
     return counts
 
 
-def _access(name: str, value: Any) -> OutputAccess:
+def _access(name: str, value: object) -> OutputAccess:
     if isinstance(value, OutputAccess):
         return value
     if not isinstance(value, Mapping):

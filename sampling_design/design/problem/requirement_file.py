@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from sampling_design._door import door
 from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
 from sampling_design.checkers.grammar import time_unit
 from sampling_design.checkers.strict import (
     BadFile,
+    Tree,
     count,
     flag,
     list_of,
@@ -31,12 +31,12 @@ _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
 _ACCESS = table({}, {"available": _SPANS, "cost": nonnegative})
 
 
-def _samples(value: Any, place: str) -> Any:
+def _samples(value: object, place: str) -> object:
     """A number of samples, or a table of counts."""
     return _COUNTS(value, place) if isinstance(value, Mapping) else count(value, place)
 
 
-def _outputs(value: Any, place: str) -> dict[str, Any]:
+def _outputs(value: object, place: str) -> Tree:
     """When each output can be measured, by name."""
     if not isinstance(value, Mapping):
         raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
@@ -85,7 +85,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
 
 
 @door
-def requirement_from_dict(data: dict[str, Any], where: str = "requirement") -> Requirement:
+def requirement_from_dict(data: Tree, where: str = "requirement") -> Requirement:
     """Return the requirement in a tree of plain data; the inverse of `Requirement.to_dict`.
 
     Parameters

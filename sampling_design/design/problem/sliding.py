@@ -8,14 +8,12 @@ forward in time over at most a window: no digit is lost that the direct sum woul
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.problem.gram import ScaledRows
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 

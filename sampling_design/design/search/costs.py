@@ -8,7 +8,6 @@ gives up, one by one, what costs most for what it brings; then pairs are exchang
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +28,7 @@ from sampling_design.design.search.local_search import FoundSchedule, SearchTria
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
@@ -171,7 +170,7 @@ def _swaps(used: Mask, there: Mask, costs: Array) -> Mask:
     return np.array(result)
 
 
-def _flipped(used: Mask, places: list[Any]) -> Mask:
+def _flipped(used: Mask, places: list[tuple[int, ...]]) -> Mask:
     result = np.repeat(used[None], len(places), axis=0)
     for row, (i, j) in enumerate(places):
         result[row, i, j] = ~result[row, i, j]

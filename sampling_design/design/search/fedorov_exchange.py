@@ -11,7 +11,6 @@ Fedorov 1972; Pukelsheim 1993.
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,7 @@ from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _LEADS = 6  # turns of a period that repair tries
 

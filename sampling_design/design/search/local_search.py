@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,7 @@ from sampling_design.design.search.fedorov_exchange import (
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import SolverError
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 DRAWS = 60

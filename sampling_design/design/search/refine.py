@@ -7,7 +7,6 @@ little. Linearising whole Gram matrices, W_m + sum ds_i dW_m/ds_i >= t I, sees a
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import Positions, positions, window_grams, worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible
 
-Array = npt.NDArray[np.floating[Any]]
+Array = npt.NDArray[np.float64]
 
 _KEPT = 3.0  # windows whose sigma^2 exceeds this times the least one cannot become worst in a trusted step
 _MOST_WINDOWS = 20  # the worst ones; a step that forgets another one is refused by the evaluation after it

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -87,19 +86,26 @@ class ConvexSet(Record):
             self._refuse_empty()
 
     @classmethod
-    def box(cls, lower: Any, upper: Any) -> ConvexSet:
+    def box(cls, lower: npt.ArrayLike, upper: npt.ArrayLike) -> ConvexSet:
         """Return {z : lower <= z <= upper}; entries may be infinite."""
         return cls(lower, upper, None, None)  # type: ignore[arg-type]
 
     @classmethod
-    def halfspaces(cls, rows: Any, offsets: Any) -> ConvexSet:
+    def halfspaces(cls, rows: npt.ArrayLike, offsets: npt.ArrayLike) -> ConvexSet:
         """Return {z : rows z <= offsets}."""
         matrix = _checks.matrix("rows", rows)
         whole = np.full(matrix.shape[1], np.inf)
-        return cls(-whole, whole, matrix, offsets)
+        return cls(-whole, whole, matrix, _checks.vector("offsets", offsets, matrix.shape[0]))
 
     @classmethod
-    def ball(cls, radius: float, *, dimension: int | None = None, centre: Any = None, shape: Any = None) -> ConvexSet:
+    def ball(
+        cls,
+        radius: float,
+        *,
+        dimension: int | None = None,
+        centre: npt.ArrayLike | None = None,
+        shape: npt.ArrayLike | None = None,
+    ) -> ConvexSet:
         """Return {z : |shape (z - centre)| <= radius}; centre 0 and shape I by default.
 
         Raises
@@ -114,7 +120,7 @@ class ConvexSet(Record):
         elif dimension is None and centre is None:
             raise ArgumentError("`dimension` must be given for a ball without `centre` and `shape`.")
         else:
-            k = len(centre) if dimension is None else _checks.whole("dimension", dimension, 1)
+            k = np.size(np.asarray(centre)) if dimension is None else _checks.whole("dimension", dimension, 1)
             E = _checks.freeze(np.eye(k))
         middle = _checks.vector("centre", np.zeros(k) if centre is None else centre, k)
         whole = np.full(k, np.inf)
@@ -253,7 +259,7 @@ def normed(matrix: Array) -> Array:
     return np.asarray(matrix / np.where(size > 0, size, 1.0))
 
 
-def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
+def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     """Return `value`, a ConvexSet or a pair (lower, upper), as a set in R^dimension; None stays None.
 
     Raises
@@ -275,7 +281,7 @@ def convex_set(name: str, value: Any, dimension: int) -> ConvexSet | None:
     return found
 
 
-def _bounds(name: str, value: Any) -> Array:
+def _bounds(name: str, value: object) -> Array:
     array = _checks.floats(name, value)
     if array.ndim != 1 or np.isnan(array).any():
         raise ArgumentError(f"`{name}` must be a vector without NaN, got {_checks.described(value)}.")

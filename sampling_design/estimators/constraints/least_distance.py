@@ -5,7 +5,7 @@ Every bound on the least value comes from weak duality with multipliers of the r
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -186,6 +186,6 @@ def _newton(problem: LeastDistance, z: Array, cones: Array) -> tuple[NearestPoin
     return judged(problem, np.asarray(x, dtype=np.float64), multipliers[:count], mu, "conic"), mu
 
 
-def _limits(A: Array) -> dict[str, Any]:
+def _limits(A: Array) -> dict[str, object]:
     """Settings of the active-set method."""
     return {"primal_tol": 1e-11, "dual_tol": 1e-12, "iter_limit": 20 * sum(A.shape)}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,9 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
 from sampling_design.evidence import SolverRecord
+
+if TYPE_CHECKING:
+    from sampling_design._conic import Constraint, Expression
 
 Array = npt.NDArray[np.float64]
 
@@ -117,18 +121,18 @@ def _improved(
 class _Program:
     """Terms of the cost, over scale^2 and without the constant, and constraints on signals value + scale step."""
 
-    cp: Any
+    cp: ModuleType
     scale: float
-    terms: list[Any]
-    parts: list[Any]
+    terms: list[Expression]
+    parts: list[Constraint]
     constant: float
 
-    def add_square(self, value: Array, step: Any) -> None:
+    def add_square(self, value: Array, step: Expression) -> None:
         """Add |value + scale step|^2."""
         self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (value @ step)]
         self.constant += float(value @ value)
 
-    def keep_inside(self, chosen: ConvexSet, value: Array, step: Any, mask: Array | None = None) -> None:
+    def keep_inside(self, chosen: ConvexSet, value: Array, step: Expression, mask: Array | None = None) -> None:
         """Keep value + scale step in a set, measured entries only where there is a mask.
 
         A ball |a + scale b| <= r is asked as 2 a'b + scale |b|^2 <= (r^2 - |a|^2)/scale: no small difference of norms.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +19,7 @@ Array = npt.NDArray[np.float64]
 class Constraints:
     """The sets of one estimator, and what they ask of a window."""
 
-    def __init__(self, table: FlowTable, x: Any, y: Any, v: Any, w: Any):
+    def __init__(self, table: FlowTable, x: object, y: object, v: object, w: object):
         plant = table.weights.plant
         self.plant, self.weights = plant, table.weights
         self.x = convex_set("x_set", x, plant.n_states)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -184,7 +184,7 @@ def _energy(weight: Array, bound: Array | None) -> float:
     return float(bound @ np.abs(weight) @ bound)
 
 
-def noise_bound(name: str, value: Any, length: int) -> Array | None:
+def noise_bound(name: str, value: npt.ArrayLike | None, length: int) -> Array | None:
     """Return a bound as a 0-d array (on the Euclidean norm) or a vector (entry by entry); None stays None.
 
     Raises
@@ -206,11 +206,11 @@ def build_weights(
     plant: Plant,
     certificate: SampledCertificate | None = None,
     *,
-    P2: Any = None,
-    Qw: Any = None,
-    R: Any = None,
-    Qv: Any = None,
-    eta: Any = None,
+    P2: object = None,
+    Qw: object = None,
+    R: object = None,
+    Qv: object = None,
+    eta: object = None,
     cost: str = "certificate",
 ) -> tuple[Weights, tuple[str, ...]]:
     """Return the effective weights, and the names of those of the certificate that were overridden.

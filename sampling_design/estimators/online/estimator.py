@@ -72,6 +72,14 @@ class Contradiction(NamedTuple):
         return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
 
 
+class HasStates(Protocol):
+    """A plant of any kind."""
+
+    @property
+    def n_states(self) -> int:
+        """How many."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Record):
     """The state at one time, with the ellipsoid that holds it.
@@ -187,7 +195,7 @@ class Estimate(Record):
         }
 
 
-def _plain(contradiction: Contradiction) -> dict[str, Any]:
+def _plain(contradiction: Contradiction) -> dict[str, object]:
     return {**contradiction._asdict(), "factor": _finite(contradiction.factor)}
 
 
@@ -229,7 +237,7 @@ class EstimateRecord(Table):
     contradictions: tuple[Contradiction | None, ...] = field(default=())
 
     @classmethod
-    def collect(cls, plant: Any, estimates: Iterable[Estimate]) -> EstimateRecord:
+    def collect(cls, plant: Plant | HasStates, estimates: Iterable[Estimate]) -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
         if not isinstance(getattr(plant, "n_states", None), int):
             raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {_checks.described(plant)}.")
@@ -240,7 +248,7 @@ class EstimateRecord(Table):
         if any(e.x.shape != (n,) for e in found):
             raise ArgumentError(f"`estimates` must be of the plant's {n} states.")
         return cls(
-            plant=plant,
+            plant=plant,  # type: ignore[arg-type]  # a nonlinear one has what is asked of it
             times=freeze([e.t for e in found]),
             x=freeze(np.array([e.x for e in found]).reshape(-1, n)),
             covariance=freeze(np.array([e.covariance for e in found]).reshape(-1, n, n)),
@@ -321,7 +329,7 @@ class Estimator(Protocol):
 
     plant: Plant
 
-    def update(self, t: float, y: Any = None, u: Any = None) -> Estimate:
+    def update(self, t: float, y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample."""
         ...
 
@@ -329,14 +337,14 @@ class Estimator(Protocol):
         """Return the estimate at any later time, open loop."""
         ...
 
-    def reset(self, prior: Any = None, prior_time: float = 0.0) -> None:
+    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples and start again from a prior."""
         ...
 
-    def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:
+    def run(self, record: object, progress: Progress | None = None) -> EstimateRecord:
         """Take in a whole record."""
         ...
 
-    def stream(self, samples: Iterable[Any]) -> Iterator[Estimate]:
+    def stream(self, samples: Iterable[object]) -> Iterator[Estimate]:
         """Yield one estimate per sample."""
         ...

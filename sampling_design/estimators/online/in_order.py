@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +35,7 @@ class OnlineEstimator(ABC):
     input_side: str
     state: State
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         doors(cls)
 
@@ -48,7 +47,7 @@ class OnlineEstimator(ABC):
     def _predict(self, state: State, t: float) -> Estimate:
         """Return the estimate at t, at or after the first node of `state`."""
 
-    def step(self, state: State, sample: Sample | tuple[Any, ...]) -> tuple[State, Estimate]:
+    def step(self, state: State, sample: Sample | tuple[object, ...]) -> tuple[State, Estimate]:
         """Return the state after `sample` and the estimate at the latest sample; `state` itself stays as it was.
 
         Parameters
@@ -125,7 +124,7 @@ class OnlineEstimator(ABC):
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
         return Sample(t, y, _checks.vector("u", u, self.plant.n_inputs))
 
-    def _check_y(self, value: Any, t: float) -> Array:
+    def _check_y(self, value: object, t: float) -> Array:
         try:
             y = np.atleast_1d(np.array(value, dtype=np.float64))
         except (TypeError, ValueError):
@@ -144,7 +143,7 @@ class OnlineEstimator(ABC):
         y.flags.writeable = False
         return y
 
-    def update(self, t: float, y: Any = None, u: Any = None) -> Estimate:
+    def update(self, t: float, y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
         self.state, estimate = self.step(self.state, Sample(t, y, u))
         return estimate
@@ -163,12 +162,12 @@ class OnlineEstimator(ABC):
             raise ArgumentError(f"`t` must be at least {first!r}, the oldest time kept, got {when!r}.")
         return self._predict(self.state, when)
 
-    def stream(self, samples: Iterable[Any]) -> Iterator[Estimate]:
+    def stream(self, samples: Iterable[object]) -> Iterator[Estimate]:
         """Yield the estimate after each (t, y, u); nothing but the last two windows is kept."""
         for item in samples:
             yield self.update(*triple(item))
 
-    def run(self, record: Any, progress: Progress | None = None) -> EstimateRecord:
+    def run(self, record: object, progress: Progress | None = None) -> EstimateRecord:
         """Take in a whole record of samples and return all estimates.
 
         Parameters
@@ -191,7 +190,7 @@ class OnlineEstimator(ABC):
         return EstimateRecord.collect(self.plant, found)
 
 
-def listed(record: Any) -> list[Any]:
+def listed(record: object) -> list[object]:
     """The samples of a record, whatever it is made of.
 
     Raises
@@ -204,7 +203,7 @@ def listed(record: Any) -> list[Any]:
     raise ArgumentError(f"`record` must be Measurements or a list of (t, y, u), got {_checks.described(record)}.")
 
 
-def triple(item: Any) -> Sample:
+def triple(item: object) -> Sample:
     """One sample of a record.
 
     Raises
@@ -217,7 +216,7 @@ def triple(item: Any) -> Sample:
     return Sample(*item)
 
 
-def _is_time(value: Any) -> bool:
+def _is_time(value: object) -> bool:
     """Whether a time stamp is what it mostly is, a finite float that needs no closer look."""
     return isinstance(value, float) and math.isfinite(value)
 

@@ -20,6 +20,7 @@ from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +64,7 @@ class OpenLoopEstimator(OnlineEstimator):
         self,
         plant: Plant,
         weights: Weights,
-        schedule: Any,
+        schedule: AnySchedule | SamplingFamily | None,
         input_side: str,
         constant_w: bool = False,
         timing_tolerance: float = 0.0,
@@ -81,7 +82,9 @@ class OpenLoopEstimator(OnlineEstimator):
         if schedule is not None:
             self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance)
 
-    def _set_bounds(self, w_bound: Any, v_bound: Any, initial_error: Any) -> None:
+    def _set_bounds(
+        self, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None, initial_error: npt.ArrayLike | None
+    ) -> None:
         plant, weights = self.plant, self.weights
         self._v_bound = noise_bound("v_bound", v_bound, plant.n_outputs)
         self._w_energy = weights.disturbance_energy(noise_bound("w_bound", w_bound, plant.n_disturbances))
@@ -94,7 +97,7 @@ class OpenLoopEstimator(OnlineEstimator):
     def _sample_energy(self, masks: Array) -> Array:
         return self.weights.sample_energy(self._v_bound, False, masks)
 
-    def reset(self, prior: Any = None, prior_time: float = 0.0) -> None:
+    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples, and what they contradicted, and start again from a prior.
 
         Raises
@@ -104,7 +107,7 @@ class OpenLoopEstimator(OnlineEstimator):
         """
         self.state = self.initial_state(prior, prior_time)
 
-    def initial_state(self, prior: Any = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2."""
         n, p = self.plant.n_states, self.plant.n_outputs
         t = _checks.number("prior_time", prior_time)
@@ -248,7 +251,7 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _overflowed(
         self, state: State, sample: Sample, residual: Array, terms: float
-    ) -> tuple[Verdict, dict[str, Any]]:
+    ) -> tuple[Verdict, dict[str, str]]:
         """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
         last = state.last
         contradiction, words = last.estimate.contradiction, {"note": "A measurement is too large to be weighed."}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -27,9 +26,9 @@ class ScheduleWatch:
     rounding can do to the times given: differences count, whatever the clock's zero is.
     """
 
-    def __init__(self, schedule: Any, time_unit: str, tolerance: float = 0.0):
+    def __init__(self, schedule: AnySchedule | SamplingFamily | None, time_unit: str, tolerance: float = 0.0):
         unit = getattr(schedule, "time_unit", None)
-        if unit not in (None, time_unit) and hasattr(schedule, "in_unit"):
+        if isinstance(schedule, (Schedule, PeriodicSchedule)) and unit not in (None, time_unit):
             schedule = schedule.in_unit(time_unit)
         self.family, self.tolerance, self.losses = schedule, tolerance, (0, 1)
         self.nominal: Schedule | PeriodicSchedule | None = None
@@ -120,6 +119,7 @@ class ScheduleWatch:
 
     def _family_fits(self, times: Array, first: bool) -> bool:
         family = self.family
+        assert isinstance(family, SamplingFamily)  # of a schedule there is a nominal one
         gap, room = float(times[-1] - times[-2]), self._room(float(times[-1]))
         if gap > float(getattr(family, "d_max", np.inf)) + room:
             return False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -156,7 +155,7 @@ def _first_zero(values: Complex, companion: Array, k: int, start: float, stop: f
     return stop
 
 
-def _taylor(compound: Any, column: Array, step: float) -> Array:
+def _taylor(compound: csr_array, column: Array, step: float) -> Array:
     """Terms of e^{compound s step} column as a polynomial in s, 0 <= s <= 1, constant first."""
     terms = np.empty((TERMS, column.size))
     terms[0] = column
@@ -195,7 +194,7 @@ def _bisect(test: Callable[[float], float], low: float, high: float) -> float:
     return float(low)
 
 
-def _compound(A: Array, k: int, shift: float = 0.0) -> Any:
+def _compound(A: Array, k: int, shift: float = 0.0) -> csr_array:
     """k-th additive compound less shift I, sparse: e^A in place of A gives the k x k minors of e^A.
 
     Rows and columns are the k-subsets in order; an entry of A takes its place in the wedge product of the

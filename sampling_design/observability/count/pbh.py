@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -301,7 +300,7 @@ def _direction(vector: Complex, names: tuple[str, ...]) -> str:
     if len(part) == 1:
         return names[part[0]]
     lead = vector / vector[part[0]]
-    terms: list[Any] = [f"{format_eigenvalue(complex(np.round(lead[i], 6)), 4)} {names[i]}" for i in part[:6]]
+    terms = [f"{format_eigenvalue(complex(np.round(lead[i], 6)), 4)} {names[i]}" for i in part[:6]]
     return ", ".join(terms) + (", ..." if len(part) > 6 else "")
 
 

@@ -7,7 +7,7 @@ Sigma is at least mu along the piece iff Y <= I/mu^2 there.
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -164,7 +164,9 @@ class BallRows:
             self._kept[key] = C.transpose() * C
         return self._kept[key]
 
-    def gramian(self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: Any) -> Matrix:
+    def gramian(
+        self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: npt.NDArray[np.bool_] | None
+    ) -> Matrix:
         """Sum of e^{A'(tau - start)} C'C e^{A (tau - start)}, from the last sample back to the first."""
         n = self.C.shape[1]
         G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)

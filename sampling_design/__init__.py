@@ -21,6 +21,7 @@ _FRONT_DOOR = {
     "plants": ("library",),
     "observability.count.zero_count": ("zero_count_bound",),
     "observability.count.critical_length": ("critical_length",),
+    "observability.count.loss_tolerance": ("loss_tolerance",),
     "observability.count.pbh": ("unseen_modes",),
     "observability.windows.sampled": ("observability_matrix", "sigma_min", "observability_gramian"),
     "observability.windows.window_sigma": ("window_sigma",),

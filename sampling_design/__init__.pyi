@@ -62,6 +62,7 @@ from sampling_design.nonlinear.experiment import thyroid_experiment as thyroid_e
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
 from sampling_design.observability.count.critical_length import critical_length as critical_length
+from sampling_design.observability.count.loss_tolerance import loss_tolerance as loss_tolerance
 from sampling_design.observability.count.pbh import unseen_modes as unseen_modes
 from sampling_design.observability.count.zero_count import zero_count_bound as zero_count_bound
 from sampling_design.observability.windows.sampled import observability_gramian as observability_gramian

@@ -43,7 +43,9 @@ def main() -> None:
     truth, y = record(plant, times, np.array([1.0, 0.5]), np.random.default_rng(0))
 
     free = sd.MovingHorizonEstimator(plant, certificate, **bounds)
-    boxed = sd.MovingHorizonEstimator(plant, certificate, x_set=([-BOX] * 2, [BOX] * 2), **bounds)
+    boxed = sd.MovingHorizonEstimator(
+        plant, certificate, constraints=sd.Constraints(x=([-BOX] * 2, [BOX] * 2)), **bounds
+    )
     ratios, engines, errors = [], [], {"free": [], "boxed": []}
     for t, x, measured in zip(times, truth, y, strict=True):
         for name, estimator in (("free", free), ("boxed", boxed)):

@@ -42,6 +42,7 @@ _FRONT_DOOR = {
     "certificates.compare.tradeoff": ("tradeoff_curve",),
     "estimators.mhe": ("MovingHorizonEstimator",),
     "estimators.kalman": ("KalmanFilter",),
+    "estimators.constraints.constraints": ("Constraints",),
     "estimators.constraints.convex_set": ("ConvexSet",),
     "estimators.baselines": ("standard_mhe", "periodic_at_equal_cost"),
     "estimators.measurements": ("Measurements", "read_measurements", "write_measurements", "write_estimates"),

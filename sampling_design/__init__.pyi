@@ -43,6 +43,7 @@ from sampling_design.errors import ArgumentError as ArgumentError
 from sampling_design.errors import SamplingDesignError as SamplingDesignError
 from sampling_design.estimators.baselines import periodic_at_equal_cost as periodic_at_equal_cost
 from sampling_design.estimators.baselines import standard_mhe as standard_mhe
+from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.measurements import Measurements as Measurements

@@ -2,9 +2,15 @@
 
 ARGUMENTS = {
     "carried_weight": 'arrival_cost="filtered"',
+    "check_spacing": "constraints=Constraints(check_spacing=...)",
     "every_lap": "every_period",
     "feedthrough": "input_side",
     "lateness": "maximum_delay",
+    "v_set": "constraints=Constraints(v=...)",
+    "w_model": "constraints=Constraints(w_model=...)",
+    "w_set": "constraints=Constraints(w=...)",
+    "x_set": "constraints=Constraints(x=...)",
+    "y_set": "constraints=Constraints(y=...)",
 }
 """Old keyword -> new one, with the value that means the same where the kind changed."""
 

@@ -140,7 +140,7 @@ def named() -> dict[str, Any]:
         "where": "file", "column": None, "span": 5.0, "summary": "Sample", "record": t["record"].measurements,
         "measurements": t["record"].measurements, "x0": [1.0, 0.0], "y": [0.3], "u": None, "sample": (1.2, [0.3], None),
         "state": None, "prior": [0.0, 0.0], "prior_time": 0.0, "horizon": 5.0, "cost": "certificate",
-        "arrival_cost": "fixed", "x_set": None, "w_set": None, "v_set": None, "lower": [-1.0, -1.0],
+        "arrival_cost": "fixed", "constraints": None, "lower": [-1.0, -1.0],
         "upper": [1.0, 1.0], "rows": [[1.0, 0.0]], "offsets": [1.0], "dimension": 2, "centre": None, "shape": None,
         "value": [0.1, 0.2], "values": [[0.1, 0.2]], "tolerance": 0.0, "truth": [0.9, 0.0], "i": 1, "noises": True,
         "input_side": "right", "norm": "P2", "scenarios": ["random"], "method": "riccati", "floor": 1e-3,
@@ -160,11 +160,10 @@ def special() -> dict[str, dict[str, Any]]:
     import casadi as ca
 
     x = ca.SX.sym("x", 2)
-    flat = {"x_set": None, "w_set": None, "v_set": None}
     suffixes = {"write_plant": "p.toml", "write_requirement": "r.toml", "write_schedule": "s.csv"}
     return {
         **{name: {"path": place / ("made_" + file)} for name, file in suffixes.items()},
-        "MovingHorizonEstimator": {"certificate": None, "eta": 0.4, **flat},
+        "MovingHorizonEstimator": {"certificate": None, "eta": 0.4},
         "NonlinearPlant": {
             "sizes": {"states": 2, "inputs": 0, "disturbances": 2, "noises": 1, "outputs": 1}, "signals": {},
             "bounds": {},
@@ -189,7 +188,7 @@ def special() -> dict[str, dict[str, Any]]:
         "UpperBound.from_dict": {"data": t["design"].bound.to_dict() if t["design"].bound else {}},
         "write_estimates": {"record": t["estimates"]},
         "check_detectability": {"plant": t["nonlinear"], "start": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
-        "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0, **flat},
+        "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0},
         "from_expressions": {"x": x, "f": -x, "h": x[0], "details": {}},
         "calendar": {"start": "2026-01-01", "schedule": t["schedule"]},
         "write_calendar_csv": {"start": "2026-01-01"},

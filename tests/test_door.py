@@ -257,6 +257,10 @@ def test_a_gap_beyond_all_count_is_one_sentence():
         (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
         (lambda: sd.sample_losses(None, every_lap=True), "every_period"),
         (lambda: sd.KalmanFilter(OSCILLATOR, lateness=2.0), "maximum_delay"),
+        (
+            lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, x_set=(-1, 1)),
+            r"constraints=Constraints\(x=...\)",
+        ),
     ],
 )
 def test_an_argument_of_an_earlier_name_says_the_new_one(make, words):

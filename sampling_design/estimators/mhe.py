@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
-from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Sample
@@ -39,7 +39,6 @@ SUSPECTS = 5
 """Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
 
 ARRIVAL_COSTS = ("fixed", "filtered")
-W_MODELS = ("outer", "constant")
 
 
 class Start(NamedTuple):
@@ -78,18 +77,13 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         The paper's cost has its factors 2 and a closed window.
     arrival_cost : "fixed" or "filtered"
         What the prior weighs: always P2, or its own information Pi(t - M), which gives the full rate for every horizon.
-    x_set, y_set, v_set, w_set : ConvexSet or (lower, upper), optional
-        Constraints on the state x, the modelled output C x + D u + v, the noise v, and the disturbance w.
-    check_spacing : float, optional
-        Impose the state constraints also between samples, at points at most this far apart.
-    w_model : "outer" or "constant"
-        How bounds on w act: as an outer bound on what they can do over a gap, which provably contains
-        the truth, or on a disturbance that is constant between nodes, which is not certified.
+    constraints : Constraints, optional
+        What is known of x, y, v and w; see there.
     engine : "auto", "active set", "conic" or "reference"
         What solves a window with active constraints.
     w_bound, v_bound, initial_error : float or array, optional
         Bounds on |w(t)|, |v| and |x - prior|: a number bounds the Euclidean norm, a vector each entry. All
-        three are needed for a radius; the first two default to what w_set and v_set allow.
+        three are needed for a radius; the first two default to what `constraints` on w and v allow.
     timing_tolerance : float
         How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
         what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
@@ -150,12 +144,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         prior_time: float = 0.0,
         cost: str = "certificate",
         arrival_cost: str = "fixed",
-        x_set: object = None,
-        y_set: object = None,
-        v_set: object = None,
-        w_set: object = None,
-        check_spacing: float | None = None,
-        w_model: str = "outer",
+        constraints: Constraints | None = None,
         engine: str = "auto",
         w_bound: npt.ArrayLike | None = None,
         v_bound: npt.ArrayLike | None = None,
@@ -169,13 +158,13 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self.horizon, self.claim_note = choose_horizon(
             certificate, horizon, cost, overridden, arrival_cost == "filtered"
         )
-        _one_of("w_model", w_model, W_MODELS)
-        constant = w_model == "constant" and w_set is not None
+        given = Constraints() if constraints is None else constraints
+        constant = given.w_model == "constant" and given.w is not None
         schedule = None if certificate is None else certificate.covers
         self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance)
-        self.constraints = Constraints(self.table, x_set, y_set, v_set, w_set)
+        self.constraints = WindowConstraints(self.table, given)
         self.engine = _engine(engine, self.constraints)
-        self.check_spacing = None if check_spacing is None else _checks.positive("check_spacing", check_spacing)
+        self.check_spacing = given.check_spacing
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._bound_by_sets(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
@@ -197,12 +186,12 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         Raises
         ------
         ArgumentError
-            If the prior has another length or lies outside `x_set`.
+            If the prior has another length or lies outside `constraints.x`.
         """
         state = super().initial_state(prior, prior_time)
         outside = -np.inf if self.constraints.x is None else self.constraints.x.excess(state.last.x)
         if outside > 0:
-            raise ArgumentError(f"`prior` must lie in `x_set`, got one outside by {outside:.6g}.")
+            raise ArgumentError(f"`prior` must lie in `constraints.x`, got one outside by {outside:.6g}.")
         return state
 
     def _solve(self, window: Window) -> Solution:
@@ -433,7 +422,7 @@ def _from_set(chosen: ConvexSet | None) -> Array | float | None:
     return float(magnitude) if magnitude is not None and magnitude.ndim == 0 else magnitude
 
 
-def _engine(engine: str, constraints: Constraints) -> str:
+def _engine(engine: str, constraints: WindowConstraints) -> str:
     _one_of("engine", engine, ENGINES)
     if engine == "active set" and constraints.has_balls:
         raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')

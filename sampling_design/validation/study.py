@@ -13,6 +13,7 @@ from sampling_design._record import short
 from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
@@ -59,7 +60,7 @@ PAPER_RUNS = 64
 """Random runs of the paper's estimator."""
 ROOMY = 100.0
 """Bounds this many times wider than the truth's own extent stay inactive."""
-CHOSEN_HERE = ("prior", "prior_time", "x_set", "y_set", "v_set", "w_set")
+CHOSEN_HERE = ("prior", "prior_time", "constraints")
 
 
 class Study:
@@ -292,7 +293,9 @@ class Study:
             runs = []
             for k in range(inputs.e0.shape[0]):
                 truth = true_run(line, inputs, k)
-                chosen = self.estimator(plant if truth.u is not None else None, x_set=extent(truth, room))
+                chosen = self.estimator(
+                    plant if truth.u is not None else None, constraints=Constraints(x=extent(truth, room))
+                )
                 runs.append(real_run(line, found.rows, truth, chosen))
             errors = np.array([run.errors(found.rows) for run in runs])
             if room:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solveh_banded
 
-from sampling_design import KalmanFilter, MovingHorizonEstimator, Plant
+from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
@@ -20,7 +20,11 @@ from sampling_design.estimators.window.window_problem import Window
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
 BOUNDS = {"w_bound": 0.5, "v_bound": 0.5, "initial_error": 3.0}
-SETS = {"free": {}, "box": {"x_set": (-0.3, 0.3)}, "noise": {"w_set": (-0.2, 0.2)}}
+SETS = {
+    "free": {},
+    "box": {"constraints": Constraints(x=(-0.3, 0.3))},
+    "noise": {"constraints": Constraints(w=(-0.2, 0.2))},
+}
 
 
 def samples(irregular=True, seed=0):

@@ -2,11 +2,12 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sampling_design import GuaranteeWarning, Plant, certify
+from sampling_design import Constraints, GuaranteeWarning, Plant, certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.form.seal import RESOLUTION
@@ -177,12 +178,12 @@ def test_exact_data_without_noise_do_not_disprove_zero_bounds():
 
 def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
     wide = {"v_bound": 100.0, "initial_error": 100.0}
-    mhe = MovingHorizonEstimator(DRIVEN, horizon=2.0, x_set=(-1.0, 1.0), w_set=(-0.1, 0.1), **wide)
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=2.0, constraints=Constraints(x=(-1.0, 1.0), w=(-0.1, 0.1)), **wide)
     fine = mhe.update(1.0, [0.0, 0.0], [20.0])
     estimate = mhe.update(1.5, [0.0, 0.0], [0.0])
     assert estimate.status == "infeasible"
     assert "No trajectory meets" in estimate.note
-    assert "x_set" in estimate.note or "w_set" in estimate.note
+    assert "constraints.x" in estimate.note or "constraints.w" in estimate.note
     assert "more)" in estimate.note
     assert not estimate.certified
     kick = mhe._drift.between(mhe.state, 1.0, 1.5)
@@ -198,20 +199,23 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
 @pytest.mark.parametrize(
     ("sets", "words"),
     [
-        ({"x_set": (-1.0, 1.0)}, r"(x|omega)[12] [<>]= \S+ at t = \S+ \([xw]_set\)"),
-        ({"x_set": (-1.0, 1.0), "check_spacing": 0.3}, r"(x|omega)[12] [<>]= \S+ at t = \S+ \([xw]_set\)"),
+        (Constraints(x=(-1.0, 1.0)), r"(x|omega)[12] [<>]= \S+ at t = \S+ \(constraints.[xw]\)"),
         (
-            {"x_set": ConvexSet.halfspaces(np.vstack([np.eye(2), -np.eye(2)]), np.ones(4))},
-            r"half-space \d of x_set at t",
+            Constraints(x=(-1.0, 1.0), check_spacing=0.3),
+            r"(x|omega)[12] [<>]= \S+ at t = \S+ \(constraints.[xw]\)",
         ),
-        ({"x_set": ConvexSet.ball(1.0, dimension=2)}, r"a ball of x_set at t = "),
-        ({"x_set": ConvexSet.ball(0.0, dimension=2)}, r"a ball of x_set at t = "),
-        ({"y_set": ConvexSet.ball(1.0, dimension=2), "v_set": (-0.1, 0.1)}, r"a ball of y_set at t = "),
+        (
+            Constraints(x=ConvexSet.halfspaces(np.vstack([np.eye(2), -np.eye(2)]), np.ones(4))),
+            r"half-space \d of constraints.x at t",
+        ),
+        (Constraints(x=ConvexSet.ball(1.0, dimension=2)), r"a ball of constraints.x at t = "),
+        (Constraints(x=ConvexSet.ball(0.0, dimension=2)), r"a ball of constraints.x at t = "),
+        (Constraints(y=ConvexSet.ball(1.0, dimension=2), v=(-0.1, 0.1)), r"a ball of constraints.y at t = "),
     ],
 )
 def test_whatever_set_cannot_be_met_is_named(sets, words, engine):
     """A kick by a known input that no small disturbance undoes: every engine says so and predicts instead."""
-    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, w_set=(-0.01, 0.01), engine=engine, **sets)
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, engine=engine, constraints=replace(sets, w=(-0.01, 0.01)))
     assert mhe.update(0.5, [0.0, 0.0], [0.0]).status == "ok"
     mhe.update(0.6, None, [20.0])
     before = mhe.predict(1.5)
@@ -226,10 +230,10 @@ def test_whatever_set_cannot_be_met_is_named(sets, words, engine):
 
 @pytest.mark.parametrize("engine", ["auto", "conic", "reference"])
 def test_a_ball_of_radius_zero_is_a_point(engine):
-    for name, k in (("v_set", 1), ("w_set", 2)):
+    for name, k in (("v", 1), ("w", 2)):
         found = []
         for chosen in (ConvexSet.ball(0.0, dimension=k), (0.0, 0.0)):
-            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, engine=engine, **{name: chosen})
+            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, engine=engine, constraints=Constraints(**{name: chosen}))
             found.append([mhe.update(t, [0.3 * t]) for t in (1.0, 1.7, 2.9)][-1])
         assert found[0].status == "ok"
         assert np.max(np.abs(found[0].x - found[1].x)) < 1e-9
@@ -325,26 +329,30 @@ def test_an_estimate_says_what_it_promises():
         ({"horizon": 1.0, "cost": "mine"}, '`cost` must be "certificate" or "paper"'),
         ({"horizon": 1.0, "input_side": "both"}, '`input_side` must be "right" or "left"'),
         ({"horizon": 1.0, "arrival_cost": "free"}, "`arrival_cost` must be one of 'fixed', 'filtered'"),
-        ({"horizon": 1.0, "w_model": "zoh"}, "`w_model` must be one of 'outer', 'constant'"),
         ({"horizon": 1.0, "engine": "fast"}, "`engine` must be one of"),
         ({"horizon": 1.0, "w_bound": -1.0}, "`w_bound` must not be negative"),
         ({"horizon": 1.0, "initial_error": [1.0, -1.0]}, "`initial_error` must not be negative"),
         ({"horizon": 1.0, "v_bound": [1.0, 1.0]}, "`v_bound` must have 1 entry"),
         ({"horizon": 1.0, "prior": [1.0]}, "`prior` must have 2 entries"),
         (
-            {"horizon": 1.0, "prior": [3.0, 0.0], "x_set": (-1.0, 1.0)},
-            "`prior` must lie in `x_set`, got one outside by 2",
+            {"horizon": 1.0, "prior": [3.0, 0.0], "constraints": Constraints(x=(-1.0, 1.0))},
+            "`prior` must lie in `constraints.x`, got one outside by 2",
         ),
         (
-            {"horizon": 1.0, "prior": [1.0, 1.0], "x_set": ConvexSet.ball(1.0, dimension=2)},
-            "`prior` must lie in `x_set`, got one outside by 0.414",
+            {"horizon": 1.0, "prior": [1.0, 1.0], "constraints": Constraints(x=ConvexSet.ball(1.0, dimension=2))},
+            "`prior` must lie in `constraints.x`, got one outside by 0.414",
         ),
-        ({"horizon": 1.0, "x_set": (1.0, -1.0)}, "the set is empty"),
-        ({"horizon": 1.0, "x_set": "positive"}, "must be a ConvexSet or a pair"),
-        ({"horizon": 1.0, "x_set": ConvexSet.ball(1.0, dimension=3)}, "`x_set` must have dimension 2, got 3"),
-        ({"horizon": 1.0, "w_set": ([0.0, -np.inf], [1.0, 1.0])}, "`w_set` is unbounded"),
-        ({"horizon": 1.0, "check_spacing": 0.0}, "`check_spacing` must be positive"),
-        ({"horizon": 1.0, "w_set": ConvexSet.ball(1.0, dimension=2), "engine": "active set"}, "knows no norm balls"),
+        ({"horizon": 1.0, "constraints": Constraints(x=(1.0, -1.0))}, "the set is empty"),
+        ({"horizon": 1.0, "constraints": Constraints(x="positive")}, "must be a ConvexSet or a pair"),
+        (
+            {"horizon": 1.0, "constraints": Constraints(x=ConvexSet.ball(1.0, dimension=3))},
+            "`constraints.x` must have dimension 2, got 3",
+        ),
+        ({"horizon": 1.0, "constraints": Constraints(w=([0.0, -np.inf], [1.0, 1.0]))}, "`constraints.w` is unbounded"),
+        (
+            {"horizon": 1.0, "constraints": Constraints(w=ConvexSet.ball(1.0, dimension=2)), "engine": "active set"},
+            "knows no norm balls",
+        ),
         ({"certificate": PeriodicSchedule([1.0])}, "`certificate` must be a Certificate or FamilyCertificate, got Per"),
         ({"certificate": stand_in(plant=DRIVEN, R=np.eye(2), Qv=np.eye(2))}, "`certificate` belongs to another plant"),
     ],
@@ -359,7 +367,7 @@ def test_more_refusals_at_the_door():
         MovingHorizonEstimator(Plant(np.zeros((0, 0)), np.zeros((1, 0))), horizon=1.0)
     wide = Plant([[0.0]], [[1.0]], G=[[1.0, 1.0]])
     with pytest.raises(ArgumentError, match="full column rank"):
-        MovingHorizonEstimator(wide, horizon=1.0, w_set=(-1.0, 1.0), w_model="constant")
+        MovingHorizonEstimator(wide, horizon=1.0, constraints=Constraints(w=(-1.0, 1.0), w_model="constant"))
 
 
 @pytest.mark.parametrize(
@@ -409,7 +417,7 @@ def test_nothing_is_kept_from_before_the_oldest_snapshot():
 def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch):
     from sampling_design.estimators.constraints import qp
 
-    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, x_set=(-0.2, 0.2), **BOUNDS)
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, constraints=Constraints(x=(-0.2, 0.2)), **BOUNDS)
     first = mhe.update(1.0, [0.1])
     monkeypatch.setattr(qp, "active_set", lambda problem: None)
     monkeypatch.setattr(qp, "conic", lambda problem: None)
@@ -429,3 +437,15 @@ def test_the_least_horizon_is_that_of_the_proven_lambda():
     assert least_horizon(certificate, "certificate") == pytest.approx(certificate.horizon().minimum, rel=1e-12)
     paper = min(certificate.horizon("paper").minimum, np.log(2 * certificate.lam_proven) / certificate.eta)
     assert least_horizon(certificate, "paper") == pytest.approx(paper, rel=1e-12)
+
+
+def test_constraints_say_what_they_hold_and_refuse_what_they_cannot():
+    held = Constraints(x=(-1.0, 1.0), w=ConvexSet.ball(0.1, dimension=2), check_spacing=0.3)
+    assert "-1 to 1" in str(held)
+    assert "outer" in str(held)
+    assert held.explain() == "Constraints on x, w."
+    assert Constraints().explain() == "No constraints."
+    with pytest.raises(ArgumentError, match="`w_model` must be one of 'outer', 'constant', got 'zoh'"):
+        Constraints(w_model="zoh")
+    with pytest.raises(ArgumentError, match="`check_spacing` must be positive"):
+        Constraints(check_spacing=0.0)

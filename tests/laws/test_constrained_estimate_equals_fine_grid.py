@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant
+from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import fine_grid
@@ -41,11 +41,11 @@ def cases():
         ]
 
     return {
-        "box": ({"x_set": (-box, box)}, in_box),
-        "ball": ({"x_set": ConvexSet.ball(0.6, dimension=2)}, in_ball),
-        "half-space": ({"x_set": ConvexSet.halfspaces(row, [0.35])}, in_half_space),
-        "noise": ({"v_set": (-0.03, 0.03)}, small_v),
-        "output": ({"y_set": (-0.5, 0.5)}, small_y),
+        "box": ({"constraints": Constraints(x=(-box, box))}, in_box),
+        "ball": ({"constraints": Constraints(x=ConvexSet.ball(0.6, dimension=2))}, in_ball),
+        "half-space": ({"constraints": Constraints(x=ConvexSet.halfspaces(row, [0.35]))}, in_half_space),
+        "noise": ({"constraints": Constraints(v=(-0.03, 0.03))}, small_v),
+        "output": ({"constraints": Constraints(y=(-0.5, 0.5))}, small_y),
     }
 
 
@@ -90,7 +90,12 @@ def test_a_constant_disturbance_within_bounds_is_the_grid_of_one_cell_a_gap(kind
     bound = 0.12
     chosen = (-bound, bound) if kind == "box" else ConvexSet.ball(bound, dimension=2)
     mhe = MovingHorizonEstimator(
-        Plant(A, C, G=G), horizon=9.0, eta=1e-9, prior=PRIOR, w_set=chosen, w_model="constant", **WEIGHTS
+        Plant(A, C, G=G),
+        horizon=9.0,
+        eta=1e-9,
+        prior=PRIOR,
+        constraints=Constraints(w=chosen, w_model="constant"),
+        **WEIGHTS,
     )
 
     def constrain(x, w, v):

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sampling_design import Plant
+from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import active_set, conic, infeasibility
 from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.reference import solve_reference
-from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.window.smoother import solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
@@ -48,22 +48,24 @@ def ball(k, size):
 
 
 SETS = {
-    "x box": lambda n, p, q: {"x_set": both(n, 0.3)},
-    "x box, check points": lambda n, p, q: {"x_set": both(n, 0.3), "check_spacing": 0.35},
-    "x half-spaces": lambda n, p, q: {"x_set": slab(n, 0.3)},
-    "x ball": lambda n, p, q: {"x_set": ball(n, 0.4)},
-    "x ball, check points": lambda n, p, q: {"x_set": ball(n, 0.4), "check_spacing": 0.35},
+    "x box": lambda n, p, q: {"constraints": Constraints(x=both(n, 0.3))},
+    "x box, check points": lambda n, p, q: {"constraints": Constraints(x=both(n, 0.3), check_spacing=0.35)},
+    "x half-spaces": lambda n, p, q: {"constraints": Constraints(x=slab(n, 0.3))},
+    "x ball": lambda n, p, q: {"constraints": Constraints(x=ball(n, 0.4))},
+    "x ball, check points": lambda n, p, q: {"constraints": Constraints(x=ball(n, 0.4), check_spacing=0.35)},
     "x ellipsoid in a box": lambda n, p, q: {
-        "x_set": ConvexSet.ball(0.4, shape=np.diag(1 + 0.5 * np.arange(n))) & box(n, 0.25)
+        "constraints": Constraints(x=ConvexSet.ball(0.4, shape=np.diag(1 + 0.5 * np.arange(n))) & box(n, 0.25))
     },
-    "v and y boxes": lambda n, p, q: {"v_set": both(p, 0.4), "y_set": both(p, 0.6)},
-    "v half-spaces, y ball": lambda n, p, q: {"v_set": slab(p, 0.5), "y_set": ball(p, 0.7)},
-    "v ball": lambda n, p, q: {"v_set": ball(p, 0.3)},
-    "w box": lambda n, p, q: {"w_set": both(q, 0.2)},
-    "w ball": lambda n, p, q: {"w_set": ball(q, 0.15)},
-    "w ball in a box": lambda n, p, q: {"w_set": ball(q, 0.2) & box(q, 0.15)},
-    "constant w, half-spaces": lambda n, p, q: {"w_set": slab(q, 0.15) & box(q, 0.3), "w_model": "constant"},
-    "all": lambda n, p, q: {"x_set": ball(n, 0.5), "v_set": both(p, 1.2), "y_set": ball(p, 1.0), "w_set": both(q, 0.6)},
+    "v and y boxes": lambda n, p, q: {"constraints": Constraints(v=both(p, 0.4), y=both(p, 0.6))},
+    "v half-spaces, y ball": lambda n, p, q: {"constraints": Constraints(v=slab(p, 0.5), y=ball(p, 0.7))},
+    "v ball": lambda n, p, q: {"constraints": Constraints(v=ball(p, 0.3))},
+    "w box": lambda n, p, q: {"constraints": Constraints(w=both(q, 0.2))},
+    "w ball": lambda n, p, q: {"constraints": Constraints(w=ball(q, 0.15))},
+    "w ball in a box": lambda n, p, q: {"constraints": Constraints(w=ball(q, 0.2) & box(q, 0.15))},
+    "constant w, half-spaces": lambda n, p, q: {
+        "constraints": Constraints(w=slab(q, 0.15) & box(q, 0.3), w_model="constant")
+    },
+    "all": lambda n, p, q: {"constraints": Constraints(x=ball(n, 0.5), v=both(p, 1.2), y=ball(p, 1.0), w=both(q, 0.6))},
 }
 
 
@@ -141,7 +143,7 @@ def test_where_a_constraint_touches_without_pushing(name, first, second):
     mhe, found = windows(plant, "x box", seed=2)
     window, _ = found[-1]
     free = solve_square_root(window)
-    alone = solve_constrained(window, Constraints(mhe.table, chosen, None, None, None), free)
+    alone = solve_constrained(window, WindowConstraints(mhe.table, Constraints(x=chosen)), free)
     assert alone.status == "ok"
     direction = np.cos(np.arange(n) + 1.0)
     touching = {
@@ -149,7 +151,7 @@ def test_where_a_constraint_touches_without_pushing(name, first, second):
         "ball": ConvexSet.ball(np.max(np.linalg.norm(alone.nodes - direction, axis=1)), centre=direction),
         "same": chosen,
     }[second]
-    constraints = Constraints(mhe.table, chosen & touching, None, None, None)
+    constraints = WindowConstraints(mhe.table, Constraints(x=chosen & touching))
     assert apart(solve_constrained(window, constraints, free), alone, free) < AGREED
     assert apart(solve_constrained(window, constraints, free, "conic"), alone, free) < AGREED
     assert apart(solve_reference(window, constraints, free), alone, free) < AGREED

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import KalmanFilter, Plant
+from sampling_design import Constraints, KalmanFilter, Plant
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.1], [0.0]])
@@ -22,7 +22,9 @@ def record(seed, count=24):
 def estimators():
     bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
     yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, **bounds)
-    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, x_set=([-0.5, -0.5], [0.5, 0.5]), **bounds)
+    yield lambda: MovingHorizonEstimator(
+        PLANT, horizon=4.0, eta=0.3, constraints=Constraints(x=([-0.5, -0.5], [0.5, 0.5])), **bounds
+    )
     yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, cost="paper", arrival_cost="filtered")
     yield lambda: KalmanFilter(PLANT, eta=0.3, maximum_delay=4.0, **bounds)
 

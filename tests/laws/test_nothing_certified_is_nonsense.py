@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sampling_design import (
+    Constraints,
     EstimateRecord,
     KalmanFilter,
     MovingHorizonEstimator,
@@ -28,7 +29,9 @@ PLANTS = {
 MAKERS = {
     "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, **o),
     "carried": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, arrival_cost="filtered", **o),
-    "boxes": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, x_set=(-1e3, 1e3), v_set=(-9, 9), **o),
+    "boxes": lambda plant, **o: MovingHorizonEstimator(
+        plant, horizon=5.0, constraints=Constraints(x=(-1e3, 1e3), v=(-9, 9)), **o
+    ),
     "filter": KalmanFilter,
 }
 

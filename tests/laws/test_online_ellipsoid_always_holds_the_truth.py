@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant
+from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import input_integral, transition
@@ -50,17 +50,17 @@ def simulate(A, C, G, rng, samples):
 def constraints(kind, inner, states, x0, largest):
     low, high = inner.min(axis=0), inner.max(axis=0)
     if kind == "box at nodes and between":
-        return {"x_set": (np.minimum(low, 0), np.maximum(high, 0)), "check_spacing": 0.4}
+        return {"constraints": Constraints(x=(np.minimum(low, 0), np.maximum(high, 0)), check_spacing=0.4)}
     if kind == "ball and noise box":
         radius = float(np.max(np.linalg.norm(inner, axis=1)))
-        return {"x_set": ConvexSet.ball(radius, dimension=inner.shape[1]), "v_set": (-V_BOUND, V_BOUND)}
+        return {"constraints": Constraints(x=ConvexSet.ball(radius, dimension=inner.shape[1]), v=(-V_BOUND, V_BOUND))}
     if kind == "half-space and output":
         row = np.ones((1, inner.shape[1]))
         top = max(0.0, float(np.max(inner @ row[0])))
-        return {"x_set": ConvexSet.halfspaces(row, [top])}
+        return {"constraints": Constraints(x=ConvexSet.halfspaces(row, [top]))}
     if kind == "disturbance box":
-        return {"w_set": (-largest, largest)}
-    return {"w_set": ConvexSet.ball(W_BOUND, dimension=largest.size)}
+        return {"constraints": Constraints(w=(-largest, largest))}
+    return {"constraints": Constraints(w=ConvexSet.ball(W_BOUND, dimension=largest.size))}
 
 
 KINDS = [
@@ -157,13 +157,14 @@ def test_a_constant_disturbance_between_nodes_need_not_contain_the_truth_and_is_
         "P2": 1e6 * np.eye(2),
         "R": [[1e8]],
         "Qv": [[1e8]],
-        "w_set": (-1.0, 1.0),
+        "constraints": Constraints(w=(-1.0, 1.0)),
         "v_bound": 1e-6,
         "initial_error": 1e-6,
         "prior": [0.0, 0.0],
     }
     outer = MovingHorizonEstimator(Plant(A, C, G=G), **options).update(1.0, C @ truth)
-    constant = MovingHorizonEstimator(Plant(A, C, G=G), w_model="constant", **options).update(1.0, C @ truth)
+    options["constraints"] = Constraints(w=(-1.0, 1.0), w_model="constant")
+    constant = MovingHorizonEstimator(Plant(A, C, G=G), **options).update(1.0, C @ truth)
     assert outer.certified
     assert outer.holds(truth)
     assert not constant.certified

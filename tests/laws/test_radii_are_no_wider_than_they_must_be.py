@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import MovingHorizonEstimator, Plant
+from sampling_design import Constraints, MovingHorizonEstimator, Plant
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 BOUNDS = {"w_bound": 0.05, "v_bound": [0.2], "initial_error": 1.0, "eta": 0.4, "horizon": 6.0}
@@ -19,7 +19,11 @@ def final(ys, **options):
 def test_an_inactive_noise_set_leaves_the_radii_as_they_are(weights):
     ys = [0.1, -0.05, 0.1, 0.0, 0.15]
     free, _ = final(ys, **weights)
-    for options in ({"v_set": (-0.2, 0.2)}, {"v_set": (-9.0, 9.0)}, {"y_set": (-9.0, 9.0)}):
+    for options in (
+        {"constraints": Constraints(v=(-0.2, 0.2))},
+        {"constraints": Constraints(v=(-9.0, 9.0))},
+        {"constraints": Constraints(y=(-9.0, 9.0))},
+    ):
         held, _ = final(ys, **options, **weights)
         assert held.radii == pytest.approx(free.radii, rel=1e-12)
 
@@ -27,7 +31,9 @@ def test_an_inactive_noise_set_leaves_the_radii_as_they_are(weights):
 def test_an_active_noise_set_narrows_the_radii():
     ys = [0.9, -0.7, 0.8, 0.6, -0.9]
     loose = {**BOUNDS, "v_bound": [2.0]}
-    free, held = (MovingHorizonEstimator(PLANT, **loose, **o) for o in ({}, {"v_set": (-0.3, 0.3)}))
+    free, held = (
+        MovingHorizonEstimator(PLANT, **loose, **o) for o in ({}, {"constraints": Constraints(v=(-0.3, 0.3))})
+    )
     for t, y in zip(TIMES, ys, strict=True):
         one, two = free.update(t, [y]), held.update(t, [y])
     assert two.engine == "active set"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant
+from sampling_design import Constraints, Plant
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], [[0.0], [1.0], [0.2]])
@@ -18,7 +18,7 @@ def resolved(mhe, t):
 
 
 @pytest.mark.parametrize("cost", ["certificate", "paper"])
-@pytest.mark.parametrize("bounds", [{}, {"v_set": (-0.4, 0.4)}], ids=["free", "bounded v"])
+@pytest.mark.parametrize("bounds", [{}, {"constraints": Constraints(v=(-0.4, 0.4))}], ids=["free", "bounded v"])
 def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, bounds):
     rng = np.random.default_rng(0)
     mhe = MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.4, cost=cost, **bounds)

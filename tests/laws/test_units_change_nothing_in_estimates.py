@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sampling_design import (
+    Constraints,
     GuaranteeWarning,
     KalmanFilter,
     MovingHorizonEstimator,
@@ -58,16 +59,16 @@ def ball(units, radius):
 
 KINDS = {
     "free": lambda u: {},
-    "boxes": lambda u: {"x_set": box(u.states, -0.3, 0.3), "v_set": box(u.outputs, -0.2, 0.2)},
-    "ball": lambda u: {"x_set": ball(u.states, 0.4)},
-    "half-space": lambda u: {"x_set": ConvexSet.halfspaces([[1.0, -1.0, 0.5] / u.states], [0.1])},
-    "output box": lambda u: {"y_set": box(u.outputs, -0.4, 0.4)},
-    "disturbance box": lambda u: {"w_set": box(u.disturbances, -0.1, 0.1)},
-    "disturbance ball": lambda u: {"w_set": ball(u.disturbances, 0.1)},
-    "constant w": lambda u: {"w_set": box(u.disturbances, -0.1, 0.1), "w_model": "constant"},
+    "boxes": lambda u: {"constraints": Constraints(x=box(u.states, -0.3, 0.3), v=box(u.outputs, -0.2, 0.2))},
+    "ball": lambda u: {"constraints": Constraints(x=ball(u.states, 0.4))},
+    "half-space": lambda u: {"constraints": Constraints(x=ConvexSet.halfspaces([[1.0, -1.0, 0.5] / u.states], [0.1]))},
+    "output box": lambda u: {"constraints": Constraints(y=box(u.outputs, -0.4, 0.4))},
+    "disturbance box": lambda u: {"constraints": Constraints(w=box(u.disturbances, -0.1, 0.1))},
+    "disturbance ball": lambda u: {"constraints": Constraints(w=ball(u.disturbances, 0.1))},
+    "constant w": lambda u: {"constraints": Constraints(w=box(u.disturbances, -0.1, 0.1), w_model="constant")},
     "carried": lambda u: {"arrival_cost": "filtered"},
     "paper": lambda u: {"cost": "paper"},
-    "between": lambda u: {"x_set": box(u.states, -0.3, 0.3), "check_spacing": 0.3 * u.time},
+    "between": lambda u: {"constraints": Constraints(x=box(u.states, -0.3, 0.3), check_spacing=0.3 * u.time)},
 }
 
 

@@ -3,10 +3,20 @@
 Weights of a plant without some outputs are those of the covariances without their rows, whatever the correlation.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sampling_design import KalmanFilter, MovingHorizonEstimator, PeriodicSchedule, Plant, certify, validate
+from sampling_design import (
+    Constraints,
+    KalmanFilter,
+    MovingHorizonEstimator,
+    PeriodicSchedule,
+    Plant,
+    certify,
+    validate,
+)
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 
@@ -41,11 +51,11 @@ def test_half_the_prior_half_the_measurement():
 
 
 SETS = {
-    "free": {},
-    "box": {"x_set": (-0.4, 0.4)},
-    "noise box": {"v_set": ((-0.1, -9.0, -0.1), (0.1, 9.0, 0.1))},
-    "output box": {"y_set": ((-0.3, -9.0, -0.3), (0.3, 9.0, 0.3))},
-    "ball": {"x_set": ConvexSet.ball(0.5, dimension=3)},
+    "free": Constraints(),
+    "box": Constraints(x=(-0.4, 0.4)),
+    "noise box": Constraints(v=((-0.1, -9.0, -0.1), (0.1, 9.0, 0.1))),
+    "output box": Constraints(y=((-0.3, -9.0, -0.3), (0.3, 9.0, 0.3))),
+    "ball": Constraints(x=ConvexSet.ball(0.5, dimension=3)),
 }
 
 
@@ -55,11 +65,13 @@ SETS = {
 )
 def test_a_moving_horizon_estimate_is_that_without_the_output(name, options):
     plant, fewer, whole, part, rng = setting(3)
-    few = {key: tuple(np.take(side, SEEN) for side in value) if "v_" in key or "y_" in key else value
-           for key, value in SETS[name].items()}  # fmt: skip
+    held = SETS[name]
+    few = {key: tuple(np.take(side, SEEN) for side in getattr(held, key)) for key in "vy" if getattr(held, key)}
     bounds = {"w_bound": [1.0, 1.0, 1.0], "initial_error": [1.0, 1.0, 1.0], "horizon": 2.5, "eta": 0.3}
-    one = MovingHorizonEstimator(plant, v_bound=np.ones(3), **bounds, **whole, **SETS[name], **options)
-    two = MovingHorizonEstimator(fewer, v_bound=np.ones(2), **bounds, **part, **few, **options)
+    one = MovingHorizonEstimator(plant, v_bound=np.ones(3), **bounds, constraints=held, **whole, **options)
+    two = MovingHorizonEstimator(
+        fewer, v_bound=np.ones(2), **bounds, constraints=replace(held, **few), **part, **options
+    )
     for t in (0.4, 1.1, 1.9, 3.0, 3.6):
         y = rng.normal(size=3) * 0.6
         a, b = one.update(t, np.where([True, False, True], y, np.nan)), two.update(t, y[SEEN])

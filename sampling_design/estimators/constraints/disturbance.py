@@ -53,7 +53,7 @@ class DisturbanceReach:
                 raise ArgumentError('`w_model` = "constant" needs a G of full column rank, so that w follows from d.')
         elif not bounded:
             raise ArgumentError(
-                "`w_set` is unbounded, so that an outer bound on what w can do says nothing. "
+                "`constraints.w` is unbounded, so that an outer bound on what w can do says nothing. "
                 'Bound every entry of w, or use w_model="constant" (not certified).'
             )
 

@@ -14,7 +14,7 @@ from sampling_design.estimators.constraints.constrained_signals import Mask
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic
 from sampling_design.estimators.constraints.least_distance_problem import Demands
 from sampling_design.estimators.constraints.reference import find_obstacle, solve_reference
-from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
 
@@ -27,7 +27,7 @@ SATISFIED = 1e-10
 """Excess, relative to the size of the values, up to which a signal counts as inside its set."""
 
 
-def solve_constrained(window: Window, constraints: Constraints, free: Solution, engine: str = "auto") -> Solution:
+def solve_constrained(window: Window, constraints: WindowConstraints, free: Solution, engine: str = "auto") -> Solution:
     """Return the minimiser under the constraints, given the one without.
 
     Notes

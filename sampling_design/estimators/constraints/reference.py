@@ -14,7 +14,7 @@ from sampling_design import _conic
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
-from sampling_design.estimators.constraints.window_constraints import Constraints
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
@@ -43,7 +43,7 @@ class _Point:
 
 
 def solve_reference(
-    window: Window, constraints: Constraints, free: Solution, scales: Sequence[float] = SCALES
+    window: Window, constraints: WindowConstraints, free: Solution, scales: Sequence[float] = SCALES
 ) -> Solution:
     """Solve the window problem as it is written, in states, omega and v, with the modelling library. Slow.
 
@@ -75,7 +75,7 @@ def solve_reference(
 
 
 def _improved(
-    window: Window, constraints: Constraints, point: _Point, scale: float
+    window: Window, constraints: WindowConstraints, point: _Point, scale: float
 ) -> tuple[SolverRecord, _Point | None]:
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
     cp = _conic.cvxpy()

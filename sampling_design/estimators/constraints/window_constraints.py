@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.constraints.constrained_signals import Signal
+from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import convex_set
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import Demands
@@ -16,16 +17,16 @@ from sampling_design.estimators.window.window_problem import Window
 Array = npt.NDArray[np.float64]
 
 
-class Constraints:
+class WindowConstraints:
     """The sets of one estimator, and what they ask of a window."""
 
-    def __init__(self, table: FlowTable, x: object, y: object, v: object, w: object):
+    def __init__(self, table: FlowTable, given: Constraints):
         plant = table.weights.plant
         self.plant, self.weights = plant, table.weights
-        self.x = convex_set("x_set", x, plant.n_states)
-        self.y = convex_set("y_set", y, plant.n_outputs)
-        self.v = convex_set("v_set", v, plant.n_outputs)
-        self.w = convex_set("w_set", w, plant.n_disturbances)
+        self.x = convex_set("constraints.x", given.x, plant.n_states)
+        self.y = convex_set("constraints.y", given.y, plant.n_outputs)
+        self.v = convex_set("constraints.v", given.v, plant.n_outputs)
+        self.w = convex_set("constraints.w", given.w, plant.n_disturbances)
         self.keeps_v = self.v is not None or self.y is not None
         self._omega_names = tuple(f"omega{i + 1}" for i in range(plant.n_states))
         self.reach = None if self.w is None else DisturbanceReach(table, self.w)
@@ -52,7 +53,7 @@ class Constraints:
         if self.x is not None:
             at = np.arange(window.times.size)
             unit = np.sqrt(np.diag(free.covariance))
-            signals.append(Signal("x_set", window.times, self.plant.states.names, nodes, [self.x], at, unit))
+            signals.append(Signal("constraints.x", window.times, self.plant.states.names, nodes, [self.x], at, unit))
         if self.keeps_v:
             signals += self._noisy_signals(window, free)
         if self.reach is not None and window.flows:
@@ -61,7 +62,7 @@ class Constraints:
             names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
             sets = self.reach.over(window.flows)
             signals.append(
-                Signal("w_set", window.times[1:], names, base, sets, at, np.ones(len(names)), whiten, before)
+                Signal("constraints.w", window.times[1:], names, base, sets, at, np.ones(len(names)), whiten, before)
             )
         return Demands(free.spread, signals, *nodes.shape)
 
@@ -76,11 +77,11 @@ class Constraints:
         here = -kinds.gain @ plant.C
         own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]
         if self.v is not None:
-            found.append(Signal("v_set", times, names, v, [self.v], at, unit, here, own=own, seen=seen))
+            found.append(Signal("constraints.v", times, names, v, [self.v], at, unit, here, own=own, seen=seen))
         if self.y is not None:
             y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
             found.append(
-                Signal("y_set", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen)
+                Signal("constraints.y", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen)
             )
         return found
 

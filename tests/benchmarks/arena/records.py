@@ -79,7 +79,7 @@ def run(quick: bool = False) -> list[Table]:
         schemes: dict[str, Callable[[], Any]] = {
             "sampling_design MHE": lambda p=plant, c=certificate: sd.MovingHorizonEstimator(p, c, **BOUNDS),
             "sampling_design MHE, box on the states": lambda p=plant, c=certificate: sd.MovingHorizonEstimator(
-                p, c, x_set=(-LIMIT, LIMIT), **BOUNDS
+                p, c, constraints=sd.Constraints(x=(-LIMIT, LIMIT)), **BOUNDS
             ),
             "sampling_design MHE, certificate for the rate 0.1": lambda p=plant, s=schedule: sd.MovingHorizonEstimator(
                 p, sd.certify(p, s, eta=0.1), **BOUNDS

@@ -41,7 +41,7 @@ def constrained(n: int, count: int, irregular: bool = True) -> Problem:
 
 def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.Estimate], sd.Estimate]:
     """Return a call that takes in the last sample of the window, and its estimate."""
-    box = {} if task.box is None else {"x_set": (-task.box, task.box)}
+    box = {} if task.box is None else {"constraints": sd.Constraints(x=(-task.box, task.box))}
     weights = {"P2": task.P2, "Qw": task.Qw, "R": 2 * task.Rt, "Qv": 2 * task.Rt, "eta": ETA}
     mhe = sd.MovingHorizonEstimator(task.plant, horizon=2 * task.times[-1], **weights, **box, **BOUNDS, **options)
     state = mhe.initial_state(task.prior)

@@ -8,6 +8,7 @@ from sampling_design import estimators as estimators
 from sampling_design import evidence as evidence
 from sampling_design import nonlinear as nonlinear
 from sampling_design import observability as observability
+from sampling_design import planning as planning
 from sampling_design import plants as plants
 from sampling_design import plotting as plotting
 from sampling_design import recovery as recovery
@@ -71,6 +72,9 @@ from sampling_design.observability.windows.sampled import observability_matrix a
 from sampling_design.observability.windows.sampled import sigma_min as sigma_min
 from sampling_design.observability.windows.window_sigma import window_sigma as window_sigma
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma as worst_case_sigma
+from sampling_design.planning.plan import plan as plan
+from sampling_design.planning.requirement import PlanRequirement as PlanRequirement
+from sampling_design.planning.requirement_file import read_plan_requirement as read_plan_requirement
 from sampling_design.plants import library as library
 from sampling_design.plants.files import read_plant as read_plant
 from sampling_design.plants.files import write_plant as write_plant

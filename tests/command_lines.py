@@ -22,6 +22,7 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.cli.settings import NO_BUDGET
+from sampling_design.planning.requirement_file import write_plan_requirement
 from tests.front_door import EXAMPLES, MEMORY
 
 SECONDS = 60
@@ -44,6 +45,9 @@ def files() -> dict[str, Path]:
     sd.write_requirement(sd.Requirement(window=4.0, spacing=0.5, samples=3), made["requirement.toml"])
     certificate.save(made["certificate.json"])
     sd.write_measurements(sd.simulate_record(plant, schedule, 6.0).measurements, made["measurements.csv"])
+    terms = {"position": {"noise_bound": 0.2}}
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
+    made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())
     made |= {"missing": place / "nosuch.toml", "folder": place, "device": Path("/dev/null"), "": Path("")}
@@ -87,6 +91,7 @@ COMMANDS = {
         ("plant", "schedule"),
         {"--eta": "0.4", "--noise-budget": "3", "--jitter": "0.01", "--gap-range": "0.9 1.1", "--detectability": None},
     ),
+    "plan": (("plant", "wanted"), {}),
     "accuracy": (("plant", "schedule"), {"--w": "0.1", "--v": "0.2", "--of": "position", "--rtol": "0.1"}),
     "survive": (("plant", "certificate"), {"--longest": "2", "--horizon": "8"}),
     "verify": (("certificate",), {"--plant": "PLANT", "--rigorous": None}),
@@ -102,7 +107,7 @@ COMMANDS = {
 """Each command, the kinds of its files, and flags with right values."""
 USUAL = {
     "plant": "plant.toml", "schedule": "schedule.csv", "requirement": "requirement.toml",
-    "certificate": "certificate.json", "measurements": "measurements.csv",
+    "certificate": "certificate.json", "measurements": "measurements.csv", "wanted": "wanted.toml",
 }  # fmt: skip
 VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "--json", "0x10"]
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],

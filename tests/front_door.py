@@ -62,7 +62,10 @@ def things() -> dict[str, Any]:
     weights = {"P1": np.eye(2) / 40, "P2": np.eye(2), "Qw": np.eye(2), "R": np.eye(1), "eta": 0.2}
     box = ([-1.0, -1.0], [1.0, 1.0])
     evidence = sd.check_detectability(nonlinear, schedule, box, **weights, duration=3.0, step=0.1, pairs=2)
+    terms = {"position": {"noise_bound": 0.2}}
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
     return {
+        "wanted": wanted,
         "plant": plant,
         "schedule": schedule,
         "finite": sd.Schedule([0.5, 1.3, 2.0], time_unit="s"),
@@ -176,6 +179,10 @@ def special() -> dict[str, dict[str, Any]]:
         "LostSamples": {"schedule": t["schedule"]},
         "read_plant": {"path": place / "plant.toml"},
         "read_schedule": {"path": place / "schedule.csv"},
+        "plan": {"requirement": t["wanted"], "budget": 5.0},
+        "PlanRequirement": {"accuracy": {"position": 0.6}, "window": None},
+        "PlanRequirement.replace": {"changes": {"raster": 0.8}},
+        "read_plan_requirement": {"path": EXAMPLES / "plans" / "oscillator.toml"},
         "read_requirement": {"path": place / "requirement.toml"},
         "load_certificate": {"path": place / "certificate.json"},
         "read_measurements": {"path": place / "measurements.csv", "origin": None},
@@ -229,6 +236,7 @@ def special() -> dict[str, dict[str, Any]]:
 OWNERS = {
     "Plant": "plant", "Signals": None, "Schedule": "finite", "PeriodicSchedule": "schedule", "SpacedWindows": "spaced",
     "GapRange": "gaps", "Jitter": "jitter", "LostSamples": "lost", "SamplingSet": None, "Requirement": "requirement",
+    "PlanRequirement": "wanted",
     "Certificate": "certificate", "FamilyCertificate": "family", "DetectabilityCertificate": "detectability",
     "ScheduleDesign": "design", "Estimate": "estimate", "EstimateRecord": "estimates", "SimulatedRecord": "record",
     "Measurements": None, "NonlinearPlant": "nonlinear", "ModalSplit": "split", "SampleLosses": "losses",

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design.cli import accuracy, explore, plan, prove, thyroid, track
+from sampling_design.cli import accuracy, explore, plan, planning, prove, thyroid, track
 from sampling_design.cli.settings import _version, with_common_flags
 
 app = typer.Typer(
@@ -20,6 +20,7 @@ app = typer.Typer(
 )
 for command in (
     *plan.COMMANDS,
+    *planning.COMMANDS,
     *prove.COMMANDS,
     *explore.COMMANDS,
     *accuracy.COMMANDS,

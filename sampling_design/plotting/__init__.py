@@ -19,6 +19,7 @@ _PICTURES = {
     "PeriodicSchedule": ("schedules", "draw_schedule"),
     "WindowSigma": ("windows", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
+    "Plan": ("plans", "draw_plan"),
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
     "Accuracy": ("accuracy", "draw_accuracy"),

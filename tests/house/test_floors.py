@@ -15,6 +15,7 @@ FLOORS = {
     "design": 4,
     "certificates": 4,
     "estimators": 5,
+    "planning": 6,
     "nonlinear": 6,
     "validation": 6,
     "plotting": 7,

@@ -1,0 +1,191 @@
+"""What no plan can beat: a proof that every admissible choice at a level costs at least so much.
+
+Rows of attacks, and a tree: at each leaf some measurements are given or forbidden, and multipliers prove the cost of
+all choices that keep these. A level is out of reach of a limit if what it costs at least exceeds the limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.attacks import AttackPool
+from sampling_design.planning.cover import Cover, CoverModel, Key, proven, relaxed
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+OPEN_ROW = 1e3
+"""Price of a row left open, in units of the dearest variable's: what has no choice becomes this dear."""
+
+INTEGRAL = 1e-6
+"""An entry counts as 0 or 1 within this."""
+
+MOST_NODES = 200
+"""Leaves of a proof, at most."""
+
+SEPARATIONS = 60
+"""Times that rows are added to a relaxation."""
+
+ENDS = 6
+"""Ends of one attack that are added at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostLeaf:
+    """Multipliers: rows and their values."""
+
+    rows: tuple[int, ...]
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class CostBranch:
+    """One variable forbidden, or given."""
+
+    variable: int
+    without: CostTree
+    given: CostTree
+
+
+CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
+
+
+@dataclass(frozen=True, eq=False)
+class CostProof:
+    """Every choice that sees the attacks `keys` at `level` costs at least `value`."""
+
+    level: float
+    value: float
+    keys: tuple[Key, ...]
+    tree: CostTree
+
+
+def separated(cover: Cover, pool: AttackPool, level: float, keys: list[Key]) -> tuple[list[Key], Array]:
+    """Rows of the pool until the relaxation keeps them all, and its point."""
+    keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
+    views = {a: attack.visible(level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
+    low, high = np.zeros(cover.columns), np.ones(cover.columns)
+    price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
+    x = low
+    for _ in range(SEPARATIONS):
+        model = cover.model(pool.attacks, keys, level)
+        x, _, _ = relaxed(model, low, high, price)
+        fresh = _violated(cover, pool, views, x, set(keys))
+        if not fresh:
+            break
+        keys += fresh
+    return keys, x
+
+
+def _violated(cover: Cover, pool: AttackPool, views: dict[int, Mask], x: Array, known: set[Key]) -> list[Key]:
+    """Ends at which a fractional point sees too little of an attack."""
+    steps = pool.steps
+    z = np.where(cover.place >= 0, x[cover.place], 0.0)
+    spectrum = np.fft.rfft(z, axis=0)
+    fresh: list[Key] = []
+    for a, view in views.items():
+        attack = pool.attacks[a]
+        seen = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
+        asked = pool.ends[attack.goal].astype(float)
+        if attack.at_sample:
+            asked = asked * np.where(cover.sample_of >= 0, x[cover.sample_of], 0.0)
+        short = asked - seen
+        ends = np.flatnonzero(short > 1e-4)
+        order = ends[np.argsort(-short[ends], kind="stable")]
+        taken: list[int] = []
+        for end in order.tolist():
+            if len(taken) >= ENDS:
+                break
+            apart = [min((end - t) % steps, (t - end) % steps) for t in taken]
+            if (not apart or min(apart) * 4 * ENDS >= steps) and (a, end) not in known:
+                taken.append(end)
+        fresh += [(a, end) for end in taken]
+    return fresh
+
+
+def prove_cost(
+    cover: Cover, pool: AttackPool, level: float, target: float, keys: list[Key] | None = None, nodes: int = MOST_NODES
+) -> CostProof:
+    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes can."""
+    found, _ = separated(cover, pool, level, list(keys or []))
+    model = cover.model(pool.attacks, found, level)
+    prover = _Prover(cover, model, target, nodes)
+    tree, value = prover.node(np.zeros(cover.columns), np.ones(cover.columns))
+    return CostProof(level, cover.lifted(value), tuple(found), tree)
+
+
+class _Prover:
+    """Branches until every leaf proves the target, or there are no nodes left."""
+
+    def __init__(self, cover: Cover, model: CoverModel, target: float, nodes: int):
+        self.cover, self.model, self.target, self.left = cover, model, target, nodes
+        self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
+
+    def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
+        """The tree below a node and what it proves; nodes are shared out evenly."""
+        self.left -= 1
+        x, y, value = relaxed(self.model, low, high, self.price)
+        rows = np.flatnonzero(y)
+        leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
+        torn = np.minimum(x, 1 - x)
+        if self.cover.lifted(value) >= self.target or self.left <= 0 or torn.max(initial=0.0) <= INTEGRAL:
+            return leaf, value
+        k = int(np.argmax(torn))
+        up, down = low.copy(), high.copy()
+        up[k], down[k] = 1.0, 0.0
+        budget = self.left
+        self.left = budget // 2
+        without, first = self.node(low, down)
+        self.left += budget - budget // 2
+        given, second = self.node(up, high)
+        if min(first, second) <= value:
+            return leaf, value
+        return CostBranch(k, without, given), min(first, second)
+
+
+def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
+    """What a proof's multipliers prove, worked out anew; no solver."""
+    model = cover.model(pool.attacks, list(proof.keys), proof.level)
+
+    def below(tree: CostTree, low: Array, high: Array) -> float:
+        if isinstance(tree, CostBranch):
+            up, down = low.copy(), high.copy()
+            up[tree.variable], down[tree.variable] = 1.0, 0.0
+            return min(below(tree.without, low, down), below(tree.given, up, high))
+        y = np.zeros(model.b.size)
+        y[list(tree.rows)] = tree.values
+        return proven(model, np.maximum(y, 0.0), low, high)
+
+    return cover.lifted(below(proof.tree, np.zeros(cover.columns), np.ones(cover.columns)))
+
+
+def out_of_reach(
+    cover: Cover, pool: AttackPool, limit: float, known: float, high: float, width: float, keys: list[Key]
+) -> CostProof | None:
+    """The proof with the highest level at which every choice costs more than `limit`.
+
+    `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
+    """
+    best: CostProof | None = None
+    more = limit + (cover.grain or 1e-6 * max(limit, 1.0))
+    low = 0.0
+    if known > 0:
+        best = prove_cost(cover, pool, known, more, keys)
+        if best.value >= more * (1 - 1e-9):
+            return best
+        best, high = None, known
+    while high > low * (1 + width):
+        level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
+        proof = prove_cost(cover, pool, level, more, keys)
+        keys = list(proof.keys)
+        if proof.value >= more * (1 - 1e-9):
+            best, low = proof, level
+        else:
+            high = level
+        if high < 1e-6:
+            break
+    return best

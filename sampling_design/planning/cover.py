@@ -1,0 +1,229 @@
+"""Every attack must be seen: the cheapest choice of samples that sees a set of attacks, and bounds on its price.
+
+    minimise  price'z + visit'n   subject to  sum of z over what sees attack a >= 1 (or >= n at its own sample),
+              spacings, uses, limits,  z <= n <= sum of z,  entries 0 or 1
+
+Whatever a solver says, y >= 0 prove  cost >= b'y + sum over k of min((c - A'y)_k x_k over what x_k may be).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from sampling_design.planning.attacks import HiddenMotion
+from sampling_design.planning.problem import PlanProblem
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Key: TypeAlias = tuple[int, int]
+
+NODES = 400
+"""Nodes of the solver's tree when a choice is sought."""
+
+ROUNDING = 1e-9
+"""Relative allowance for rounding in what multipliers prove."""
+
+GRAIN = 1e-6
+"""Costs are whole multiples of a grain within this share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoverModel:
+    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out with one sensor).
+
+    Attributes
+    ----------
+    c : (k,) array
+    A : sparse (m, k)
+        All rows as A x >= b.
+    b : (m,) array
+    """
+
+    c: Array
+    A: sparse.csr_matrix
+    b: Array
+
+
+class Cover:
+    """The rows that hold for every choice of a problem, and those of attacks."""
+
+    def __init__(self, problem: PlanProblem, *, fixed: bool = False):
+        self.problem, self.fixed = problem, fixed
+        self.at = np.flatnonzero(problem.allowed.any(axis=1))
+        self.single = problem.allowed.shape[1] == 1
+        place = -np.ones(problem.allowed.shape, dtype=int)
+        if self.single:
+            place[self.at, 0] = np.arange(self.at.size)
+        else:
+            place[problem.allowed] = self.at.size + np.arange(int(problem.allowed.sum()))
+        self.place = place
+        self.sample_of = -np.ones(problem.steps, dtype=int)
+        self.sample_of[self.at] = np.arange(self.at.size)
+        self.columns = self.at.size + (0 if self.single else int(problem.allowed.sum()))
+
+    @cached_property
+    def cost(self) -> Array:
+        """Price of every variable; the number of samples where nothing has a price."""
+        problem, c = self.problem, np.zeros(self.columns)
+        c[: self.at.size] = 1.0 if problem.counts else problem.visit
+        if self.single:
+            c[: self.at.size] += problem.price[0]
+        else:
+            _, sensor = np.nonzero(problem.allowed)
+            c[self.at.size :] = problem.price[sensor]
+        return c
+
+    @cached_property
+    def counts(self) -> Array:
+        """One for every sample."""
+        return np.concatenate([np.ones(self.at.size), np.zeros(self.columns - self.at.size)])
+
+    @cached_property
+    def grain(self) -> float:
+        """Every cost is a whole multiple of this; 0 where there is no such number."""
+        prices = self.cost[self.cost > 0]
+        if not prices.size:
+            return 0.0
+        unit = float(prices.min())
+        for divisor in range(1, 101):
+            ratio = prices * divisor / unit
+            if np.all(np.abs(ratio - np.round(ratio)) <= GRAIN):
+                return unit / divisor
+        return 0.0
+
+    def lifted(self, bound: float) -> float:
+        """A bound on the cost, raised to the next cost that there can be."""
+        if self.grain <= 0 or not np.isfinite(bound):
+            return bound
+        return float(np.ceil(bound / self.grain - GRAIN) * self.grain)
+
+    @cached_property
+    def frame(self) -> tuple[sparse.csr_matrix, Array]:
+        """Rows of every admissible choice: A x >= b."""
+        problem = self.problem
+        rows: list[tuple[npt.NDArray[np.intp], Array, float]] = []
+        if not self.single:
+            for i, step in enumerate(self.at.tolist()):
+                mine = self.place[step][problem.allowed[step]]
+                rows.append((np.append(mine, i), np.append(np.ones(mine.size), -1.0), 0.0))
+                rows += [(np.array([i, z]), np.array([1.0, -1.0]), 0.0) for z in mine]
+        rows += self._spaced(self.sample_of, problem.spacing)
+        for j, (least, most) in enumerate(zip(problem.sensor_spacing, problem.longest_use, strict=True)):
+            rows += self._spaced(self.place[:, j], int(least))
+            mine = self.place[:, j][self.place[:, j] >= 0]
+            if most < mine.size:
+                rows.append((mine, -np.ones(mine.size), -float(most)))
+        if np.isfinite(problem.most_samples):
+            rows.append((np.arange(self.at.size), -np.ones(self.at.size), -problem.most_samples))
+        if np.isfinite(problem.most_cost):
+            rows.append((np.arange(self.columns), -self.cost, -problem.most_cost))
+        if self.fixed:
+            rows.append((np.array([0]), np.ones(1), 1.0))
+        return _stacked(rows, self.columns)
+
+    def _spaced(self, place: npt.NDArray[np.intp], least: int) -> list[tuple[npt.NDArray[np.intp], Array, float]]:
+        """At most one in every stretch of so many steps."""
+        steps, rows = self.problem.steps, []
+        if least <= 1:
+            return []
+        before: tuple[int, ...] = ()
+        for start in range(steps):
+            mine = place[(start + np.arange(min(least, steps))) % steps]
+            mine = mine[mine >= 0]
+            if mine.size > 1 and not set(mine.tolist()) <= set(before):
+                rows.append((mine, -np.ones(mine.size), -1.0))
+                before = tuple(mine.tolist())
+        return rows
+
+    def row(self, attack: HiddenMotion, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
+        """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
+        back, sensor = np.nonzero(attack.visible(level))
+        mine = self.place[(end - back) % self.problem.steps, sensor]
+        mine = np.unique(mine[mine >= 0])
+        if attack.at_sample and self.sample_of[end] >= 0:
+            own = int(self.sample_of[end])
+            if own in mine:
+                return np.zeros(0, dtype=np.intp), np.zeros(0), 0.0  # it always sees it
+            return np.append(mine, own), np.append(np.ones(mine.size), -1.0), 0.0
+        return mine, np.ones(mine.size), 1.0
+
+    def model(self, attacks: list[HiddenMotion], keys: list[Key], level: float) -> CoverModel:
+        """The program of these attacks at a level."""
+        A, b = self.frame
+        more, right = _stacked([self.row(attacks[a], end, level) for a, end in keys], self.columns)
+        return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
+
+    def choice(self, x: Array) -> Mask:
+        """What a point of the program measures."""
+        chosen = np.zeros(self.problem.allowed.shape, dtype=bool)
+        at, sensor = np.nonzero(self.place >= 0)
+        chosen[at, sensor] = x[self.place[at, sensor]] > 0.5
+        return chosen
+
+    def point(self, chosen: Mask) -> Array:
+        """A choice as a point of the program."""
+        x = np.zeros(self.columns)
+        at, sensor = np.nonzero(chosen)
+        x[self.place[at, sensor]] = 1.0
+        x[self.sample_of[at]] = 1.0
+        return x
+
+
+def cheapest(cover: Cover, model: CoverModel, tie: Array, nodes: int = NODES) -> tuple[Mask | None, bool]:
+    """Return a cheap choice that keeps every row, and whether the solver says that there is none.
+
+    `tie` is a small cost that decides among choices of equal price.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    found = milp(
+        model.c + tie,
+        constraints=LinearConstraint(model.A, model.b, np.inf),
+        integrality=np.ones(cover.columns),
+        bounds=Bounds(0, 1),
+        options={"node_limit": nodes, "mip_rel_gap": 1e-6},
+    )
+    if found.x is None:
+        return None, found.status == 2
+    return cover.choice(found.x), False
+
+
+def relaxed(model: CoverModel, low: Array, high: Array, price: float) -> tuple[Array, Array, float]:
+    """Solve the relaxation where a row may be left open at a price; return x, multipliers, and what these prove."""
+    from scipy.optimize import linprog
+
+    m, k = model.A.shape
+    A = sparse.hstack([model.A, sparse.identity(m)], format="csr")
+    bounds = np.vstack([np.column_stack([low, high]), np.column_stack([np.zeros(m), np.full(m, np.inf)])])
+    cost = np.concatenate([model.c, np.full(m, price)])
+    found = linprog(cost, A_ub=-A, b_ub=-model.b, bounds=bounds, method="highs")
+    if found.x is None:
+        return np.zeros(k), np.zeros(m), -np.inf
+    y = np.maximum(-np.asarray(found.ineqlin.marginals), 0.0)
+    y[y < price * 1e-12] = 0.0
+    return np.asarray(found.x[:k]), y, proven(model, y, low, high)
+
+
+def proven(model: CoverModel, y: Array, low: Array, high: Array) -> float:
+    """Return what multipliers y >= 0 prove of the least cost with low <= x <= high; no solver."""
+    rest = model.c - model.A.T @ y
+    terms = np.where(rest > 0, rest * low, rest * high)
+    size = float(np.abs(model.b * y).sum() + np.abs(terms).sum())
+    return float(model.b @ y + terms.sum()) - ROUNDING * size
+
+
+def _stacked(rows: list[tuple[npt.NDArray[np.intp], Array, float]], columns: int) -> tuple[sparse.csr_matrix, Array]:
+    """Sparse rows and their right sides."""
+    if not rows:
+        return sparse.csr_matrix((0, columns)), np.zeros(0)
+    at = np.concatenate([np.full(place.size, i) for i, (place, _, _) in enumerate(rows)])
+    places = np.concatenate([place for place, _, _ in rows])
+    values = np.concatenate([value for _, value, _ in rows])
+    matrix = sparse.csr_matrix((values, (at, places)), shape=(len(rows), columns))
+    return matrix, np.array([right for _, _, right in rows])

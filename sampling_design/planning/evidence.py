@@ -1,0 +1,151 @@
+"""The evidence of a plan's bounds: attacks in numbers, checked by flying them again, and the proofs over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.adversary import fly
+from sampling_design.planning.attacks import AttackPool, HiddenMotion, peaks_of
+from sampling_design.planning.bounds import CostBranch, CostProof, CostTree, proven_cost
+from sampling_design.planning.cover import Cover
+from sampling_design.planning.motion import Motion
+from sampling_design.planning.problem import PlanProblem
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+KEPT = 1e-7
+"""Share by which a motion that is flown anew is scaled down beyond what it exceeds: rounding of its path."""
+
+
+EASED = 1 - 1e-5
+"""Levels are stated this much lower than they were proven at, so that what is flown anew proves them."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanBound:
+    """What no admissible plan can do.
+
+    Attributes
+    ----------
+    attacks : tuple of HiddenMotion
+        Those that the proofs use.
+    ratio : CostProof or None
+        No plan of this cost has an accuracy below `ratio.level` times all tolerances.
+    cost : CostProof or None
+        No plan keeps the tolerances for less than `cost.value`.
+    """
+
+    attacks: tuple[HiddenMotion, ...]
+    ratio: CostProof | None
+    cost: CostProof | None
+
+
+def gathered(pool: AttackPool, ratio: CostProof | None, cost: CostProof | None) -> PlanBound:
+    """Return the bound with no more attacks than its proofs use."""
+    used = sorted({key[0] for proof in (ratio, cost) if proof is not None for key in proof.keys})
+    place = {a: k for k, a in enumerate(used)}
+
+    def moved(proof: CostProof | None) -> CostProof | None:
+        if proof is None:
+            return None
+        return CostProof(proof.level * EASED, proof.value, tuple((place[a], end) for a, end in proof.keys), proof.tree)
+
+    return PlanBound(tuple(pool.attacks[a] for a in used), moved(ratio), moved(cost))
+
+
+def reflown(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> HiddenMotion | None:
+    """An attack as its flight, flown anew and made admissible, proves it; None if the flight is not one motion."""
+    flight = attack.flight
+    if flight is None or flight.states[0].any() or flight.knots[0] != 0:
+        return None
+    w = flight.w.copy()
+    for k in range(len(flight.knots) - 1):
+        a, b = int(flight.knots[k]), int(flight.knots[k + 1])
+        part = fly(motion, np.zeros(1, dtype=np.intp), flight.states[k : k + 1], w[a:b])
+        blocks, F = np.zeros((motion.n, (b - a) * w.shape[1])), np.eye(motion.n)
+        for i in range(b - a - 1, -1, -1):
+            blocks[:, i * w.shape[1] : (i + 1) * w.shape[1]] = F @ motion.Gamma
+            F = F @ motion.F
+        left = flight.states[k + 1] - part.path[-1]
+        change = np.linalg.lstsq(blocks, left, rcond=1e-12)[0]
+        size = np.abs(blocks) @ np.ones(blocks.shape[1]) + np.abs(F) @ np.abs(flight.states[k])
+        if np.any(np.abs(left - blocks @ change) > 1e-12 * size):
+            return None
+        w[a:b] += change.reshape(b - a, -1)
+    flown = fly(motion, flight.knots, flight.states, w)
+    factor = max(flown.size(motion.ball), 1.0) * (1 + KEPT)
+    row = motion.rows(problem.goals[attack.goal].row[None])[0]
+    reach = float(row @ flown.path[-1]) / factor / problem.goals[attack.goal].tolerance
+    peaks = peaks_of(flown.path @ motion.H.T / factor, problem.steps, attack.at_sample) * (1 + 2 * KEPT)
+    if reach <= 0:
+        return None
+    return HiddenMotion(attack.goal, reach, attack.end, attack.at_sample, np.asarray(peaks), flight)
+
+
+def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: list[Mask], most: float) -> bool:
+    """Whether both proofs hold: attacks flown anew, multipliers added up anew.
+
+    `cover` has no limits of its own; `limited` has those of the requirement; `most` is what the ratio's plans may cost.
+    """
+    pool = AttackPool(cover.problem.steps, ends)
+    for attack in bound.attacks:
+        flown = reflown(cover.problem, motion, attack)
+        if flown is None or flown.reach < attack.reach * (1 - 1e-6):
+            return False
+        pool.add(flown)
+    for proof, frame, least in ((bound.ratio, limited, most), (bound.cost, cover, None)):
+        if proof is None:
+            continue
+        if any(pool.attacks[a].reach < proof.level * (1 - 1e-6) for a, _ in proof.keys):
+            return False
+        value = proven_cost(frame, pool, proof)
+        if value < proof.value * (1 - 1e-9) or (least is not None and value <= least):
+            return False
+    return True
+
+
+def attack_to_dict(attack: HiddenMotion) -> dict[str, object]:
+    """Plain data; peaks are left out, since they are worked out anew."""
+    flight = attack.flight
+    assert flight is not None
+    return {
+        "goal": attack.goal,
+        "end": attack.end,
+        "at_sample": attack.at_sample,
+        "reach": attack.reach,
+        "knots": flight.knots.tolist(),
+        "states": flight.states.tolist(),
+        "w": flight.w.tolist(),
+    }
+
+
+def attack_of(problem: PlanProblem, motion: Motion, data: dict[str, object]) -> HiddenMotion:
+    """An attack from plain data that a strict reader has passed."""
+    knots = np.array(data["knots"], dtype=np.intp)
+    flight = fly(motion, knots, np.array(data["states"]), np.array(data["w"]))
+    at_sample = bool(data["at_sample"])
+    peaks = peaks_of(flight.path @ motion.H.T, problem.steps, at_sample)
+    return HiddenMotion(
+        int(str(data["goal"])), float(str(data["reach"])), int(str(data["end"])), at_sample, peaks, flight
+    )
+
+
+def proof_to_dict(proof: CostProof) -> dict[str, object]:
+    """Plain data."""
+    return {
+        "level": proof.level,
+        "value": proof.value,
+        "rows": [list(key) for key in proof.keys],
+        "tree": _tree_to_list(proof.tree),
+    }
+
+
+def _tree_to_list(tree: CostTree) -> list[dict[str, object]]:
+    """Nodes in the order of a walk, first what is without the variable: a file is never nested deeply."""
+    if isinstance(tree, CostBranch):
+        return [{"variable": tree.variable}, *_tree_to_list(tree.without), *_tree_to_list(tree.given)]
+    return [{"multipliers": [[row, value] for row, value in zip(tree.rows, tree.values, strict=True)]}]

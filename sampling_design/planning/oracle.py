@@ -1,0 +1,164 @@
+"""How well a choice of samples does: the worst ratio of accuracy to tolerance, and the attacks that show it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.adversary import Flight, RasterWindow, opened
+from sampling_design.planning.attacks import HiddenMotion, peaks_of
+from sampling_design.planning.motion import Motion
+from sampling_design.planning.problem import Goal, PlanProblem
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+SETTLED = 2e-3
+"""A longer past is looked at until it adds less than this share."""
+
+LOOKS = 4
+"""Offsets of a gap at which it is judged, its end among them."""
+
+MOST_KNOTS = 400
+
+SCALED = 1 + 1e-9
+"""An attack is divided by the largest ratio of its w to the bound times this."""
+
+
+class Oracle:
+    """Judges choices of samples of one problem; how far back it looks is found once and kept."""
+
+    def __init__(self, problem: PlanProblem, motion: Motion):
+        self.problem, self.motion = problem, motion
+        self.back = 0
+        self.solves = 0
+        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, motion.n))
+
+    def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
+        """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`."""
+        guaranteed = [g for g, goal in enumerate(self.problem.goals) if goal.guaranteed]
+        worst, found = 0.0, []
+        at = np.flatnonzero(chosen.any(axis=1))
+        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
+        for k in np.argsort(-gaps, kind="stable").tolist() if guaranteed else []:
+            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), guaranteed):
+                found.append(attack)
+                worst = max(worst, attack.reach)
+            if worst > above:
+                break
+        return worst, found
+
+    def _gap(self, chosen: Mask, last: int, length: int, goals: list[int]) -> list[HiddenMotion]:
+        """The strongest attacks that end in the gap after a sample."""
+        if not self.back:
+            self._look_back(chosen, last, length, goals)
+        window = self._window(chosen, last, self.back)
+        best: list[HiddenMotion] = []
+        for g in goals:
+            looks = [(self._reach(window, offset, g), offset) for offset in self._offsets(g, last, length)]
+            attack = self._attack(window, last, max(looks)[1], g) if looks else None
+            best += [attack] if attack is not None else []
+        return best
+
+    def _offsets(self, g: int, last: int, length: int) -> list[int]:
+        goal = self.problem.goals[g]
+        if goal.at == "after each sample":
+            return [0]
+        if goal.at == "given times":
+            within = (goal.steps - last) % self.problem.steps
+            return sorted({int(o) for o in within if o <= length})
+        return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
+
+    def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
+        """The window of samples of an endless schedule up to a step, and the step at which it starts."""
+        steps = self.problem.steps
+        at = np.flatnonzero(chosen.any(axis=1))
+        laps = back // steps + 1
+        knots = np.concatenate([at + lap * steps for lap in range(-laps, 1)])
+        knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
+        return RasterWindow(self.motion, knots, chosen[knots % steps])
+
+    def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:
+        """Find how far back matters."""
+        before, back = 0.0, 2 * length
+        while True:
+            window = self._window(chosen, last, back)
+            now = max(self._reach(window, length, g) for g in goals)
+            if (now <= before * (1 + SETTLED) and now > 0) or len(window.knots) >= MOST_KNOTS:
+                break
+            before, back = now, 2 * back
+        self.back = back
+
+    def _ahead(self, offset: int, g: int) -> Array:
+        """The goal's row, so many steps after a sample, as a row there."""
+        ahead = self.rows[g]
+        for _ in range(offset):
+            ahead = ahead @ self.motion.F
+        return np.asarray(ahead)
+
+    def _reach(self, window: RasterWindow, offset: int, g: int) -> float:
+        """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
+        self.solves += 1
+        value = window.reach(self._ahead(offset, g)) + self._push(offset, g)
+        return value / self.problem.goals[g].tolerance
+
+    def _push(self, offset: int, g: int) -> float:
+        """What the disturbance adds after the last sample."""
+        total, row = 0.0, self.rows[g]
+        for _ in range(offset):
+            push = row @ self.motion.Gamma
+            total += float(np.linalg.norm(push) if self.motion.ball else np.abs(push).sum())
+            row = row @ self.motion.F
+        return total
+
+    def _attack(self, window: RasterWindow, last: int, offset: int, g: int) -> HiddenMotion | None:
+        """The strongest attack against a goal, so many steps after the last sample of a window."""
+        flight = window.strongest(self._ahead(offset, g))
+        if flight is None:
+            return None
+        flight = opened(self.motion, flight, self.rows[g], offset)
+        return self.scaled(flight, g, last + offset, offset == 0, window)
+
+    def scaled(
+        self, flight: Flight, g: int, end: int, at_sample: bool, window: RasterWindow | None = None
+    ) -> HiddenMotion | None:
+        """An attack made admissible, with what would be seen of it."""
+        goal: Goal = self.problem.goals[g]
+        outputs = flight.path @ self.motion.H.T
+        factor = flight.size(self.motion.ball)
+        if window is not None:
+            measured = np.abs(outputs[window.knots - window.knots[0]])[window.seen]
+            factor = max(factor, float(np.max(measured, initial=0.0)))
+        factor *= SCALED
+        if factor <= 0:
+            return None
+        flight = Flight(flight.w / factor, flight.knots, flight.states / factor, flight.path / factor)
+        reach = float(self.rows[g] @ flight.path[-1]) / goal.tolerance
+        if reach <= 0:
+            return None
+        steps = self.problem.steps
+        return HiddenMotion(g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample), flight)
+
+    def faint(
+        self, g: int, end: int, level: float, weights: Array, known: Mask, every: int, back: int
+    ) -> HiddenMotion | None:
+        """An attack that reaches `level` at `end` and is seen as little as can be; hidden where `known` measures.
+
+        Looks at every so many steps, and at those of `known`; `weights` (M, p) are the prices of being seen.
+        """
+        steps = self.problem.steps
+        measured = np.flatnonzero(known.any(axis=1))
+        grid = np.arange(end - back, end + 1)
+        keep = (np.arange(back, -1, -1) % every == 0) | np.isin(grid % steps, measured)
+        keep[0] = True
+        knots = grid[keep]
+        seen = known[knots % steps].copy()
+        seen[-1] = False
+        faint = np.where(seen, 0.0, weights[knots % steps])
+        faint[-1] = 0.0
+        window = RasterWindow(self.motion, knots, seen, faint)
+        self.solves += 1
+        flight = window.faintest(self.rows[g], level * self.problem.goals[g].tolerance)
+        if flight is None:
+            return None
+        return self.scaled(flight, g, end, False, window)

@@ -1,0 +1,236 @@
+"""The verb: from a requirement to a plan on the raster, proven, with what no plan can beat."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._checks import freeze
+from sampling_design._door import door
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.attacks import HiddenMotion
+from sampling_design.planning.bounds import out_of_reach, prove_cost
+from sampling_design.planning.cover import Cover
+from sampling_design.planning.evidence import EASED, PlanBound, gathered
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
+from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.search import PlanSearch
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.accuracy import Accuracy, accuracy
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Progress = Callable[[float, str], None]
+
+MARGIN = 0.004
+"""A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
+
+MARGINS = (MARGIN, 0.015, 0.04)
+
+ROUNDS = 60
+"""Choices judged at one level."""
+
+RTOL = 0.005
+"""Width of the brackets that prove a plan."""
+
+WIDTH = 0.002
+"""Relative width to which the level out of reach is found."""
+
+
+@door
+def plan(
+    plant: Plant,
+    requirement: PlanRequirement,
+    *,
+    budget: float | None = 60.0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Choose when to measure what, so that wanted accuracies are kept at the least cost, or are best for a cost.
+
+        minimise price over choices with  rho(goal) <= tolerance,   or minimise  max rho(goal)/tolerance
+
+    Parameters
+    ----------
+    plant : Plant
+    requirement : PlanRequirement
+    budget : float, optional [seconds]
+        The search stops then; what it has is proven, and the status says "budget". None: no limit.
+    progress : callable, optional
+        Called with the fraction done and a message.
+
+    Returns
+    -------
+    Plan
+        With `verify()`, which works out everything anew without a solver.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, a bound is missing, or times do not fit.
+    InfeasibleRequirementError
+        If not even measuring at every allowed time keeps the tolerances; names the nearest ones that can be kept.
+
+    Notes
+    -----
+    *Claim.* `reached` is proven for all real times by `accuracy`; no admissible choice on the raster of the same cost
+    is better than `bound.ratio.level` times every tolerance, and none keeps them for less than `bound.cost.value`.
+    *Method.* Attacks: disturbances that drive a goal to its tolerance while nothing measured shows them. Any plan must
+    see every attack; moved by whole steps, an attack is one again. The cheapest choice that sees all attacks so far is
+    judged, and what breaks it joins (implicit hitting sets). The bounds are multipliers over attacks. *Numerical
+    aspects.* Neither side needs a solver to be checked.
+
+    References
+    ----------
+    Micchelli and Rivlin (1977); Moreno-Centeno and Karp, The implicit hitting set approach, Oper. Res. 61 (2013).
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0]], [[1.0]], states=["level"])
+    >>> wanted = PlanRequirement({"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1,
+    ...                          sensors={"y1": {"noise_bound": 0.1}})
+    >>> found = plan(plant, wanted)
+    >>> found.samples, found.bound.cost.value
+    (2, 2.0)
+    """
+    if not requirement.accuracy:
+        raise ArgumentError("`requirement` names no accuracy.")
+    problem = pose_plan(plant, requirement)
+    seconds = np.inf if budget is None else _checks.positive("budget", budget)
+    run = _Planning(problem, time.perf_counter() + seconds, progress)
+    return run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
+
+
+class _Planning:
+    """One call: the search, its proof, and its bounds."""
+
+    def __init__(self, problem: PlanProblem, deadline: float, progress: Progress | None):
+        self.problem, self.progress = problem, progress
+        self.motion = motion_of(problem)
+        self.oracle = Oracle(problem, self.motion)
+        self.search = PlanSearch(problem, self.oracle, deadline, progress)
+
+    def cheapest(self) -> Plan:
+        """The least cost that keeps every tolerance."""
+        search, best, chosen = self.search, None, None
+        everything = self._densest()
+        worst, attacks = self.oracle.judge(everything)
+        search.add(attacks, 1.0)
+        if worst > 1:
+            self._refuse(worst, attacks)
+        search.seed(1.0)
+        for margin in MARGINS:
+            search.found.chosen, search.found.complete = None, False
+            search.cheapest(1 - margin, ROUNDS)
+            chosen = everything if search.found.chosen is None else search.found.chosen
+            best = self._proven(chosen)
+            if best[1].max(initial=0.0) <= 1 or search.late:
+                break
+        assert best is not None
+        assert chosen is not None
+        proof, ratios = best
+        cost = self.problem.cost(chosen)
+        frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
+        least = prove_cost(frame, search.pool, 1 / EASED**2, cost)
+        ratio = out_of_reach(frame, search.pool, cost, 0.0, float(ratios.max(initial=0.0)), WIDTH, [])
+        return self._record(chosen, proof, gathered(search.pool, ratio, least))
+
+    def most_accurate(self) -> Plan:
+        """The least ratio of accuracy to tolerance that the limits allow."""
+        search = self.search
+        chosen = self._sparse()
+        worst, attacks = self.oracle.judge(chosen)
+        search.add(attacks, 0.0)
+        search.keep(chosen, worst)
+        search.seed(worst * 0.9)
+        search.improve(ROUNDS)
+        assert search.found.chosen is not None
+        proof, ratios = self._proven(search.found.chosen)
+        limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
+        ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys)
+        return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
+
+    def _densest(self) -> Mask:
+        """As much as hours and spacing allow, from the first allowed time on."""
+        problem = self.problem
+        chosen = np.zeros(problem.allowed.shape, dtype=bool)
+        for i in np.flatnonzero(problem.allowed.any(axis=1)).tolist():
+            for j in np.flatnonzero(problem.allowed[i]).tolist():
+                chosen[i, j] = True
+                if not without_limits(problem).is_admissible(chosen):
+                    chosen[i, j] = False
+        return chosen
+
+    def _sparse(self) -> Mask:
+        """A choice within the limits: times as even as can be, at each as many sensors as there is money for.
+
+        Raises
+        ------
+        InfeasibleRequirementError
+            If not a single measurement is admissible.
+        """
+        problem = self.problem
+        at = np.flatnonzero(problem.allowed.any(axis=1))
+        most = int(min(problem.most_samples, len(at)))
+        for count in range(most, 0, -1):
+            chosen = np.zeros(problem.allowed.shape, dtype=bool)
+            wanted = np.arange(count) * problem.steps / count
+            for step in wanted:
+                near = np.argsort(np.abs((at - step + problem.steps / 2) % problem.steps - problem.steps / 2))
+                for i in at[near].tolist():
+                    if self._filled(chosen, i):
+                        break
+            if int(chosen.any(axis=1).sum()) == count:
+                return chosen
+            if count > 2 * problem.most_cost / max(problem.visit + problem.price.min(), 1e-300):
+                continue
+        raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
+
+    def _filled(self, chosen: Mask, i: int) -> bool:
+        """Whether a sample at a step fits in, with every sensor that there is room and money for."""
+        done = False
+        for j in np.argsort(self.problem.price, kind="stable").tolist():
+            if self.problem.allowed[i, j] and not chosen[i, j]:
+                chosen[i, j] = True
+                done = self.problem.is_admissible(chosen)
+                if done:
+                    break
+                chosen[i, j] = False
+        return done
+
+    def _refuse(self, worst: float, attacks: list[HiddenMotion]) -> None:
+        goal = max(self.problem.goals, key=lambda g: g.tolerance)
+        raise InfeasibleRequirementError(
+            f"Not even measuring at every allowed time keeps the tolerances: {worst:.4g} times as large ones could be "
+            f"kept at best ({goal.name} {goal.tolerance * worst:.4g}).",
+            "accuracy",
+            {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
+        )
+
+    def _proven(self, chosen: Mask) -> tuple[Accuracy | None, Array]:
+        """The proof of a choice, and its ratios to the tolerances."""
+        problem, rows = self.problem, [g.row for g in self.problem.goals if g.guaranteed]
+        schedule = problem.schedule(chosen)
+        v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 0.0), (len(schedule), 1))
+        proof = accuracy(
+            problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
+        )
+        return proof, reached(problem, proof) / [g.tolerance for g in problem.goals]
+
+    def _record(self, chosen: Mask, proof: Accuracy | None, bound: PlanBound) -> Plan:
+        assert proof is not None
+        return Plan(
+            self.problem.plant,
+            self.problem.requirement,
+            self.problem.schedule(chosen),
+            proof,
+            freeze(reached(self.problem, proof)),
+            bound,
+            status="complete" if self.search.found.complete else "budget",
+        )

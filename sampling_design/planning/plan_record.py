@@ -1,0 +1,235 @@
+"""The result: when to measure what, how well that keeps the goals, what it costs, and what no other plan can do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, Record, short
+from sampling_design._units import SECONDS
+from sampling_design.design.schedule_design import ScheduleDesign
+from sampling_design.planning.cover import Cover
+from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
+from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.accuracy import Accuracy
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+FORMAT = "sampling-design/plan/1"
+
+ENDLESS = 1e12
+"""Stands for no limit where a cost is compared."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Record):
+    """A periodic plan on the raster, with what it guarantees and how far from the best it can be.
+
+    Attributes
+    ----------
+    plant : Plant
+    requirement : PlanRequirement
+    schedule : PeriodicSchedule
+        Times since the start of the period, with the outputs of each sample; its origin is the calendar's start.
+    accuracy : Accuracy or None
+        The proof for the guaranteed goals, in their order.
+    reached : (g,) array
+        What the plan proves for each goal, in the goal's unit, at the times that it asks for.
+    bound : PlanBound
+    design : ScheduleDesign or None
+        Where sigma is what was asked for, the design behind the plan.
+    status : str
+        "complete" where nothing better can be found on the raster (to the search's accuracy), else "budget".
+    """
+
+    plant: Plant
+    requirement: PlanRequirement
+    schedule: PeriodicSchedule
+    accuracy: Accuracy | None
+    reached: Array
+    bound: PlanBound
+    design: ScheduleDesign | None = None
+    status: str = "complete"
+    history: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def problem(self) -> PlanProblem:
+        """The numbers of the requirement, posed anew."""
+        return pose_plan(self.plant, self.requirement)
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals as rows."""
+        return self.problem.goals
+
+    @cached_property
+    def chosen(self) -> Mask:
+        """What is measured at each step of the raster (M, p)."""
+        return self.problem.chosen(self.schedule)
+
+    @property
+    def samples(self) -> int:
+        """Samples in a period."""
+        return len(self.schedule)
+
+    def minutes(self, t: float) -> float:
+        """Minutes of a time since the start of the period."""
+        return t * SECONDS[self.plant.time_unit] / 60
+
+    @property
+    def cost(self) -> float:
+        """Price of a period; the number of samples where nothing has a price."""
+        return self.problem.cost(self.chosen)
+
+    @property
+    def ratio(self) -> float:
+        """The largest ratio of a goal's accuracy to its tolerance."""
+        return float(np.max([r / g.tolerance for r, g in zip(self.reached, self.goals, strict=True)], initial=0.0))
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every tolerance is kept, proven."""
+        return self.ratio <= 1
+
+    @property
+    def gap(self) -> float:
+        """The share of its accuracy that a plan of this cost could at most gain; 1 where nothing is proven."""
+        proof = self.bound.ratio
+        return 1.0 if proof is None or not self.goals else max(0.0, 1 - proof.level / self.ratio)
+
+    @property
+    def cost_gap(self) -> float | None:
+        """The share of its cost that another plan could at most save; None where no such bound was asked for."""
+        proof = self.bound.cost
+        return None if proof is None else max(0.0, 1 - proof.value / self.cost)
+
+    def verify(self) -> bool:
+        """Work out every claim anew without a solver: hours, accuracy, and both bounds."""
+        problem = self.problem
+        if not problem.is_admissible(self.chosen):
+            return False
+        if self.design is not None:
+            return self.design.verify()
+        if self.accuracy is not None and not (
+            self.accuracy.verify() and np.allclose(reached(problem, self.accuracy), self.reached, rtol=1e-6)
+        ):
+            return False
+        free = is_free(problem)
+        ends = [ends_of(problem, g) for g in range(len(problem.goals))]
+        limited, most = Cover(problem, fixed=free), limit_of(problem, self.cost)
+        loose = Cover(without_limits(problem), fixed=free)
+        return holds(self.bound, loose, limited, motion_of(problem), ends, most)
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data with everything that a re-check needs."""
+        data: dict[str, object] = {
+            "format": FORMAT,
+            "status": self.status,
+            "plant": self.plant.to_dict(),
+            "requirement": self.requirement.to_dict(),
+            "schedule": self.schedule.to_dict(),
+            "reached": self.reached.tolist(),
+            "cost": self.cost,
+            "ratio": self.ratio,
+            "attacks": [attack_to_dict(attack) for attack in self.bound.attacks],
+            "no_better_than": None if self.bound.ratio is None else proof_to_dict(self.bound.ratio),
+            "no_cheaper_than": None if self.bound.cost is None else proof_to_dict(self.bound.cost),
+        }
+        return data  # type: ignore[return-value]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("samples", f"{self.samples} in {short(self.schedule.period)} {self.plant.time_unit}")]
+        rows += [] if self.problem.counts else [("cost", f"{short(self.cost)} a period")]
+        if self.bound.cost is not None:
+            rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
+        for value, goal in zip(self.reached, self.goals, strict=True):
+            unit = f" {goal.unit}" if goal.unit else ""
+            word = "guaranteed" if goal.guaranteed else "standard deviation"
+            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({word}, {goal.at})"
+            if self.bound.ratio is not None and len(self.goals) == 1:
+                text += f"; no plan of this cost below {short(self.bound.ratio.level * goal.tolerance, 4)}"
+            rows.append((goal.name, text))
+        if self.bound.ratio is not None and len(self.goals) > 1:
+            level = short(self.bound.ratio.level, 4)
+            rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
+        if self.design is not None:
+            rows += [("sigma", short(self.design.sigma)), ("no schedule exceeds", short(self.design.upper_bound))]
+        return [*rows, ("status", self.status)]
+
+    def explain(self) -> str:
+        """Say what the plan keeps, and what no other can."""
+        if self.design is not None:
+            return self.design.explain()
+        unit = "" if self.problem.counts else f" for {short(self.cost)}"
+        parts = [f"{g.name} within {short(v, 3)}{' ' + g.unit if g.unit else ''}" for v, g in
+                 zip(self.reached, self.goals, strict=True)]  # fmt: skip
+        text = f"{self.samples} samples every {short(self.schedule.period)} {self.plant.time_unit}{unit} keep "
+        text += ", ".join(parts) + "."
+        if self.bound.cost is not None:
+            text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."
+        if self.bound.ratio is not None:
+            share = 100 * self.bound.ratio.level
+            text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
+            text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
+        return text
+
+
+def is_free(problem: PlanProblem) -> bool:
+    """Whether a plan may be turned by any number of steps, so that one sample may be put at step 0."""
+    return bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
+
+
+def ends_of(problem: PlanProblem, g: int) -> Mask:
+    """Steps at which attacks against a goal may end."""
+    goal = problem.goals[g]
+    ends = np.full(problem.steps, goal.at != "given times")
+    ends[goal.steps.astype(int) % problem.steps] = True
+    return ends
+
+
+def without_limits(problem: PlanProblem) -> PlanProblem:
+    """The problem without its limits of samples and cost."""
+    from dataclasses import replace
+
+    return replace(problem, most_samples=np.inf, most_cost=np.inf)
+
+
+def limit_of(problem: PlanProblem, cost: float) -> float:
+    """The cost above which a choice is not a rival: that of the plan, or beyond every price if limits rule."""
+    if problem.requirement.aim == "cheapest":
+        return cost
+    whole = float(problem.allowed.sum(axis=0) @ problem.price + problem.allowed.any(axis=1).sum() * (problem.visit + 1))
+    return min(problem.most_cost, whole) if not problem.counts else whole
+
+
+def reached(problem: PlanProblem, proof: Accuracy) -> Array:
+    """What an accuracy proves for each guaranteed goal at the times that it asks for."""
+    values, k = [], 0
+    for goal in problem.goals:
+        if not goal.guaranteed:
+            continue
+        if goal.at == "all times":
+            values.append(float(proof.upper[k]))
+        elif goal.at == "after each sample":
+            values.append(float(np.max(proof.at_samples[k])))
+        else:
+            values.append(max(_at(proof, k, float(step) * problem.step, problem.period) for step in goal.steps))
+        k += 1
+    return np.array(values)
+
+
+def _at(proof: Accuracy, k: int, t: float, period: float) -> float:
+    """The upper side of a profile at one time, both panels at an edge."""
+    edges = proof.profile.edges
+    inside = edges[0] + (t - edges[0]) % period
+    slack = 1e-9 * period
+    panels = np.flatnonzero((edges[:-1] <= inside + slack) & (inside - slack <= edges[1:]))
+    return float(np.max(proof.profile.upper[k][panels]))

@@ -1,0 +1,267 @@
+"""A requirement in numbers: steps of the raster, what may be measured at each, prices, and goals as rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._units import SECONDS, time_factor
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.opening import week_hours
+from sampling_design.planning.requirement import PlanRequirement, SensorTerms, duration
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.rows import wanted_rows
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+WHOLE = 1e-6
+"""A time counts as a whole number of raster steps within this share of a step."""
+
+DEFAULT_STEPS = 96
+MOST_STEPS = 20_000
+
+SAME_PRICE = 1e-9
+"""Two costs count as equal within this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """One row with its tolerance, and at which ends of the raster it must hold."""
+
+    name: str
+    row: Array
+    unit: str
+    tolerance: float
+    guaranteed: bool
+    at: str  # "all times", "after each sample" or "given times"
+    steps: Array  # raster times of "given times"
+
+
+@dataclass(frozen=True, eq=False)
+class PlanProblem:
+    """Numbers of one plan, all times in steps of the raster.
+
+    Attributes
+    ----------
+    allowed : (M, p) array of bool
+        What may be measured at each step of the period.
+    step : float
+        Length of a step [the plant's time unit].
+    price : (p,) array
+    visit : float
+        Price of a sample, whatever it measures.
+    spacing : int
+        Least steps between two samples.
+    sensor_spacing, longest_use : (p,) int arrays
+    """
+
+    plant: Plant
+    requirement: PlanRequirement
+    goals: tuple[Goal, ...]
+    step: float
+    allowed: Mask
+    price: Array
+    visit: float
+    spacing: int
+    sensor_spacing: npt.NDArray[np.intp]
+    longest_use: npt.NDArray[np.intp]
+    v_bound: Array
+    v_std: Array
+    most_samples: float
+    most_cost: float
+
+    @property
+    def steps(self) -> int:
+        """Steps in a period."""
+        return len(self.allowed)
+
+    @property
+    def period(self) -> float:
+        """In the plant's time unit."""
+        return self.steps * self.step
+
+    @property
+    def counts(self) -> bool:
+        """Whether samples are counted, since nothing has a price."""
+        return not (self.visit > 0 or np.any(self.price > 0))
+
+    def cost(self, chosen: Mask) -> float:
+        """Price of a period in which `chosen` (M, p) is measured; the number of samples where nothing has a price."""
+        visits = float(np.any(chosen, axis=1).sum())
+        return visits if self.counts else visits * self.visit + float(chosen.sum(axis=0) @ self.price)
+
+    def is_admissible(self, chosen: Mask) -> bool:
+        """Whether a choice keeps hours, spacings, uses and limits."""
+        samples = np.any(chosen, axis=1)
+        if np.any(chosen & ~self.allowed) or np.any(chosen.sum(axis=0) > self.longest_use) or not samples.any():
+            return False
+        if samples.sum() > self.most_samples or self.cost(chosen) > self.most_cost * (1 + SAME_PRICE):
+            return False
+        columns = [(samples, self.spacing)]
+        columns += [(chosen[:, j], int(s)) for j, s in enumerate(self.sensor_spacing)]
+        return all(_apart(taken, least, self.steps) for taken, least in columns)
+
+    def schedule(self, chosen: Mask) -> PeriodicSchedule:
+        """The periodic schedule of a choice."""
+        at = np.flatnonzero(chosen.any(axis=1))
+        origin = None
+        if self.requirement.calendar is not None:
+            origin = self.requirement.calendar.instant(0.0).isoformat()
+        return PeriodicSchedule.from_times(
+            at * self.step,
+            self.period,
+            chosen[at],
+            time_unit=self.plant.time_unit,
+            origin=origin,
+            output_names=self.plant.outputs.names,
+        )
+
+    def chosen(self, schedule: PeriodicSchedule) -> Mask:
+        """The choice that a schedule makes.
+
+        Raises
+        ------
+        ArgumentError
+            If its period is another, or a time is off the raster.
+        """
+        at = np.round(schedule.times / self.step).astype(int)
+        near = np.abs(schedule.times - at * self.step) <= WHOLE * self.step
+        if abs(schedule.period - self.period) > WHOLE * self.step or not near.all() or at.max() >= self.steps:
+            raise ArgumentError(
+                f"`schedule` must have the period {self.period!r} and times on the raster of {self.step!r}, got a "
+                f"period of {schedule.period!r}."
+            )
+        chosen = np.zeros(self.allowed.shape, dtype=bool)
+        chosen[at] = True if schedule.outputs is None else schedule.outputs
+        return chosen
+
+
+def _apart(taken: Mask, least: int, steps: int) -> bool:
+    at = np.flatnonzero(taken)
+    return at.size < 2 or least <= 1 or bool(np.min(np.diff(np.append(at, at[0] + steps))) >= least)
+
+
+def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
+    """Return the numbers of a requirement for a plant.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, a bound missing, or period and raster do not fit.
+    InfeasibleRequirementError
+        If nothing may be measured at any time.
+    """
+    unit = requirement.time_unit or plant.time_unit
+    steps, step = _raster(plant, requirement, unit)
+    for name in requirement.sensors:
+        if name not in plant.outputs.names:
+            _checks.known_keys("`sensors`", [name], plant.outputs.names)
+    terms = [requirement.sensors.get(name, SensorTerms()) for name in plant.outputs.names]
+    allowed = _allowed(plant, requirement, terms, steps, step)
+    if not allowed.any():
+        raise InfeasibleRequirementError("No sensor may be measured at any time of the period: see `hours`.", "hours")
+    in_step = [0 if t.spacing is None else _steps("spacing", t.spacing, unit, plant, step) for t in terms]
+    used = [steps if t.longest_use is None else t.longest_use for t in terms]
+    spacing = 1 if requirement.spacing is None else _steps("spacing", requirement.spacing, unit, plant, step)
+    goals = tuple(_goals(plant, requirement, unit, step))
+    _check_bounds(plant, requirement, terms, goals)
+    return PlanProblem(
+        plant,
+        requirement,
+        goals,
+        step,
+        allowed,
+        np.array([t.price for t in terms]),
+        requirement.visit_price,
+        max(1, spacing),
+        np.array(in_step, dtype=np.intp),
+        np.array(used, dtype=np.intp),
+        np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms]),
+        np.array([np.inf if t.noise_std is None else t.noise_std for t in terms]),
+        np.inf if requirement.samples is None else float(requirement.samples),
+        np.inf if requirement.cost_limit is None else requirement.cost_limit,
+    )
+
+
+def _raster(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, float]:
+    """Steps of the period, and the length of one."""
+    calendar, factor = requirement.calendar, time_factor(unit, plant.time_unit)
+    if requirement.period is None and calendar is None:
+        raise ArgumentError("`period` is missing: after which time does the plan repeat?")
+    week = SECONDS["wk"] / SECONDS[unit]
+    period = week if requirement.period is None else duration("period", requirement.period, unit)
+    given = requirement.raster
+    if given is None:
+        raster = period / DEFAULT_STEPS if calendar is None else SECONDS["min"] * 15 / SECONDS[unit]
+    else:
+        raster = duration("raster", given, unit)
+    steps = round(period / raster)
+    if steps < 1 or abs(period / raster - steps) > WHOLE or steps > MOST_STEPS:
+        raise ArgumentError(
+            f"`raster` must divide the period {period!r} {unit} into 1 to {MOST_STEPS} whole steps, got {raster!r}."
+        )
+    if calendar is not None:
+        whole = "wk" if calendar.hours is not None or any(t.hours for t in requirement.sensors.values()) else "d"
+        count = period * SECONDS[unit] / SECONDS[whole]
+        if abs(count - round(count)) > WHOLE:
+            raise ArgumentError(
+                f"`period` must be whole {'weeks' if whole == 'wk' else 'days'} with these opening hours, got "
+                f"{period!r} {unit}."
+            )
+    return steps, period * factor / steps
+
+
+def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], steps: int, step: float) -> Mask:
+    allowed = np.ones((steps, len(terms)), dtype=bool)
+    calendar = requirement.calendar
+    if calendar is None:
+        if any(t.hours for t in terms):
+            raise ArgumentError("`sensors` have hours of their own, which needs a `calendar`.")
+        return allowed
+    clock = np.arange(steps) * step * SECONDS[plant.time_unit] / 60
+    for j, term in enumerate(terms):
+        own = None if term.hours is None else week_hours("hours", term.hours)
+        allowed[:, j] = [calendar.is_open(float(minute), own) for minute in np.round(clock, 6)]
+    return allowed
+
+
+def _steps(name: str, value: float | str, unit: str, plant: Plant, step: float) -> int:
+    """Steps of the raster that hold a least time."""
+    return int(np.ceil(duration(name, value, unit) * time_factor(unit, plant.time_unit) / step - WHOLE))
+
+
+def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[Goal]:
+    found = []
+    for name, goal in requirement.accuracy.items():
+        rows = wanted_rows(plant, [name] if goal.row is None else [list(goal.row)])
+        at = "all times" if goal.at in ("all times", "until the next") else str(goal.at)
+        steps = np.zeros(0)
+        if not isinstance(goal.at, str):
+            at = "given times"
+            steps = np.array([t * time_factor(unit, plant.time_unit) / step for t in goal.at])
+        found.append(
+            Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, goal.kind == "guaranteed", at, np.round(steps))
+        )
+    return found
+
+
+def _check_bounds(
+    plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], goals: tuple[Goal, ...]
+) -> None:
+    """Refuse goals whose bounds are missing."""
+    for guaranteed, bound, noise in ((True, "w_bound", "noise_bound"), (False, "w_std", "noise_std")):
+        wanting = [goal.name for goal in goals if goal.guaranteed == guaranteed]
+        if not wanting:
+            continue
+        kind = "guaranteed" if guaranteed else "standard deviation"
+        if getattr(requirement, bound) is None:
+            raise ArgumentError(f"`{bound}` is missing: accuracy of {wanting[0]} ({kind}) needs it; 0 for none.")
+        if guaranteed and any(t.noise_bound == 0 for t in terms):
+            raise ArgumentError("`noise_bound` must be positive in a plan, got 0: give the sensor's resolution.")
+        if all(getattr(t, noise) is None for t in terms):
+            raise ArgumentError(f"`sensors` have no `{noise}`: accuracy of {wanting[0]} ({kind}) needs it.")

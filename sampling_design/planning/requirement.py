@@ -1,0 +1,331 @@
+"""What a plan must keep: accuracy per row, bounds, sensors with prices and hours, and the calendar of the place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain, Record, short
+from sampling_design._units import SECONDS, check_time_unit
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.opening import OpeningCalendar, week_hours
+
+Array = npt.NDArray[np.float64]
+Duration: TypeAlias = float | str
+Bound: TypeAlias = float | Sequence[float] | None
+
+FORMAT = "sampling-design/plan-requirement/1"
+KINDS = ("guaranteed", "standard deviation")
+TIMES = ("all times", "until the next", "after each sample")
+AIMS = ("cheapest", "most accurate")
+_DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
+
+
+def duration(name: str, value: object, unit: str) -> float:
+    """Return a time > 0 in `unit`, given as a number of them or as text with a unit of its own ("15 min").
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither, or not positive.
+    """
+    if not isinstance(value, str):
+        return _checks.positive(name, value)
+    found = _DURATION.fullmatch(value.strip())
+    if not found or found[2] not in SECONDS or float(found[1]) <= 0:
+        raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
+    return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AccuracyGoal(Record):
+    """How well one row must be known.
+
+    Parameters
+    ----------
+    tolerance : float
+        In the row's unit, > 0.
+    kind : str
+        "guaranteed": no error is ever larger; "standard deviation": of the best linear estimate under white noise.
+    at : str or sequence of float
+        "all times" (the same: "until the next" sample), "after each sample", or times of the period from its start on.
+    row : (n,) array, optional
+        Combination of states; default: the state or output of the goal's name.
+
+    Raises
+    ------
+    ArgumentError
+        If the tolerance is not positive, or a word is unknown.
+    """
+
+    tolerance: float
+    kind: str = "guaranteed"
+    at: str | Sequence[float] = "all times"
+    row: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
+        _word("kind", self.kind, KINDS)
+        if isinstance(self.at, str):
+            _word("at", self.at, TIMES)
+        else:
+            object.__setattr__(self, "at", tuple(_checks.increasing("at", self.at).tolist()))
+        if self.row is not None:
+            object.__setattr__(self, "row", _checks.vector("row", self.row))
+
+    def when(self) -> str:
+        """Say at which times it holds."""
+        return self.at if isinstance(self.at, str) else "at " + short(list(self.at))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("tolerance", short(self.tolerance)), ("kind", self.kind), ("at", self.when())]
+
+    def explain(self) -> str:
+        """Say the goal in words."""
+        return f"Within {short(self.tolerance)} ({self.kind}), {self.when()}."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        at: Plain = self.at if isinstance(self.at, str) else list(self.at)
+        data: dict[str, Plain] = {"tolerance": self.tolerance, "kind": self.kind, "at": at}
+        return data if self.row is None else {**data, "row": self.row.tolist()}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorTerms(Record):
+    """What one sensor costs and can do.
+
+    Parameters
+    ----------
+    price : float
+        Of one measurement, >= 0.
+    noise_bound : float, optional
+        No error of a measurement is larger; needed for guaranteed accuracy.
+    noise_std : float, optional
+        Standard deviation of one measurement; needed for accuracy as a standard deviation.
+    hours : dict of str to list of (str, str), optional
+        Own opening hours by weekday ("Mon": [("08:00", "12:00")]), within those of the calendar.
+    longest_use : int, optional
+        Most measurements in one period.
+    spacing : float or str, optional
+        Least time between two measurements of this sensor.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is negative, or hours are not understood.
+    """
+
+    price: float = 0.0
+    noise_bound: float | None = None
+    noise_std: float | None = None
+    hours: Mapping[str, object] | None = None
+    longest_use: int | None = None
+    spacing: Duration | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "price", _checks.nonnegative("price", self.price))
+        for key in ("noise_bound", "noise_std"):
+            value = getattr(self, key)
+            object.__setattr__(self, key, None if value is None else _checks.nonnegative(key, value))
+        if self.longest_use is not None:
+            object.__setattr__(self, "longest_use", _checks.whole("longest_use", self.longest_use))
+        if self.hours is not None:
+            object.__setattr__(self, "hours", week_hours("hours", self.hours))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("price", short(self.price))]
+        for key in ("noise_bound", "noise_std", "longest_use"):
+            value = getattr(self, key)
+            rows += [] if value is None else [(key.replace("_", " "), short(value))]
+        return rows + ([] if self.spacing is None else [("spacing", f"{self.spacing}")])
+
+    def explain(self) -> str:
+        """Say the terms in words."""
+        return ", ".join(f"{label} {value}" for label, value in self._rows()) + "."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what was not given is left out."""
+        data: dict[str, Plain] = {"price": self.price}
+        for key in ("noise_bound", "noise_std", "longest_use", "spacing"):
+            value = getattr(self, key)
+            data |= {} if value is None else {key: value}
+        return data if self.hours is None else {**data, "hours": _plain_hours(self.hours)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanRequirement(Record):
+    """What a plan must keep and may use.
+
+    Parameters
+    ----------
+    accuracy : dict of str to AccuracyGoal, dict or float
+        By name of a state or output (or any name, with a `row`); a number is a tolerance.
+    period : float or str, optional
+        The plan repeats after it. Default: one week with a calendar.
+    raster : float or str, optional
+        Samples lie on whole multiples of it. Default: 15 min with a calendar, else the period over 96.
+    spacing : float or str, optional
+        Least time between two samples.
+    samples : int, optional
+        Most samples in a period.
+    cost_limit : float, optional
+        Most that one period may cost.
+    visit_price : float
+        Of one sample, whatever it measures.
+    aim : str, optional
+        "cheapest": least cost (fewest samples where nothing costs) that keeps every tolerance; "most accurate": the
+        least ratio of accuracy to tolerance that `samples` or `cost_limit` allow. Default: the latter if one of
+        these is given.
+    w_bound : float or (q,) sequence, optional
+        Bound on the disturbance, as for `accuracy`.
+    w_std : float or (q,) sequence, optional
+        Square root of the intensity of the white disturbance, for standard deviations.
+    sensors : dict of str to SensorTerms or dict
+        By name of the output; an output without terms is free, and measured without error bound if none is given.
+    calendar : OpeningCalendar or dict, optional
+    time_unit : str, optional
+        Unit of all times that are plain numbers; None means the plant's.
+    sigma : dict, optional
+        Without accuracy: the keys `samples`, `window` of a sigma design.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is out of range or a key unknown.
+
+    Examples
+    --------
+    >>> terms = {"position": {"noise_bound": 0.1}}
+    >>> wanted = PlanRequirement({"position": 0.5}, period=8.0, w_bound=0.02, sensors=terms)
+    >>> print(wanted.explain())
+    Cheapest samples that keep position within 0.5 (guaranteed, all times).
+    """
+
+    _reader: ClassVar[str] = "read_plan_requirement"
+    accuracy: Mapping[str, AccuracyGoal] = None  # type: ignore[assignment]
+    period: Duration | None = None
+    raster: Duration | None = None
+    spacing: Duration | None = None
+    samples: int | None = None
+    cost_limit: float | None = None
+    visit_price: float = 0.0
+    aim: str | None = None
+    w_bound: Bound = None
+    w_std: Bound = None
+    sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
+    calendar: OpeningCalendar | None = None
+    time_unit: str | None = None
+    window: Duration | None = None
+
+    def __post_init__(self) -> None:
+        own: dict[str, object] = {}
+        own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
+        own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
+        if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):
+            own["calendar"] = OpeningCalendar(**_table("calendar", self.calendar, OpeningCalendar))
+        if self.samples is not None:
+            own["samples"] = _checks.whole("samples", self.samples, 1)
+        if self.cost_limit is not None:
+            own["cost_limit"] = _checks.positive("cost_limit", self.cost_limit)
+        own["visit_price"] = _checks.nonnegative("visit_price", self.visit_price)
+        if self.time_unit is not None:
+            check_time_unit(self.time_unit)
+        for key in ("period", "raster", "spacing", "window"):
+            if getattr(self, key) is not None:
+                duration(key, getattr(self, key), self.time_unit or "h")
+        if self.aim is not None:
+            _word("aim", self.aim, AIMS)
+        own["aim"] = self.aim or (AIMS[0] if self.samples is None and self.cost_limit is None else AIMS[1])
+        if own["aim"] == AIMS[1] and self.samples is None and self.cost_limit is None:
+            raise ArgumentError(
+                "`aim` is most accurate, which needs `samples` or `cost_limit`: else all times are best."
+            )
+        for key, value in own.items():
+            object.__setattr__(self, key, value)
+
+    def replace(self, **changes: object) -> PlanRequirement:
+        """Return a copy with some entries changed.
+
+        Raises
+        ------
+        ArgumentError
+            If an entry is unknown, or as for `PlanRequirement`.
+        """
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        _checks.known_keys("the requirement", changes, known)
+        if {"samples", "cost_limit"} & changes.keys() and "aim" not in changes:
+            known["aim"] = None
+        return PlanRequirement(**{**known, **changes})
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data, the tree of the requirement file; what was not given is left out."""
+        data: dict[str, Plain] = {"format": FORMAT}
+        for key in ("period", "raster", "spacing", "samples", "cost_limit", "aim", "time_unit", "window"):
+            value = getattr(self, key)
+            data |= {} if value is None else {key: value}
+        data |= {"visit_price": self.visit_price} if self.visit_price else {}
+        for key in ("w_bound", "w_std"):
+            value = getattr(self, key)
+            data |= {} if value is None else {key: np.asarray(value, dtype=float).tolist()}
+        data["accuracy"] = {name: goal.to_dict() for name, goal in self.accuracy.items()}
+        data["sensors"] = {name: terms.to_dict() for name, terms in self.sensors.items()}
+        return data if self.calendar is None else {**data, "calendar": self.calendar.to_dict()}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.kind}, {g.when()})") for k, g in self.accuracy.items()]
+        for key in ("period", "raster", "spacing", "samples", "cost_limit"):
+            value = getattr(self, key)
+            rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
+        rows += [(f"sensor {name}", terms.explain()) for name, terms in self.sensors.items()]
+        return [*rows, ("aim", f"{self.aim}")]
+
+    def explain(self) -> str:
+        """Say the requirement in words."""
+        goals = ", ".join(f"{k} within {short(g.tolerance)} ({g.kind}, {g.when()})" for k, g in self.accuracy.items())
+        if not goals:
+            return "Samples that see every state as well as possible (sigma)."
+        if self.aim == AIMS[0]:
+            return f"Cheapest samples that keep {goals}."
+        limits = [f"{self.samples} samples"] if self.samples is not None else []
+        limits += [f"cost {short(self.cost_limit)}"] if self.cost_limit is not None else []
+        return f"Best accuracy for at most {' and '.join(limits)} a period, relative to {goals}."
+
+
+def _word(name: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r:.60}.")
+
+
+def _table(name: str, value: object, kind: type) -> dict[str, object]:
+    if not isinstance(value, Mapping):
+        raise ArgumentError(f"`{name}` must be a table of keys and values, got {value!r:.60}.")
+    _checks.known_keys(f"`{name}`", value, [f.name for f in fields(kind)])
+    return {str(key): item for key, item in value.items()}
+
+
+def _goal(name: str, value: object) -> AccuracyGoal:
+    if isinstance(value, AccuracyGoal):
+        return value
+    if isinstance(value, Mapping):
+        table = _table(f"accuracy.{name}", value, AccuracyGoal)
+        if "tolerance" not in table:
+            raise ArgumentError(f"`accuracy.{name}.tolerance` is missing.")
+        return AccuracyGoal(**table)  # type: ignore[arg-type]
+    return AccuracyGoal(_checks.positive(f"accuracy.{name}", value))
+
+
+def _terms(name: str, value: object) -> SensorTerms:
+    if isinstance(value, SensorTerms):
+        return value
+    return SensorTerms(**_table(f"sensors.{name}", value, SensorTerms))  # type: ignore[arg-type]
+
+
+def _plain_hours(hours: Mapping[str, object]) -> dict[str, Plain]:
+    return {day: [list(span) for span in spans] for day, spans in week_hours("hours", hours).items()}

@@ -1,0 +1,175 @@
+"""Plan requirement files: TOML, or JSON with the same tree; one file may hold the plant as well."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from sampling_design._door import door
+from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
+from sampling_design.checkers.grammar import time_unit
+from sampling_design.checkers.strict import (
+    BadFile,
+    anything,
+    count,
+    list_of,
+    nonnegative,
+    number,
+    positive,
+    refuse,
+    shown,
+    table,
+    text,
+    word,
+)
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import Plant
+
+
+def _duration(value: object, place: str) -> float | str:
+    """A number of time units, or text with a unit of its own."""
+    return text(value, place) if isinstance(value, str) else positive(value, place)
+
+
+def _bound(value: object, place: str) -> float | list[float]:
+    """One number, or one for each entry."""
+    found: list[float] = list_of(nonnegative)(value, place) if isinstance(value, (list, tuple)) else []
+    return found if isinstance(value, (list, tuple)) else nonnegative(value, place)
+
+
+def _when(value: object, place: str) -> str | list[float]:
+    """A word, or times of the period."""
+    found: list[float] = [] if isinstance(value, str) else list_of(nonnegative)(value, place)
+    return str(word(*TIMES)(value, place)) if isinstance(value, str) else found
+
+
+def _by_name(read: object, value: object, place: str) -> dict[str, object]:
+    if not isinstance(value, Mapping):
+        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
+    assert callable(read)
+    return {text(name, place): read(item, f"{place}.{name}") for name, item in value.items()}
+
+
+_HOURS = list_of(list_of(text, 2))
+_GOAL = table({"tolerance": positive}, {"kind": word(*KINDS), "at": _when, "row": list_of(number)})
+_SENSOR = table(
+    {},
+    {
+        **dict.fromkeys(("price", "noise_bound", "noise_std"), nonnegative),
+        "hours": lambda value, place: _by_name(_HOURS, value, place),
+        "longest_use": count,
+        "spacing": _duration,
+    },
+)
+_CALENDAR = table(
+    {"start": text},
+    {"zone": text, "hours": lambda value, place: _by_name(_HOURS, value, place), "holidays": list_of(text)},
+)
+_TREE = table(
+    {"format": word(FORMAT)},
+    {
+        **dict.fromkeys(("period", "raster", "spacing", "window"), _duration),
+        "samples": count,
+        "cost_limit": positive,
+        "visit_price": nonnegative,
+        "aim": word(*AIMS),
+        "w_bound": _bound,
+        "w_std": _bound,
+        "accuracy": lambda value, place: _by_name(
+            lambda goal, at: _GOAL(goal, at) if isinstance(goal, Mapping) else positive(goal, at), value, place
+        ),
+        "sensors": lambda value, place: _by_name(_SENSOR, value, place),
+        "calendar": _CALENDAR,
+        "time_unit": time_unit,
+        "plant": anything,
+    },
+    whole="the requirement",
+)
+
+
+@door
+def read_plan_requirement(path: str | os.PathLike[str]) -> PlanRequirement:
+    """Read the requirement of a plan from a `.toml` or `.json` file; a plant in it is left alone.
+
+    Parameters
+    ----------
+    path : path
+        The format is told by the ending.
+
+    Returns
+    -------
+    PlanRequirement
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, of another format, has an unknown key, or holds a value that
+        `PlanRequirement` refuses; the message names the file.
+    """
+    return requirement_and_plant(path)[0]
+
+
+def requirement_and_plant(path: str | os.PathLike[str]) -> tuple[PlanRequirement, Plant | None]:
+    """Return the requirement in a file, and the plant if it holds one."""
+    where = os.fspath(path)
+    content = read_text(where)
+    read = from_json if Path(where).suffix.lower() == ".json" else from_toml
+    data = read(content, where)
+    plant = data.get("plant")
+    found = None
+    if isinstance(plant, Mapping):
+        found = plant_from_dict(dict(plant), f"{where}: plant")
+    return plan_requirement_from_dict(data, where), found
+
+
+def plan_requirement_from_dict(data: Mapping[str, object], where: str = "requirement") -> PlanRequirement:
+    """Return the requirement in a tree of plain data; the inverse of `PlanRequirement.to_dict`.
+
+    Raises
+    ------
+    FileFormatError
+        As for `read_plan_requirement`.
+    """
+    try:
+        tree = _TREE(data, "")
+        tree.pop("format")
+        tree.pop("plant", None)
+        return PlanRequirement(**tree)
+    except BadFile as error:
+        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
+
+
+@door
+def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike[str]) -> Path:
+    """Write the requirement of a plan as `.toml` or `.json`, whole or not at all; return the path.
+
+    Parameters
+    ----------
+    requirement : PlanRequirement
+    path : path
+        The format is told by the ending.
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the ending is neither, or the file cannot be written.
+    """
+    ending = Path(path).suffix.lower()
+    if ending == ".json":
+        return write_text(path, to_json(requirement.to_dict()))
+    if ending != ".toml":
+        raise FileFormatError(f"{path}: a requirement file ends in .toml or .json, got {ending!r}.", os.fspath(path))
+    import tomli_w
+
+    return write_text(path, tomli_w.dumps(requirement.to_dict()))

@@ -1,0 +1,264 @@
+"""The search for a plan: choices that see every attack so far, attacks against those choices, until nothing is left.
+
+One question, asked at levels: is there an admissible choice whose accuracy is at most `level` times each tolerance? The
+cheapest choice that sees every attack found is judged; if it fails, its own attacks join. If no choice sees them all,
+there is none. Nothing here is a claim: the plan is proven afterwards, and so is the bound.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.attacks import AttackPool, HiddenMotion
+from sampling_design.planning.cover import Cover, Key, cheapest
+from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.problem import PlanProblem
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Progress = Callable[[float, str], None]
+
+GRID = 120
+"""Steps at which a faint motion is held down, about."""
+
+SPREAD_ENDS = 4
+"""Ends of one attack that join the program at a time."""
+
+TIE = 1e-3
+"""Share of the least price by which choices that see more attacks are preferred."""
+
+NARROW = 0.01
+"""Relative distance between the best choice and the level shown to be out of reach at which a search ends."""
+
+STEP = 0.03
+"""How much better than the best so far is asked for next."""
+
+
+@dataclass(eq=False)
+class Found:
+    """Where a search stands."""
+
+    chosen: Mask | None = None
+    worst: float = np.inf
+    out_of_reach: float = 0.0
+    keys: list[Key] = field(default_factory=list)
+    rounds: int = 0
+    complete: bool = False
+
+
+class PlanSearch:
+    """A search over choices of one problem, with its pool of attacks."""
+
+    def __init__(self, problem: PlanProblem, oracle: Oracle, deadline: float, progress: Progress | None = None):
+        self.problem, self.oracle, self.deadline, self.progress = problem, oracle, deadline, progress
+        self.free = bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
+        self.cover = Cover(problem, fixed=self.free)
+        self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
+        self.found = Found()
+
+    @property
+    def late(self) -> bool:
+        """Whether time is up."""
+        return time.perf_counter() > self.deadline
+
+    def add(self, attacks: list[HiddenMotion], level: float) -> None:
+        """Keep attacks that reach a level."""
+        for attack in attacks:
+            if attack.reach > level:
+                self.pool.add(attack)
+
+    def seed(self, level: float) -> None:
+        """Attacks that reach a level and are seen as little as can be, whatever is measured."""
+        nothing = np.zeros(self.problem.allowed.shape, dtype=bool)
+        for g, goal in enumerate(self.problem.goals):
+            if not goal.guaranteed or goal.at == "after each sample":
+                continue
+            for end in self._typical_ends(g):
+                self.faint(g, end, level, nothing)
+
+    def _typical_ends(self, g: int) -> list[int]:
+        steps = self.problem.steps
+        ends = np.flatnonzero(self.pool.ends[g])
+        if self.free or ends.size <= 1:
+            return [int(ends[0]) + steps] if ends.size else []
+        open_again = np.flatnonzero(self.problem.allowed.any(axis=1) & ~np.roll(self.problem.allowed.any(axis=1), 1))
+        wanted = np.unique(np.concatenate([open_again, ends[:: max(1, ends.size // 4)]]))
+        return [int(e) + steps for e in wanted[np.isin(wanted, ends)][:8]]
+
+    def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenMotion | None:
+        """Find and keep one faint attack, hidden from `known`."""
+        back = self.oracle.back
+        weights = np.where(self.problem.allowed, 1.0, 0.05 if self.free else 0.0)
+        every = max(1, back // GRID)
+        attack = self.oracle.faint(g, end, level, weights, known, every, back)
+        if attack is not None and attack.reach >= level:
+            self.pool.add(attack)
+            return attack
+        return None
+
+    def decide(self, level: float, rounds: int) -> bool | None:
+        """Whether there is a choice at a level: True with `found` set, False if none sees every attack, else None."""
+        keys: list[Key] = []
+        for _ in range(rounds):
+            if self.late:
+                return None
+            chosen, none = self._candidate(keys, level)
+            if none:
+                self.found.out_of_reach = max(self.found.out_of_reach, level)
+                self.found.keys = keys
+                return False
+            if chosen is None:
+                return None
+            self.found.rounds += 1
+            if self.judged(chosen, level):
+                return True
+        return None
+
+    def _candidate(self, keys: list[Key], level: float) -> tuple[Mask | None, bool]:
+        """The cheapest choice that sees every attack of the pool."""
+        while True:
+            model = self.cover.model(self.pool.attacks, keys, level)
+            more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
+            least = self.cover.grain or float(np.max(model.c, initial=1.0))
+            tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
+            chosen, none = cheapest(self.cover, model, tie)
+            if chosen is None:
+                return None, none
+            fresh = self._unseen(chosen, level, keys)
+            if not fresh or self.late:
+                return chosen, False
+            keys += fresh
+
+    def _unseen(self, chosen: Mask, level: float, keys: list[Key]) -> list[Key]:
+        """Attacks and ends that a choice does not see, spread out."""
+        known, fresh = set(keys), []
+        at, sensor = np.nonzero(chosen)
+        for a, attack in enumerate(self.pool.attacks):
+            if attack.reach < level:
+                continue
+            ends = np.flatnonzero(self.pool.proven(attack, at, sensor) >= level)
+            ends = ends[np.round(np.linspace(0, ends.size - 1, min(SPREAD_ENDS, ends.size))).astype(int)]
+            fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
+        return fresh
+
+    def judged(self, chosen: Mask, level: float) -> bool:
+        """Polish a choice, judge it, and keep what attacks it, or it."""
+        for trial in (chosen, self.polished(chosen)):
+            worst, attacks = self.oracle.judge(trial, above=max(level, self.found.worst))
+            self.add(attacks, level)
+            better = worst < self.found.worst if self.found.worst > 1 or self.found.chosen is None else worst <= level
+            if better and worst < np.inf:
+                self.keep(trial, worst)
+            if worst <= level:
+                return True
+        attack = max(attacks, key=lambda a: a.reach)
+        self.faint(attack.goal, attack.end + self.problem.steps, level, trial)
+        return False
+
+    def keep(self, chosen: Mask, worst: float) -> None:
+        """Remember the best choice."""
+        self.found.chosen, self.found.worst = chosen, worst
+        if self.progress:
+            self.progress(0.5, f"{int(chosen.any(axis=1).sum())} samples, {100 * worst:.1f} % of the tolerance")
+
+    def polished(self, chosen: Mask) -> Mask:
+        """Move one measurement at a time to where the attacks so far prove least, while that gains."""
+        best = self.pool.against(chosen)[0]
+        at, sensor = np.nonzero(self.problem.allowed)
+        options = list(zip(at.tolist(), sensor.tolist(), strict=True))
+        if not options or not self.pool.attacks:
+            return chosen
+        for _ in range(2):
+            before = best
+            for i, j in zip(*np.nonzero(chosen), strict=True):
+                rest = chosen.copy()
+                rest[i, j] = False
+                values = self.pool.swaps(rest, options)
+                for o in np.argsort(values, kind="stable")[:20].tolist():
+                    if values[o] >= best * (1 - 1e-6):
+                        break
+                    trial = rest.copy()
+                    trial[options[o]] = True
+                    if self.problem.is_admissible(trial):
+                        chosen, best = trial, float(values[o])
+                        break
+            if best >= before * (1 - 1e-3):
+                break
+        return chosen
+
+    def cheapest(self, level: float, rounds: int) -> None:
+        """The least cost at a level: the cheapest choices that see every attack, until one of them holds."""
+        keys = self.found.keys
+        best = np.inf
+        for _ in range(rounds):
+            if self.late:
+                return
+            chosen, none = self._candidate(keys, level)
+            if chosen is None:
+                self.found.out_of_reach = level if none else 0.0
+                return
+            if self.problem.cost(chosen) >= best * (1 - 1e-9):
+                self.found.complete = True
+                return
+            self.found.rounds += 1
+            for trial in (chosen, self.repaired(chosen, level, best)):
+                if trial is None or self.problem.cost(trial) >= best:
+                    continue
+                worst, attacks = self.oracle.judge(trial, above=level)
+                self.add(attacks, level)
+                if worst <= level:
+                    best = self.problem.cost(trial)
+                    self.keep(trial, worst)
+                elif attacks:
+                    attack = max(attacks, key=lambda a: a.reach)
+                    aim = 1.0 if attack.reach > 1 + level * 1e-3 else level
+                    self.faint(attack.goal, attack.end + self.problem.steps, aim, trial)
+
+    def repaired(self, chosen: Mask, level: float, dearest: float) -> Mask | None:
+        """Add the measurement that hides least of what is left open, until the attacks so far are seen."""
+        options = [(int(i), int(j)) for i, j in zip(*np.nonzero(self.problem.allowed), strict=True)]
+        trial = chosen.copy()
+        for _ in range(self.problem.steps):
+            worst, attacks = self.oracle.judge(trial, above=level)
+            self.add(attacks, level)
+            if worst <= level:
+                return trial
+            values = self.pool.swaps(trial, options)
+            for o in np.argsort(values, kind="stable").tolist():
+                more = trial.copy()
+                more[options[o]] = True
+                if not trial[options[o]] and self.problem.is_admissible(more):
+                    break
+            else:
+                return None
+            if self.problem.cost(more) >= dearest:
+                return None
+            trial = more
+        return None
+
+    def improve(self, rounds: int) -> None:
+        """Most accurate: ask for a little less than the best so far until that is out of reach."""
+        while not self.late:
+            lowest = self.found.out_of_reach
+            if lowest > 0 and self.found.worst <= lowest * (1 + NARROW):
+                self.found.complete = True
+                return
+            level = max(self.found.worst * (1 - STEP), (self.found.worst + lowest) / 2 if lowest else 0.0)
+            answer = self.decide(level, rounds)
+            if answer is None:
+                return
+
+
+def _ends(problem: PlanProblem, g: int) -> Mask:
+    """Steps at which attacks against a goal may end."""
+    goal = problem.goals[g]
+    if goal.at != "given times":
+        return np.ones(problem.steps, dtype=bool)
+    ends = np.zeros(problem.steps, dtype=bool)
+    ends[goal.steps.astype(int) % problem.steps] = True
+    return ends

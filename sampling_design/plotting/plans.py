@@ -1,0 +1,111 @@
+"""A plan in one picture: sensors as rows over the period with opening hours, and each goal against its tolerance."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from sampling_design._record import short
+from sampling_design._units import SECONDS
+from sampling_design.planning.plan_record import Plan
+from sampling_design.plotting import style
+
+Mask = npt.NDArray[np.bool_]
+
+
+def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw when which sensor is read (on `ax` alone if given), and below it the accuracy of every goal."""
+    if ax is not None:
+        return _sensors(result, ax)
+    goals = [goal for goal in result.goals if goal.guaranteed] if result.accuracy is not None else []
+    sensors = result.problem.allowed.shape[1]
+    figure, axes = style.new_figure(
+        1 + len(goals), row_height=2.1, ratios=(0.5 + 0.28 * sensors, *(1.0 for _ in goals))
+    )
+    _sensors(result, axes[0])
+    for k, one in enumerate(axes[1:]):
+        _goal(result, k, one)
+    for one in axes:
+        _days(result, one)
+        one.set_xlim(0.0, result.schedule.period)
+    for one in axes[:-1]:
+        one.tick_params(labelbottom=False)
+    cost = f"{result.samples} samples" if result.problem.counts else f"cost {short(result.cost)}"
+    figure.suptitle(f"{result.plant.name or 'plan'}: {cost} a period")
+    return axes
+
+
+def _sensors(result: Plan, ax: Axes) -> Axes:
+    """One row for each sensor: when it may be read, and when it is."""
+    problem, names = result.problem, result.plant.outputs.names
+    for j in range(len(names)):
+        for start, stop in _spans(problem.allowed[:, j]):
+            if stop - start < problem.steps:
+                ax.broken_barh(
+                    [(start * problem.step, (stop - start) * problem.step)],
+                    (j - 0.4, 0.8),
+                    color=style.ALLOWED,
+                    alpha=0.35,
+                    linewidth=0,
+                )
+        at = np.flatnonzero(result.chosen[:, j]) * problem.step
+        ax.plot(at, np.full(at.size, j), "o", color=style.MEASURED, markersize=6)
+    for t in result.schedule.times:
+        ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.set_xlabel(style.time_label(result.plant.time_unit))
+    if len(names) * problem.steps > int(problem.allowed.sum()):
+        ax.set_title("grey: allowed hours", loc="left", fontsize="small")
+    return ax
+
+
+def _goal(result: Plan, k: int, ax: Axes) -> None:
+    """The accuracy of one guaranteed goal over the period, with its tolerance."""
+    goal = [goal for goal in result.goals if goal.guaranteed][k]
+    assert result.accuracy is not None
+    profile, period = result.accuracy.profile, result.schedule.period
+    for lap in (-period, 0.0):
+        ax.stairs(profile.upper[k], profile.edges + lap, baseline=None, color=style.PROVEN, label="guaranteed")
+    ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
+    if result.bound.ratio is not None:
+        level = result.bound.ratio.level * goal.tolerance
+        if len(result.goals) == 1:
+            ax.axhline(level, color=style.ATTAINED, linewidth=1.0, label="no plan of this cost has its worst below")
+    if goal.at == "given times":
+        for step in goal.steps:
+            ax.axvline(float(step) * result.problem.step % period, color=style.TRUTH, linewidth=0.8, linestyle=":")
+    for t in result.schedule.times:
+        ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
+    ax.set_ylim(0.0, 1.25 * max(goal.tolerance, float(np.max(profile.upper[k]))))
+    ax.set_ylabel(f"{goal.name}\n[{goal.unit}]" if goal.unit else goal.name)
+    ax.set_xlabel(style.time_label(result.plant.time_unit))
+    handles, labels = ax.get_legend_handles_labels()
+    first = dict(zip(labels, handles, strict=True))
+    ax.legend(first.values(), first.keys(), loc="lower right", fontsize="small", frameon=False, ncols=3)
+
+
+def _days(result: Plan, ax: Axes) -> None:
+    """Weekdays instead of numbers where the plan has a calendar."""
+    calendar, period = result.requirement.calendar, result.schedule.period
+    if calendar is None:
+        return
+    day = 86400 / SECONDS[result.plant.time_unit]
+    count = round(period / day)
+    if count < 1:
+        return
+    every = max(1, -(-count // 14))
+    marks = np.arange(0, count + 1, every) * day
+    ax.set_xticks(marks)
+    ax.set_xticklabels([f"{calendar.first + timedelta(days=int(k) * every):%a %d %b}" for k in range(marks.size)])
+    ax.tick_params(axis="x", labelsize="small")
+    ax.set_xlabel(f"local time, {calendar.zone}")
+
+
+def _spans(mask: Mask) -> list[tuple[int, int]]:
+    """Runs of steps that are allowed."""
+    marks = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in zip(marks[::2], marks[1::2], strict=True)]

@@ -1,0 +1,43 @@
+"""plan: from one file to a plan, its files and its picture."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sampling_design.cli.planning import plan
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SMALL = """format = "sampling-design/plan-requirement/1"
+period = 6.4
+raster = 0.4
+w_bound = 0.02
+[accuracy]
+position = 0.5
+[sensors.position]
+noise_bound = 0.2
+"""
+
+
+def test_a_plant_and_a_requirement_become_files(shell, tmp_path):
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    out = tmp_path / "out"
+    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", out)
+    assert result.code == 0
+    assert "keep position within" in " ".join(result.out.split())
+    data = json.loads((out / "plan.json").read_text())
+    assert data["format"] == "sampling-design/plan/1"
+    assert data["reached"][0] <= 0.5
+    assert (out / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert shell("accuracy", out / "plant.toml", out / "schedule.csv", "--w", "0.02", "--v", "0.2").code == 0
+
+
+def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    result = shell("plan", tmp_path / "wanted.toml")
+    assert result.code == 2
+    assert "`PLANT` is missing" in result.err
+    with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
+        plan(Settings("plan"), tmp_path / "wanted.toml")

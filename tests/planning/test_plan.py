@@ -1,0 +1,69 @@
+"""Plans: proven on both sides, admissible, and refused where nothing helps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.evidence import PlanBound
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
+GIVEN = {"period": 6.4, "raster": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
+
+
+@pytest.fixture(scope="module")
+def cheapest():
+    return sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.35}, **GIVEN))
+
+
+def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
+    assert cheapest.status == "complete"
+    assert cheapest.keeps
+    assert cheapest.samples == cheapest.bound.cost.value == 3
+    assert cheapest.reached[0] <= 0.35
+    assert cheapest.verify()
+
+
+def test_four_looks_at_an_oscillator_reach_what_no_plan_beats():
+    found = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN))
+    assert found.gap <= 0.03
+    assert found.bound.ratio.level <= 0.3175 <= found.reached[0] * 1.01  # even spacing, as the oracle has it
+    assert found.verify()
+
+
+def test_a_bound_that_says_more_than_its_attacks_is_refused(cheapest):
+    bound = cheapest.bound
+    for more in (
+        PlanBound(bound.attacks, replace(bound.ratio, level=bound.ratio.level * 1.01), bound.cost),
+        PlanBound(bound.attacks, bound.ratio, replace(bound.cost, value=bound.cost.value + 1)),
+        PlanBound(tuple(replace(a, reach=a.reach * 1.01) for a in bound.attacks), bound.ratio, bound.cost),
+    ):
+        assert not replace(cheapest, bound=more).verify()
+
+
+def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):
+    assert not replace(cheapest, reached=cheapest.reached * 0.99).verify()
+
+
+def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
+    with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time") as refused:
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN))
+    nearest = refused.value.nearest["position"]
+    assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
+
+
+def test_nothing_wanted_and_nothing_affordable_are_refused():
+    with pytest.raises(ArgumentError, match="names no accuracy"):
+        sd.plan(OSCILLATOR, sd.PlanRequirement(**GIVEN))
+    dear = {**GIVEN, "sensors": {"y": {"noise_bound": 0.2, "price": 5.0}}}
+    with pytest.raises(InfeasibleRequirementError, match="No measurement is admissible within"):
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, cost_limit=3.0, **dear))
+
+
+def test_spacing_and_limits_are_kept():
+    wanted = sd.PlanRequirement({"velocity": 1.0}, samples=3, spacing=1.5, **GIVEN)
+    found = sd.plan(OSCILLATOR, wanted)
+    assert len(found.schedule) <= 3
+    assert np.min(found.schedule.gaps) >= 1.5 - 1e-9

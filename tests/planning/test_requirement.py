@@ -1,0 +1,122 @@
+"""Requirements of plans: what is refused, what comes back from a file, and which times are allowed."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
+from sampling_design.planning.opening import OpeningCalendar
+from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, duration
+from sampling_design.planning.requirement_file import requirement_and_plant, write_plan_requirement
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], time_unit="h", outputs=["p", "q"])
+WEEK = {"start": "2026-03-23", "zone": "Europe/Berlin", "hours": {"Mon-Fri": [["08:00", "17:00"]]}}
+GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"accuracy": {"x1": 0.0}}, "accuracy.x1.* must be positive"),
+        ({"accuracy": {"x1": {"tolerance": 1.0, "kind": "sure"}}}, "`kind` must be one of 'guaranteed'"),
+        ({"accuracy": {"x1": {"kind": "guaranteed"}}}, r"`accuracy.x1.tolerance` is missing"),
+        ({"accuracy": {"x1": {"tolerance": 1.0, "at": "noon"}}}, "`at` must be one of 'all times'"),
+        ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),
+        ({"sensors": {"p": {"prize": 3}}}, "Did you mean 'price'"),
+        ({"raster": "15 parsec"}, "`raster` must be a time like 0.25 or"),
+        ({"aim": "most accurate"}, "`aim` is most accurate, which needs `samples` or `cost_limit`"),
+        (
+            {"calendar": {**WEEK, "hours": {"Mo": [["08:00", "17:00"]]}}},
+            "must name weekdays like Mon or Mon-Fri",
+        ),
+        ({"calendar": {**WEEK, "hours": {"Mon": [["17:00", "08:00"]]}}}, "must hold spans like "),
+        ({"calendar": {**WEEK, "holidays": ["1 May"]}}, "`holidays` must be dates like 2026-05-01"),
+        ({"calendar": {**WEEK, "zone": "Mars"}}, "`zone` must be the name of a time zone"),
+    ],
+)
+def test_a_wrong_value_is_refused_in_one_sentence(wrong, words):
+    with pytest.raises(ArgumentError, match=words):
+        PlanRequirement(**{"accuracy": {"x1": 1.0}, "period": 8.0, **GIVEN, **wrong})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"period": None}, "`period` is missing: after which time"),
+        ({"raster": 0.3}, "`raster` must divide the period"),
+        ({"period": 100.0, "raster": 1.0, "calendar": WEEK}, "`period` must be whole weeks"),
+        ({"sensors": {"p": {"noise_bound": 0.1, "hours": {"Mon": [["08:00", "09:00"]]}}}}, "needs a `calendar`"),
+        ({"w_bound": None}, "`w_bound` is missing: accuracy of x1"),
+        ({"sensors": {}}, "`sensors` have no `noise_bound`"),
+        ({"sensors": {"p": {"noise_bound": 0.0}}}, "`noise_bound` must be positive"),
+        ({"sensors": {"r": {"noise_bound": 0.1}}}, "unknown key 'r' in `sensors`"),
+    ],
+)
+def test_what_does_not_fit_the_plant_is_refused(wrong, words):
+    requirement = PlanRequirement(**{"accuracy": {"x1": 1.0}, "period": 8.0, **GIVEN, **wrong})
+    with pytest.raises(ArgumentError, match=words):
+        pose_plan(PLANT, requirement)
+
+
+def test_no_hours_at_all_are_no_plan():
+    closed = {**WEEK, "hours": {}}
+    with pytest.raises(InfeasibleRequirementError, match="No sensor may be measured at any time"):
+        pose_plan(PLANT, PlanRequirement({"x1": 1.0}, calendar=closed, **GIVEN))
+
+
+def test_a_schedule_off_the_raster_is_refused():
+    problem = pose_plan(PLANT, PlanRequirement({"x1": 1.0}, period=8.0, raster=1.0, **GIVEN))
+    with pytest.raises(ArgumentError, match="times on the raster of"):
+        problem.chosen(sd.PeriodicSchedule([4.5, 3.5], time_unit="h"))
+
+
+def test_hours_are_local_and_half_open():
+    sensors = {"p": {"noise_bound": 0.1}, "q": {"noise_bound": 0.1, "hours": {"Tue": [["09:00", "24:00"]]}}}
+    allowed = pose_plan(PLANT, PlanRequirement({"x1": 1.0}, calendar=WEEK, w_bound=0.1, sensors=sensors)).allowed
+    assert allowed.shape == (672, 2)
+    hours = np.flatnonzero(allowed[:, 0]) / 4 % 24
+    assert (hours.min(), hours.max()) == (8.0, 16.75)
+    assert np.flatnonzero(allowed[:, 0]).max() / 4 < 5 * 24
+    own = np.flatnonzero(allowed[:, 1]) / 4
+    assert (own.min(), own.max()) == (33.0, 40.75)  # Tuesday, nine until five
+
+
+def test_a_local_hour_keeps_its_hour_across_a_change_of_the_clocks():
+    place = OpeningCalendar("2026-03-23", "Europe/Berlin")
+    week = 7 * 1440
+    assert place.instant(480).isoformat() == "2026-03-23T08:00:00+01:00"
+    assert place.instant(week + 480).isoformat() == "2026-03-30T08:00:00+02:00"
+    assert place.elapsed(week + 480) - place.elapsed(480) == week - 60
+
+
+def test_durations_have_units():
+    assert duration("raster", "15 min", "h") == 0.25
+    assert duration("raster", 2.0, "h") == 2.0
+
+
+def test_a_file_comes_back_and_may_hold_its_plant(tmp_path):
+    goals = {
+        "x1": AccuracyGoal(0.5, at=[1.0, 2.0]),
+        "both": {"tolerance": 1.0, "row": [1.0, 1.0], "at": "after each sample"},
+    }
+    sensors = {"p": {"price": 2.0, "noise_bound": 0.1, "longest_use": 3, "spacing": "2 h", "hours": WEEK["hours"]}}
+    wanted = PlanRequirement(goals, raster="15 min", calendar=WEEK, w_bound=[0.1, 0.2], sensors=sensors, cost_limit=9.0)
+    for name in ("r.toml", "r.json"):
+        back = sd.read_plan_requirement(write_plan_requirement(wanted, tmp_path / name))
+        assert back.to_dict() == wanted.to_dict()
+    with pytest.raises(FileFormatError, match=r"ends in \.toml or \.json"):
+        write_plan_requirement(wanted, tmp_path / "r.csv")
+    (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\nraaster = 1\n')
+    with pytest.raises(FileFormatError, match="Did you mean 'raster'"):
+        sd.read_plan_requirement(tmp_path / "bad.toml")
+    (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\naccuracy = 3\n')
+    with pytest.raises(FileFormatError, match="`accuracy` must be a table of keys and values"):
+        sd.read_plan_requirement(tmp_path / "bad.toml")
+    (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\naim = "most accurate"\n')
+    with pytest.raises(FileFormatError, match="cannot be used: `aim`"):
+        sd.read_plan_requirement(tmp_path / "bad.toml")
+    requirement, plant = requirement_and_plant("examples/plans/oscillator.toml")
+    assert plant is not None
+    assert plant.name == "oscillator"
+    assert requirement.accuracy["position"].tolerance == 0.35

@@ -14,10 +14,11 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import SampleChain, endless_chain
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
-from sampling_design.recovery.search import ChainSearch, RowSearch, SolvedOffset
+from sampling_design.recovery.search import ChainSearch, RowSearch
 from sampling_design.recovery.unknown import Known, known_part
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -30,20 +31,20 @@ MOST_SOLVES = 2000
 
 @dataclass(frozen=True, eq=False)
 class GapProof:
-    """Gains at some offsets after one sample: what bounds a row from above over the gap that follows.
+    """Gains for some directions at one sample: what bounds every row from above over the gap that follows.
 
     Attributes
     ----------
     sample : int
         Its place in the schedule's period.
-    offsets : (m,) int array
-        Panels of the gap's grid, 0 and the last among them.
+    directions : (m, n) array
+        In the coordinates of the chain.
     gains : tuple of tuple of arrays
-        For each offset, the gains of the samples back in time, the latest last, in units of v_bound.
+        For each direction, the gains of the samples back in time, the latest last, in units of v_bound.
     """
 
     sample: int
-    offsets: npt.NDArray[np.intp]
+    directions: Array
     gains: tuple[tuple[Array, ...], ...]
 
 
@@ -108,23 +109,26 @@ class Accuracy(Record):
     profile: AccuracyProfile
     witnesses: tuple[AccuracyWitness | None, ...]
     unknown: tuple[str, ...]
-    proof: tuple[tuple[GapProof, ...], ...] = field(repr=False)
+    proof: tuple[GapProof, ...] = field(repr=False)
 
     def verify(self) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver."""
-        return all(self._upper_holds(k) and self._lower_holds(k) for k in range(len(self.rows)))
+        return self._upper_holds() and all(self._lower_holds(k) for k in range(len(self.rows)))
 
-    def _upper_holds(self, k: int) -> bool:
-        known, row = _known(self.plant, self.schedule, self.bounds), self.rows.matrix[k]
-        if known.touches(row):
-            return bool(np.isinf(self.upper[k]))
-        search = ChainSearch(_chain(known.plant, self.schedule, self.bounds))
-        found = search.opened(row @ known.lift)
-        if sorted(part.sample for part in self.proof[k]) != list(range(len(found.opened))):
+    def _upper_holds(self) -> bool:
+        known = _known(self.plant, self.schedule, self.bounds)
+        lost = np.array([known.touches(row) for row in self.rows.matrix])
+        if not np.all(np.isinf(self.upper[lost])):
             return False
-        for part in self.proof[k]:
-            search.restore(found, part.sample, part.offsets.tolist(), part.gains)
-        return bool(max(search.segments(found))[0] <= self.upper[k] * (1 + KEPT))
+        if lost.all():
+            return True
+        search = ChainSearch(_chain(known.plant, self.schedule, self.bounds))
+        for part in self.proof:
+            for mu, gains in zip(part.directions, part.gains, strict=True):
+                search.restore(part.sample, mu, gains)
+        rows = self.rows.matrix[~lost] @ known.lift
+        tops = [max(float(np.max(panels)) for panels in search.opened(row).panels) for row in rows]
+        return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
 
     def _lower_holds(self, k: int) -> bool:
         witness = self.witnesses[k]
@@ -309,16 +313,21 @@ def _record(
     at_samples = np.full((count, len(times)), np.inf)
     below, above = np.full((2, count, edges.size - 1), np.inf)
     witnesses: list[AccuracyWitness | None] = [None] * count
-    proof: list[tuple[GapProof, ...]] = [()] * count
+    proof: tuple[GapProof, ...] = ()
     for k, search in found.items():
         assert finder is not None
-        witness, offset = _flown(finder, rows.matrix[k] @ known.lift, bounds, search)
-        witnesses[k], lower[k], upper[k] = witness, witness.value, search.upper
-        worst[k] = times[witness.last] + search.opened[witness.last].d[offset]
-        closed[k] = search.closed and search.upper <= (1 + rtol) * witness.value
-        at_samples[k] = [nodes[0].gains.value for nodes in search.nodes]
-        below[k], above[k] = search.below(), search.above()
-        proof[k] = tuple(_proof(j, nodes) for j, nodes in enumerate(search.nodes))
+        witness, offset = _flown(finder, search.row, bounds, search)
+        gaps = range(len(times))
+        again = finder.opened(search.row)  # with what was found for the rows after it
+        witnesses[k], lower[k] = witness, witness.value
+        upper[k] = max(float(np.max(panels)) for panels in again.panels)
+        worst[k] = times[witness.last] + again.opened[witness.last].d[offset]
+        closed[k] = upper[k] <= (1 + rtol) * witness.value
+        at_samples[k] = [nodes[0] for nodes in again.nodes]
+        below[k] = np.concatenate([finder.attained(again, j)[:-1] for j in gaps])
+        above[k] = np.concatenate(again.panels)
+    if finder is not None:
+        proof = tuple(_proof(j, atoms) for j, atoms in enumerate(finder.atoms))
     return Accuracy(
         plant,
         schedule,
@@ -332,18 +341,22 @@ def _record(
         AccuracyProfile(freeze(edges), freeze(below), freeze(above), times),
         tuple(witnesses),
         known.modes,
-        tuple(proof),
+        proof,
     )
 
 
 def _flown(finder: ChainSearch, row: Array, bounds: SignalBounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
-    """The strongest attack as a witness that is flown anew and made admissible, and its offset."""
+    """The strongest strike as a witness that is flown anew and made admissible, and its offset."""
     best: tuple[AccuracyWitness, int] | None = None
-    for attack in sorted(found.attacks, key=lambda a: -float(np.max(a.values))):
-        offset = int(np.argmax(attack.values))
-        if best is not None and best[0].value >= attack.values[offset]:
+    strikes = []
+    for j, opened in enumerate(found.opened):
+        for strike in finder.strikes[j]:
+            values = np.abs(opened.mu @ strike.end) + opened.below
+            strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
+    for value, offset, strike in sorted(strikes, key=lambda a: -a[0]):
+        if best is not None and best[0].value >= value:
             break
-        witness = physical(finder.chain, row, found.opened[attack.sample], attack, offset)
+        witness = physical(row, found.opened[strike.sample], strike, offset)
         value, excess = attains(witness, bounds)
         factor = max(excess, 1.0)
         w, states = freeze(witness.w / factor), freeze(witness.states / factor)
@@ -359,6 +372,5 @@ def _finite(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values]
 
 
-def _proof(j: int, nodes: dict[int, SolvedOffset]) -> GapProof:
-    offsets = sorted(nodes)
-    return GapProof(j, np.array(offsets), tuple(nodes[o].gains.gains for o in offsets))
+def _proof(j: int, atoms: Atoms) -> GapProof:
+    return GapProof(j, freeze(atoms.mu), tuple(gains.gains for gains in atoms.gains))

@@ -1,7 +1,7 @@
 """Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, and its closure over all real d.
 
-rho(.; t_i) is a norm. Between two offsets whose rows have been bounded, Phi(d)'c lies on their chord but for a rest of
-at most delta^2/8 sup|A'^2 Phi'c|, and the norm of the rest is at most the filter's reach.
+rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by atoms. On a panel of the grid it lies on the chord
+of its ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
+from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.chain import SampleChain
 
 Array = npt.NDArray[np.float64]
@@ -30,36 +31,32 @@ class Open:
     Attributes
     ----------
     d : (N+1,) array
-    mu : (N+1, n) array
-        Phi(d)'c in the coordinates of z_j.
+    mu, bend : (N+1, n) arrays
+        Phi(d)'c and its second derivative, in the coordinates of z_j.
+    third : (N, n) array
+        On each panel, bounds on the entries of its third derivative.
     above, below : (N+1,) arrays
         Bounds on int_0^d h_W(G'Phi(s)'c) ds.
-    turn : (N,) array
-        On each panel, a bound on reach'|d^2 mu/dd^2|.
+    slope : (N,) array
+        On each panel, a bound on |d/ds h_W(G'Phi(s)'c)|.
     """
 
     d: Array
     mu: Array
+    bend: Array
+    third: Array
     above: Array
     below: Array
-    turn: Array
+    slope: Array
 
-    def bound(self, a: int, b: int, at_a: float, at_b: float) -> Array:
-        """Return bounds on rho on the panels from d[a] to d[b]; `at_a`, `at_b` bound rho(Phi(d)'c; t_j) at the ends."""
-        d = self.d[a : b + 1]
-        length = d[-1] - d[0]
-        part = (d - d[0]) / length
-        chord = at_a + (at_b - at_a) * part
-        rest = part * (1 - part)  # on a panel at most the larger of its ends and the square of half its part, and 1/4
-        sag = np.minimum(np.maximum(rest[1:], rest[:-1]) + (np.diff(part) / 2) ** 2, 0.25) * length**2 / 2
-        worst = np.maximum(chord[1:], chord[:-1]) + sag * np.max(self.turn[a:b]) + self.above[a + 1 : b + 1]
-        return np.asarray(worst)
-
-    def between(self, a: int, b: int, at_a: float, at_b: float) -> tuple[float, int]:
-        """Return the largest of these bounds and its panel."""
-        bound = self.bound(a, b, at_a, at_b)
-        k = int(np.argmax(bound))
-        return float(bound[k]), a + k
+    def bound(self, atoms: Atoms) -> tuple[Array, Array]:
+        """Return bounds on rho at the nodes (N+1,) and all along the panels (N,)."""
+        h = float(self.d[-1] - self.d[0]) / (self.d.size - 1)
+        nodes = atoms.bound(self.mu) + self.above
+        turn = atoms.bound(self.bend)
+        drift = self.third @ np.abs(atoms.basis) @ atoms.reach
+        sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
+        return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
 
 
 def open_row(chain: SampleChain, j: int, row: Array) -> Open:
@@ -68,21 +65,21 @@ def open_row(chain: SampleChain, j: int, row: Array) -> Open:
     size = float(np.linalg.norm(A, 2))
     number = int(np.clip(np.ceil(size * gap.length / FINENESS), *GRID))
     d = np.linspace(0.0, gap.length, number + 1)
-    step = gap.length / number
-    above, below, flown, middle = _open_integrals(chain, d, row)
-    L, reach = chain.L[j], chain.reach[j]
-    turning = np.abs(flown @ (A @ A) @ L)
-    drift = step / 2 * middle[:, None] * np.linalg.norm(L, axis=0)
-    turn = (np.maximum(turning[1:], turning[:-1]) + drift) @ reach
-    return Open(d, flown @ L, above, below, turn)
+    above, below, flown, middle, slope = _open_integrals(chain, d, row)
+    L = chain.L[j]
+    third = middle[:, None] * np.linalg.norm(L, axis=0)
+    return Open(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
 
 
-def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Array, Array, Array]:
-    """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds on |c'Phi A^3| per panel."""
+def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds per panel.
+
+    The bounds are those on |c'Phi A^3| and on the slope of h_W.
+    """
     A, G, n = chain.A, chain.G, chain.D.size
     step = float(d[-1] - d[0]) / (d.size - 1)
     flown = (row * chain.D) @ expm_batch(A, d)
-    p, bend = flown @ G, flown @ (A @ A @ G)
+    p, first, bend = flown @ G, flown @ (A @ G), flown @ (A @ A @ G)
     turned = (row * chain.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
     middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
     third = middle * np.linalg.norm(G, 2)
@@ -92,11 +89,14 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Ar
     if chain.bounds.w_ball:
         value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
         curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third
+        tilt = np.linalg.norm(first, axis=1)
     else:
         value, least = np.abs(p).sum(axis=1), np.abs(mean).sum(axis=1)
         curve = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + G.shape[1] * step / 2 * third
+        tilt = np.abs(first).sum(axis=1)
     most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
-    return _sums(most), _sums(np.asarray(least)), flown, middle
+    slope = np.maximum(tilt[1:], tilt[:-1]) + step / 2 * curve
+    return _sums(most), _sums(np.asarray(least)), flown, middle, np.asarray(slope)
 
 
 def _sums(x: Array) -> Array:

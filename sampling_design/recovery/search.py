@@ -1,14 +1,15 @@
-"""The worst time of each row over the period: of the segments between solved offsets the highest is cut."""
+"""The worst time of each row over the schedule: where the highest bound stands, the program is solved or attacked."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.between import Open, open_row
 from sampling_design.recovery.chain import CELL_LOSS, SampleChain
 from sampling_design.recovery.program import Adversary, ConeWindow, Gains
@@ -18,74 +19,63 @@ Array = npt.NDArray[np.float64]
 FINEST = 1e-5
 """Least share that a disturbance constant on cells may lose by the curvature of e^{As}G."""
 
+COARSE = 2e-2
+"""That share where only gains are wanted: what they prove is second order in it, and does not depend on cells."""
+
 SHARE = 0.75
 """Share of the tolerance within which both sides of one target must meet; the rest is for the time between targets."""
 
 PROFILE = 1.05
 """Ratio of the two bounds at which a gap's profile counts as known."""
 
-MOST_FILLED = 12
-"""Offsets solved on one gap for its profile."""
+FILLED = 4
+"""Offsets solved on each gap for its profile, on average, in one row."""
+
+ATTACKS = 32
+"""Attacks in all for a row's profile, though one for each gap at least and at most MOST_ATTACKS."""
 
 MOST_ATTACKS = 4
-"""On one gap, for its profile."""
 
 LONGEST = 4096
 """Samples back beyond which the past is not followed."""
 
 
-@dataclass(eq=False)
-class SolvedOffset:
-    """One offset at which the program was solved: what its gains prove."""
-
-    offset: int
-    gains: Gains
-
-
-@dataclass(eq=False)
-class Attack:
-    """An adversary against a row after sample j: what it attains at every offset of the gap."""
+@dataclass(frozen=True, eq=False)
+class Strike:
+    """An adversary against some row after sample j; its last state serves against every other row, too."""
 
     sample: int
     adversary: Adversary
-    values: Array
+    chain: SampleChain
+    """With the cells on which its w is constant."""
+
+    @property
+    def end(self) -> Array:
+        """z at the sample."""
+        return np.asarray(self.adversary.z[-1])
 
 
 @dataclass(eq=False)
 class RowSearch:
-    """Everything found about one row: solved offsets per gap, adversaries, and the bracket."""
+    """One row over the whole schedule: where it was solved and attacked, and the bracket."""
 
+    row: Array
     opened: list[Open]
-    nodes: list[dict[int, SolvedOffset]] = field(default_factory=list)
-    attacks: list[Attack] = field(default_factory=list)
+    nodes: list[Array]
+    """Bounds at the offsets of each gap."""
+    panels: list[Array]
+    """Bounds all along its panels."""
+    solved: list[dict[int, int]]
+    """Offsets at which the program was solved, with the samples back that it took."""
+    tried: set[tuple[int, int]] = field(default_factory=set)
     lower: float = 0.0
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)
     closed: bool = False
 
-    def below(self) -> Array:
-        """What adversaries attain at the start of every panel of the period."""
-        parts = []
-        for j, opened in enumerate(self.opened):
-            best = np.array(opened.below)
-            for attack in self.attacks:
-                if attack.sample == j:
-                    best = np.maximum(best, np.abs(attack.values))
-            parts.append(best[:-1])
-        return np.concatenate(parts)
-
-    def above(self) -> Array:
-        """What gains prove over every panel of the period."""
-        parts = []
-        for opened, nodes in zip(self.opened, self.nodes, strict=True):
-            solved = sorted(nodes)
-            for a, b in pairwise(solved):
-                parts.append(opened.bound(a, b, nodes[a].gains.value, nodes[b].gains.value))
-        return np.concatenate(parts)
-
 
 class ChainSearch:
-    """Windows of a chain, made once for each phase and remembered."""
+    """Windows of a chain, made once for each phase, and what was found after each sample: atoms and strikes."""
 
     def __init__(self, chain: SampleChain, solved: Callable[[], None] = lambda: None):
         self.chain, self._tell = chain, solved
@@ -93,6 +83,12 @@ class ChainSearch:
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
+        self.atoms = [Atoms(np.eye(chain.D.size), reach) for reach in chain.reach]
+        self.strikes: list[list[Strike]] = [[] for _ in range(len(chain))]
+
+    @cached_property
+    def _coarse(self) -> SampleChain:
+        return self.chain.refined(COARSE)
 
     def window(self, j: int, count: int, from_zero: bool) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
@@ -100,37 +96,42 @@ class ChainSearch:
         if key not in self._windows:
             nodes = self.chain.nodes(j, count)
             start = np.zeros(self.chain.D.size) if from_zero else self.chain.reach[nodes[0]]
-            self._windows[key] = ConeWindow(self.chain, nodes, start)
+            self._windows[key] = ConeWindow(self.chain if from_zero else self._coarse, nodes, start)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array) -> Gains:
-        """Gains for mu'z_j over `back` samples."""
+        """Gains for mu'z_j over `back` samples, kept among the atoms."""
         self.solves += 1
         self._tell()
-        return self.window(j, self.back, False).gains(mu)
+        found = self.window(j, self.back, False).gains(mu)
+        self.atoms[j].add(mu, found)
+        return found
 
     def attack(self, j: int, mu: Array) -> tuple[Gains, Adversary]:
-        """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it."""
+        """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
         self.solves += 1
         self._tell()
         gains, adversary = self.window(j, self.deep, True).both(mu)
-        return self.proven(j, mu, gains), adversary
+        self.strikes[j].append(Strike(j, adversary, self.chain))
+        gains = self.proven(j, mu, gains)
+        self.atoms[j].add(mu, gains)
+        return gains, adversary
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
         """What the gains of a start at rest prove when the past is endless."""
         return self.window(j, len(gains.gains), False).upper(mu, list(gains.gains))
 
-    def improve(self, j: int, mu: Array, best: Gains, below: float, rtol: float) -> bool:
+    def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
         if 2 * self.deep <= LONGEST:
             self.deep *= 2
             gains, adversary = self.attack(j, mu)
-            if adversary.value > below * (1 + rtol / 8) or gains.value < best.value * (1 - rtol / 8):
+            if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
                 return True
             self.deep //= 2
         if 2 * self.back <= self.deep:
             self.back *= 2
-            if self.gains(j, mu).value < best.value * (1 - rtol / 8):
+            if self.gains(j, mu).value < best * (1 - rtol / 8):
                 return True
             self.back //= 2
         if self.cell_loss <= FINEST:
@@ -139,80 +140,57 @@ class ChainSearch:
         self.chain = self.chain.refined(self.cell_loss)
         self._windows.clear()
         gains, adversary = self.attack(j, mu)
-        target = min(best.value * (1 - rtol), below * (1 + rtol / 8))
-        return adversary.value >= target or gains.value < best.value * (1 - rtol / 8)
+        target = min(best * (1 - rtol), below * (1 + rtol / 8))
+        return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
     def opened(self, row: Array) -> RowSearch:
-        """A row over the period, with nothing solved yet."""
-        found = RowSearch([open_row(self.chain, j, row) for j in range(len(self.chain))])
-        found.nodes = [{} for _ in found.opened]
+        """A row over the schedule, as far as atoms and strikes against other rows tell."""
+        gaps = [open_row(self.chain, j, row) for j in range(len(self.chain))]
+        bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
+        found = RowSearch(row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps])
+        found.lower = max(float(np.max(self.attained(found, j))) for j in range(len(gaps)))
         return found
 
-    def restore(self, found: RowSearch, j: int, offsets: list[int], gains: tuple[tuple[Array, ...], ...]) -> None:
-        """Evaluate given gains at offsets after sample j; no solver."""
-        for offset, given in zip(offsets, gains, strict=True):
-            window = self.window(j, len(given), False)
-            found.nodes[j][offset] = SolvedOffset(offset, window.upper(found.opened[j].mu[offset], list(given)))
+    def attained(self, found: RowSearch, j: int) -> Array:
+        """What strikes attain against a row at the offsets of gap j."""
+        opened = found.opened[j]
+        ends = np.array([strike.end for strike in self.strikes[j]]).reshape(-1, self.chain.D.size)
+        return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
 
-    def profile(self, found: RowSearch) -> None:
-        """Attack every gap where its two bounds are furthest apart: the lower one, too, is known at all times."""
-        for j, nodes in enumerate(found.nodes):
-            opened = found.opened[j]
-            self._fill(found, j)
-            tried: set[int] = set()
-            while len(tried) < MOST_ATTACKS:
-                best = np.max([np.abs(a.values) for a in found.attacks if a.sample == j] or [opened.below], axis=0)
-                left = {o: (node.gains.value + opened.above[o]) for o, node in nodes.items() if o not in tried}
-                left = {o: value / best[o] if best[o] > 0 else np.inf for o, value in left.items() if value > 0}
-                if not left or max(left.values()) <= PROFILE:
-                    break
-                offset = max(left, key=lambda o: left[o])
-                tried.add(offset)
-                self._attack(found, j, offset)
-
-    def _fill(self, found: RowSearch, j: int) -> None:
-        """Cut the segments of a gap whose bound rises most above its ends, until the curve is smooth."""
-        opened, nodes = found.opened[j], found.nodes[j]
-        for _ in range(MOST_FILLED):
-            rises = []
-            for a, b in pairwise(sorted(nodes)):
-                ends = max(nodes[o].gains.value + float(opened.above[o]) for o in (a, b))
-                top = opened.between(a, b, nodes[a].gains.value, nodes[b].gains.value)[0]
-                rises.append((top / ends if ends > 0 else 1.0, a, b))
-            rise, a, b = max(rises)
-            if rise <= PROFILE or b - a < 2:
-                return
-            self._node(found, j, (a + b) // 2)
+    def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
+        """Evaluate given gains for a direction after sample j; no solver."""
+        self.atoms[j].add(mu, self.window(j, len(gains), False).upper(mu, list(gains)))
 
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)
-        for j, opened in enumerate(found.opened):
-            for offset in (0, opened.d.size - 1):
-                self._node(found, j, offset)
         limit = self.solves + most
         while True:
-            top, j, a, b, panel = max(self.segments(found))
+            top, j, panel = max((float(np.max(p)), j, int(np.argmax(p))) for j, p in enumerate(found.panels))
             found.upper, found.worst = top, (j, panel)
             if top <= found.lower * (1 + rtol):
                 found.closed = True
                 return found
             if self.solves >= limit:
                 return found
-            high, at, offset = self._highest(found)
-            if len(found.nodes[at][offset].gains.gains) < self.back:
-                self._node(found, at, offset)
-            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and b - a > 1:
-                self._node(found, j, (a + b) // 2)
-            elif not self._close(found, high, at, offset, rtol):
+            offset = panel + int(found.nodes[j][panel + 1] > found.nodes[j][panel])
+            high, at, peak = self._highest(found)
+            if high > 0 and found.solved[at][peak] < self.back:
+                self._node(found, at, peak)
+            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and offset not in found.solved[j]:
+                self._node(found, j, offset)
+            elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
                 return found
 
     def _highest(self, found: RowSearch) -> tuple[float, int, int]:
         """The largest bound at a solved offset, its sample and the offset."""
         return max(
-            (node.gains.value + float(found.opened[j].above[offset]), j, offset)
-            for j, nodes in enumerate(found.nodes)
-            for offset, node in nodes.items()
+            (
+                (float(found.nodes[j][offset]), j, offset)
+                for j, solved in enumerate(found.solved)
+                for offset in solved
+            ),
+            default=(0.0, 0, 0),
         )
 
     def _close(self, found: RowSearch, high: float, j: int, offset: int, rtol: float) -> bool:
@@ -223,40 +201,60 @@ class ChainSearch:
         if above < high * (1 - rtol / 8):  # a longer past says more
             self.back = min(2 * self.back, self.deep)
             return True
-        known = below - float(found.opened[j].below[offset])
-        if not self.improve(j, found.opened[j].mu[offset], found.nodes[j][offset].gains, known, rtol):
-            return False
-        self._node(found, j, offset)
-        return True
+        rest = float(found.opened[j].below[offset])
+        best = above - float(found.opened[j].above[offset])
+        done = self.improve(j, found.opened[j].mu[offset], best, below - rest, rtol)
+        self._refresh(found, j)
+        return done
 
     def _node(self, found: RowSearch, j: int, offset: int) -> None:
-        gains, old = self.gains(j, found.opened[j].mu[offset]), found.nodes[j].get(offset)
-        if old is None or gains.value < old.gains.value or len(gains.gains) > len(old.gains.gains):
-            found.nodes[j][offset] = SolvedOffset(offset, gains)
+        self.gains(j, found.opened[j].mu[offset])
+        found.solved[j][offset] = self.back
+        self._refresh(found, j)
 
-    def strike(self, found: RowSearch, j: int, offset: int) -> tuple[Gains, Attack]:
-        """Attack a row at an offset after sample j: what its gains prove, and what it attains all along the gap."""
-        opened = found.opened[j]
-        gains, adversary = self.attack(j, opened.mu[offset])
-        return gains, Attack(j, adversary, opened.mu @ adversary.z[-1] + opened.below)
+    def _refresh(self, found: RowSearch, j: int) -> None:
+        found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
+        found.lower = max(found.lower, float(np.max(self.attained(found, j))))
 
     def _attack(self, found: RowSearch, j: int, offset: int) -> tuple[float, float]:
         """Strike at an offset; what is attained there, and what gains prove there now."""
-        opened = found.opened[j]
-        gains, attack = self.strike(found, j, offset)
-        values = attack.values
-        found.attacks.append(attack)
-        found.lower = max(found.lower, float(np.max(values)))
-        if gains.value < found.nodes[j][offset].gains.value:
-            found.nodes[j][offset] = SolvedOffset(offset, gains)
-        return float(values[offset]), found.nodes[j][offset].gains.value + float(opened.above[offset])
+        self.attack(j, found.opened[j].mu[offset])
+        found.tried.add((j, offset))
+        found.solved[j].setdefault(offset, self.back)
+        self._refresh(found, j)
+        return float(self.attained(found, j)[offset]), float(found.nodes[j][offset])
 
-    def segments(self, found: RowSearch) -> list[tuple[float, int, int, int, int]]:
-        """Bound, sample, both ends and the highest panel of every segment."""
-        segments = []
-        for j, nodes in enumerate(found.nodes):
-            solved = sorted(nodes)
-            for a, b in pairwise(solved):
-                bound, panel = found.opened[j].between(a, b, nodes[a].gains.value, nodes[b].gains.value)
-                segments.append((bound, j, a, b, panel))
-        return segments
+    def profile(self, found: RowSearch) -> None:
+        """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
+        gaps = range(len(found.opened))
+        for j in gaps:
+            if 0 not in found.solved[j]:
+                self._node(found, j, 0)
+        for _ in range(FILLED * len(gaps)):
+            slack = [self._slack(found, j) for j in gaps]
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
+            if ratio <= PROFILE:
+                break
+            self._node(found, j, offset)
+        each = min(MOST_ATTACKS, max(1, ATTACKS // len(gaps)))
+        for j in gaps:
+            for _ in range(each):
+                best, top = self.attained(found, j), found.nodes[j]
+                ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
+                ratio = np.where((top > 0) & np.isfinite(top), ratio, 0.0)
+                ratio[[o for at, o in found.tried if at == j]] = 0.0
+                offset = int(np.argmax(ratio))
+                if ratio[offset] <= PROFILE:
+                    break
+                self._attack(found, j, offset)
+
+    def _slack(self, found: RowSearch, j: int) -> tuple[float, int]:
+        """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""
+        top, solved = found.nodes[j], sorted(found.solved[j])
+        left = np.setdiff1d(np.arange(top.size), solved)
+        if not left.size or not np.isfinite(top).any():
+            return 1.0, 0
+        sure = np.interp(left, solved, top[solved]) if solved else np.zeros(left.size)
+        ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
+        best = int(np.argmax(np.where(np.isfinite(top[left]) & (top[left] > 0), ratio, 0.0)))
+        return float(ratio[best]), int(left[best])

@@ -15,8 +15,7 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.between import Open
 from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.chain import SampleChain
-from sampling_design.recovery.search import Attack
+from sampling_design.recovery.search import Strike
 
 KEPT = 1e-9
 """Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
@@ -153,16 +152,18 @@ def _excess(size: Array, limit: Array) -> float:
     return float(np.max(ratio, initial=0.0))
 
 
-def physical(chain: SampleChain, row: Array, opened: Open, attack: Attack, offset: int) -> AccuracyWitness:
-    """Return an attack with its best end after the last sample, in the plant's units."""
-    count = len(attack.adversary.w) + 1
-    nodes = chain.nodes(attack.sample, count)
+def physical(row: Array, opened: Open, strike: Strike, offset: int) -> AccuracyWitness:
+    """Return a strike with its best end after the last sample, in the plant's units."""
+    chain, count = strike.chain, len(strike.adversary.w) + 1
+    reached = float(opened.mu[offset] @ strike.end)
+    sign = -1.0 if reached < 0 else 1.0
+    nodes = chain.nodes(strike.sample, count)
     scale = chain.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
-    for j, u in zip(nodes[:-1], attack.adversary.w, strict=True):
+    for j, u in zip(nodes[:-1], strike.adversary.w, strict=True):
         gap = chain.gaps[j]
         edges.append(now + (gap.length - gap.edges[::-1])[1:])
-        w.append(u[::-1] * scale)
+        w.append(sign * u[::-1] * scale)
         now += gap.length
         samples.append(now)
     if offset:
@@ -186,8 +187,8 @@ def physical(chain: SampleChain, row: Array, opened: Open, attack: Attack, offse
         freeze(np.concatenate(edges)),
         freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         freeze(samples),
-        attack.sample,
-        freeze(np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, attack.adversary.z, strict=True)])),
+        strike.sample,
+        freeze(sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])),
         outputs,
-        float(attack.values[offset]),
+        float(abs(reached) + opened.below[offset]),
     )

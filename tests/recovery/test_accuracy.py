@@ -58,13 +58,13 @@ def test_the_oracle_agrees_at_a_sample_and_between():
 
 def test_both_sides_verify_and_a_corrupt_one_does_not(found):
     assert found.verify()
-    first = found.proof[0][0]
+    first = found.proof[0]
     worse = tuple(tuple(1.5 * g for g in gains) for gains in first.gains)
-    forged = replace(found, proof=((GapProof(first.sample, first.offsets, worse), *found.proof[0][1:]), found.proof[1]))
+    forged = replace(found, proof=(GapProof(first.sample, first.directions, worse), *found.proof[1:]))
     assert not forged.verify()
     assert not replace(found, upper=0.9 * found.upper).verify()
     assert not replace(found, lower=1.1 * found.lower).verify()
-    assert not replace(found, proof=(found.proof[0][1:], found.proof[1])).verify()
+    assert not replace(found, proof=found.proof[1:]).verify()
     leap = replace(found.witnesses[0], states=1.1 * found.witnesses[0].states)
     assert not replace(found, witnesses=(leap, found.witnesses[1])).verify()
     louder = replace(found.witnesses[0], w=1.1 * found.witnesses[0].w)

@@ -34,7 +34,7 @@ PANELS = (16, 4096)
 PANEL = 0.25
 """Length of a panel times |A| in scaled coordinates."""
 
-CELL_LOSS = 2e-3
+CELL_LOSS = 8e-3
 """What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
 
 CONTRACTED = 1e-3

@@ -28,13 +28,11 @@ SHARE = 0.75
 PROFILE = 1.05
 """Ratio of the two bounds at which a gap's profile counts as known."""
 
-FILLED = 4
-"""Offsets solved on each gap for its profile, on average, in one row."""
+FILLED = 24
+"""Offsets solved for the profile of one row, though two for each gap at least."""
 
-ATTACKS = 32
-"""Attacks in all for a row's profile, though one for each gap at least and at most MOST_ATTACKS."""
-
-MOST_ATTACKS = 4
+ATTACKS = 8
+"""Attacks for the profile of one row."""
 
 LONGEST = 4096
 """Samples back beyond which the past is not followed."""
@@ -79,10 +77,12 @@ class ChainSearch:
 
     def __init__(self, chain: SampleChain, solved: Callable[[], None] = lambda: None):
         self.chain, self._tell = chain, solved
-        self._windows: dict[tuple[int, int, bool], ConeWindow] = {}
+        self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
         self.solves = 0
+        self._enough: set[int] = set()
+        """Depths that twice as many samples did not improve on."""
         self.atoms = [Atoms(np.eye(chain.D.size), reach) for reach in chain.reach]
         self.strikes: list[list[Strike]] = [[] for _ in range(len(chain))]
 
@@ -90,13 +90,13 @@ class ChainSearch:
     def _coarse(self) -> SampleChain:
         return self.chain.refined(COARSE)
 
-    def window(self, j: int, count: int, from_zero: bool) -> ConeWindow:
+    def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
-        key = (j, count, from_zero)
+        key = (j, count, from_zero, rough)
         if key not in self._windows:
             nodes = self.chain.nodes(j, count)
             start = np.zeros(self.chain.D.size) if from_zero else self.chain.reach[nodes[0]]
-            self._windows[key] = ConeWindow(self.chain if from_zero else self._coarse, nodes, start)
+            self._windows[key] = ConeWindow(self._coarse if rough else self.chain, nodes, start)
         return self._windows[key]
 
     def gains(self, j: int, mu: Array) -> Gains:
@@ -107,15 +107,23 @@ class ChainSearch:
         self.atoms[j].add(mu, found)
         return found
 
-    def attack(self, j: int, mu: Array) -> tuple[Gains, Adversary]:
+    def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
         self.solves += 1
         self._tell()
-        gains, adversary = self.window(j, self.deep, True).both(mu)
-        self.strikes[j].append(Strike(j, adversary, self.chain))
+        gains, adversary = self.window(j, self.deep, True, rough).both(mu)
+        self._keep(j, adversary, self._coarse if rough else self.chain)
         gains = self.proven(j, mu, gains)
         self.atoms[j].add(mu, gains)
         return gains, adversary
+
+    def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
+        """Keep a strike, and what it is at the samples of the last lap on its way."""
+        count = len(adversary.z)
+        for k in range(max(1, count - len(self.chain)), count):
+            part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
+            at = (j - (count - 1 - k)) % len(self.chain)
+            self.strikes[at].append(Strike(at, part, chain))
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
         """What the gains of a start at rest prove when the past is endless."""
@@ -123,12 +131,13 @@ class ChainSearch:
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
-        if 2 * self.deep <= LONGEST:
+        if 2 * self.deep <= LONGEST and self.deep not in self._enough:
             self.deep *= 2
             gains, adversary = self.attack(j, mu)
             if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
                 return True
             self.deep //= 2
+            self._enough.add(self.deep)
         if 2 * self.back <= self.deep:
             self.back *= 2
             if self.gains(j, mu).value < best * (1 - rtol / 8):
@@ -216,9 +225,9 @@ class ChainSearch:
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
         found.lower = max(found.lower, float(np.max(self.attained(found, j))))
 
-    def _attack(self, found: RowSearch, j: int, offset: int) -> tuple[float, float]:
+    def _attack(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
         """Strike at an offset; what is attained there, and what gains prove there now."""
-        self.attack(j, found.opened[j].mu[offset])
+        self.attack(j, found.opened[j].mu[offset], rough)
         found.tried.add((j, offset))
         found.solved[j].setdefault(offset, self.back)
         self._refresh(found, j)
@@ -230,23 +239,25 @@ class ChainSearch:
         for j in gaps:
             if 0 not in found.solved[j]:
                 self._node(found, j, 0)
-        for _ in range(FILLED * len(gaps)):
-            slack = [self._slack(found, j) for j in gaps]
-            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
+        for _ in range(max(FILLED, 2 * len(gaps))):
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._slack(found, j) for j in gaps))
             if ratio <= PROFILE:
                 break
             self._node(found, j, offset)
-        each = min(MOST_ATTACKS, max(1, ATTACKS // len(gaps)))
-        for j in gaps:
-            for _ in range(each):
-                best, top = self.attained(found, j), found.nodes[j]
-                ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
-                ratio = np.where((top > 0) & np.isfinite(top), ratio, 0.0)
-                ratio[[o for at, o in found.tried if at == j]] = 0.0
-                offset = int(np.argmax(ratio))
-                if ratio[offset] <= PROFILE:
-                    break
-                self._attack(found, j, offset)
+        for _ in range(ATTACKS):
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
+            if ratio <= PROFILE:
+                break
+            self._attack(found, j, offset, rough=True)
+
+    def _apart(self, found: RowSearch, j: int) -> tuple[float, int]:
+        """The largest ratio of the two bounds on gap j where no attack has been tried, and its offset."""
+        best, top = self.attained(found, j), found.nodes[j]
+        ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
+        ratio = np.where((top > 0) & np.isfinite(top), ratio, 0.0)
+        ratio[[o for at, o in found.tried if at == j]] = 0.0
+        offset = int(np.argmax(ratio))
+        return float(ratio[offset]), offset
 
     def _slack(self, found: RowSearch, j: int) -> tuple[float, int]:
         """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""

@@ -27,6 +27,7 @@ _FRONT_DOOR = {
     "observability.windows.window_sigma": ("window_sigma",),
     "observability.worst_case.worst_case_sigma": ("worst_case_sigma",),
     "recovery.accuracy": ("accuracy",),
+    "recovery.deviation": ("standard_deviation",),
     "recovery.interval": ("interval",),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),

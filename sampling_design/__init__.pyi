@@ -83,6 +83,7 @@ from sampling_design.plants.modes import split_modes as split_modes
 from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.recovery.accuracy import accuracy as accuracy
+from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics

@@ -15,13 +15,15 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.atoms import Atoms
-from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.chain import SampleChain, endless_chain
+from sampling_design.recovery.bounds import Bound, SignalBounds
+from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
+from sampling_design.recovery.question import Question
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch, RowSearch
-from sampling_design.recovery.unknown import Known, known_part
+from sampling_design.recovery.start import InitialError
+from sampling_design.recovery.unknown import Known
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
@@ -50,16 +52,17 @@ class GapProof:
 
 @dataclass(frozen=True, eq=False)
 class AccuracyProfile:
-    """Both bounds over one period: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
+    """Both bounds over time: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
 
     Attributes
     ----------
     edges : (N+1,) array
-        From the first sample of a period on [the plant's time unit].
+        From the first sample of a period on, or from the start of a finite schedule [the plant's time unit].
     lower : (r, N) array
     upper : (r, N) array
+        Infinite where the samples taken by then do not determine the row.
     samples : (m,) array
-        Sample times of the period.
+        Sample times.
     """
 
     edges: Array
@@ -70,84 +73,122 @@ class AccuracyProfile:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Accuracy(Record):
-    """The least guaranteed error of each wanted row, bracketed, at the worst time of an endless schedule.
+    """The least guaranteed error of each wanted row, bracketed, at the worst time of a schedule.
 
         lower <= sup over t of rho(c; t) <= upper
 
     Attributes
     ----------
     plant : Plant
-    schedule : PeriodicSchedule
+    schedule : PeriodicSchedule or Schedule
     rows : WantedRows
         Matrix, names and units of what is wanted.
     lower : (r,) array
         No estimator whatsoever guarantees less: attained by `witnesses`.
     upper : (r,) array
-        Proven for all real times by gains, whatever the error was in the distant past.
+        Proven for all real times by gains: of an endless schedule whatever the error was in the distant past, of a
+        finite one for all times at which the row is known at all.
     worst : (r,) array
-        A time in the period at which `lower` is attained.
+        A time at which `lower` is attained.
+    offset : (r,) array
+        What the best estimate adds to its weighted data at that time since the bounds are not centred at 0; its
+        error is then within `upper` on both sides.
+    known_from : (r,) array
+        From when on the row is known; minus infinity on an endless schedule, infinite if never.
     closed : (r,) bool array
         Whether the bracket met the tolerance asked for.
     at_samples : (r, N) array
-        What gains prove at each sample of the period, the sample included.
+        What gains prove at each sample, the sample included.
     profile : AccuracyProfile
+    deviation : StandardDeviation or None
+        The same rows for white noise, if its size was given.
     witnesses : tuple of AccuracyWitness
         In the coordinates of the known part where something is unknown; None for an infinite row.
     unknown : tuple of str
         Eigenvalues of the modes that no sample shows and that do not decay: rows that they touch are infinite.
     """
 
-    plant: Plant
-    schedule: PeriodicSchedule
+    question: Question
     rows: WantedRows
-    bounds: SignalBounds
     lower: Array
     upper: Array
     worst: Array
+    offset: Array
+    known_from: Array
     closed: npt.NDArray[np.bool_]
     at_samples: Array
     profile: AccuracyProfile
     witnesses: tuple[AccuracyWitness | None, ...]
     unknown: tuple[str, ...]
     proof: tuple[GapProof, ...] = field(repr=False)
+    deviation: StandardDeviation | None = None
+
+    @property
+    def plant(self) -> Plant:
+        """The plant."""
+        return self.question.plant
+
+    @property
+    def schedule(self) -> Schedule | PeriodicSchedule:
+        """The schedule."""
+        return self.question.schedule
+
+    @property
+    def bounds(self) -> SignalBounds:
+        """Bounds on w and v; one row of v for each sample, and an empty one for a start that is no sample."""
+        return self.question.bounds
 
     def verify(self) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver."""
-        return self._upper_holds() and all(self._lower_holds(k) for k in range(len(self.rows)))
+        known = self.question.known()
+        return self._upper_holds(known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
 
-    def _upper_holds(self) -> bool:
-        known = _known(self.plant, self.schedule, self.bounds)
+    def _upper_holds(self, known: Known) -> bool:
         lost = np.array([known.touches(row) for row in self.rows.matrix])
         if not np.all(np.isinf(self.upper[lost])):
             return False
         if lost.all():
             return True
-        search = ChainSearch(_chain(known.plant, self.schedule, self.bounds))
+        search = ChainSearch(*self.question.chain(known.plant))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)
-        rows = self.rows.matrix[~lost] @ known.lift
-        tops = [max(float(np.max(panels)) for panels in search.opened(row).panels) for row in rows]
+        tops = []
+        for k in np.flatnonzero(~lost):
+            found = search.opened(self.rows.matrix[k] @ known.lift)
+            open_ends = not any(np.isfinite(nodes).any() for nodes in found.nodes)
+            tops.append(np.inf if open_ends else search.top(found)[0])
         return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
 
-    def _lower_holds(self, k: int) -> bool:
+    def _lower_holds(self, k: int, known: Known) -> bool:
         witness = self.witnesses[k]
         if witness is None:
-            known = _known(self.plant, self.schedule, self.bounds)
-            return known.touches(self.rows.matrix[k]) or self.lower[k] == 0
-        value, excess = attains(witness, self.bounds)
+            return known.touches(self.rows.matrix[k]) or self.lower[k] == 0 or self.question.initial is not None
+        value, excess = attains(witness, self.bounds, self.question.initial)
         return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
-        lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
+        if isinstance(self.schedule, PeriodicSchedule):
+            lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
+        else:
+            span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"
+            lines = [("samples", f"{len(self.schedule)}, {span}")]
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
-            text = (
-                text if np.isfinite(self.upper[k]) else f"unknown for ever: no sample shows {', '.join(self.unknown)}"
-            )
+            if not np.isfinite(self.upper[k]):
+                text = f"unknown for ever: {self._why()}"
+            elif self.known_from[k] > self.question.nodes[0]:
+                text += f", unknown before {short(self.known_from[k])} {unit}"
             lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
-        return lines
+            if self.offset[k]:
+                lines.append((f"offset of {label}", short(self.offset[k])))
+        return lines + ([] if self.deviation is None else self.deviation.lines())
+
+    def _why(self) -> str:
+        if self.unknown:
+            return f"no sample shows {', '.join(self.unknown)}"
+        return "the samples do not determine it"
 
     def explain(self) -> str:
         """Say what can be guaranteed."""
@@ -156,23 +197,24 @@ class Accuracy(Record):
             f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
         ]
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
-        text = (
-            f"Of {', '.join(lost)} nothing can ever be known: no sample shows {', '.join(self.unknown)}. "
-            if lost
-            else ""
-        )
+        text = f"Of {', '.join(lost)} nothing can ever be known: {self._why()}. " if lost else ""
         if not parts:
             return text.strip()
         low, up = self.lower[known], self.upper[known]
         width = float(np.max(np.divide(up, low, out=np.ones_like(up), where=low > 0))) - 1
+        late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
+        when = "At all times"
+        if late:
+            when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
         return (
-            f"{text}At all times, some estimator guarantees {', '.join(parts)}; none guarantees less than "
+            f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
             f"{short(low, 4)} (brackets within {100 * width:.2g} %)."
+            + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )
 
     def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
+        """Plain data; what is infinite becomes None."""
+        data: dict[str, Plain] = {
             "rows": {
                 "names": list(self.rows.names),
                 "units": list(self.rows.units),
@@ -184,6 +226,8 @@ class Accuracy(Record):
             "upper": _finite(self.upper),
             "unknown": list(self.unknown),
             "worst": self.worst.tolist(),
+            "offset": self.offset.tolist(),
+            "known_from": _finite(self.known_from),
             "closed": self.closed.tolist(),
             "at_samples": [_finite(row) for row in self.at_samples],
             "profile": {
@@ -193,17 +237,23 @@ class Accuracy(Record):
             },
             "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
         }
+        return data if self.deviation is None else data | {"deviation": self.deviation.to_dict()}
 
 
 @door
 def accuracy(
     plant: Plant,
-    schedule: PeriodicSchedule,
+    schedule: Schedule | PeriodicSchedule,
     *,
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
     of: Wanted = None,
     rtol: float = 0.01,
+    initial_error: InitialError = None,
+    start: float | None = None,
+    end: float | None = None,
+    w_intensity: Intensity = None,
+    v_deviation: Intensity = None,
 ) -> Accuracy:
     """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
 
@@ -213,17 +263,26 @@ def accuracy(
     Parameters
     ----------
     plant : Plant
-    schedule : PeriodicSchedule
-        Without end; so long under way that its start no longer matters.
-    w_bound : float or (q,) array
-        Bound on the Euclidean norm of w(t), or on each entry; 0 where there is none.
-    v_bound : float, (p,) or (N, p) array
+    schedule : PeriodicSchedule or Schedule
+        Periodic: without end, and so long under way that its start no longer matters. Finite: from `start` to `end`.
+    w_bound : float, (q,) array or mapping
+        Bound on the Euclidean norm of w(t), or on each entry; 0 where there is none. A mapping gives each disturbance
+        by name a number or an interval, a pair (lower, upper).
+    v_bound : float, (p,) or (N, p) array, mapping, or function of the sample's time
         Bound on the Euclidean norm of the noise of a sample, on each output, or on each output of each sample of the
-        period (a better instrument today); 0 for an exact sensor.
+        schedule (a better instrument today); 0 for an exact sensor. A mapping gives each output by name a number, a
+        pair, one for each sample, or a function of its time.
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
     rtol : float
         Relative width of the brackets.
+    initial_error : float, (n,) or (n, n) array, or mapping, optional
+        What is known of x(start) less its nominal value on a finite schedule: a bound on its Euclidean norm, on each
+        entry (infinite: unknown), a weight P for e'P e <= 1, or by names of states. Default: nothing.
+    start, end : float, optional
+        Of a finite schedule; default its first and its last sample.
+    w_intensity, v_deviation : float or array, optional
+        Sizes of white noises, as for `standard_deviation`, which then stands beside.
 
     Returns
     -------
@@ -233,7 +292,10 @@ def accuracy(
     Raises
     ------
     ArgumentError
-        If a bound is missing, negative or of another shape, a name is unknown, or the schedule is not periodic.
+        If a bound is missing, negative or of another shape, a name is unknown, a sample of a finite schedule lies
+        outside `start` and `end`, or an endless one is given a start.
+    NotDetectableError
+        If an endless schedule, not the outputs, hides a mode.
 
     Notes
     -----
@@ -243,7 +305,9 @@ def accuracy(
     windows that grow until the past no longer matters; both sides are evaluated without the solver. The distant past
     costs at most what a filter's gains prove of it. *Numerical aspects.* Coordinates come from the filter's covariance,
     so that units change nothing; integrals are bounded for all real times by the trapezoidal rule with its proven
-    error.
+    error. Whether finitely many samples determine a row from an unknown start is decided numerically. Intervals
+    that are not centred at 0 shift the estimate (`offset`) and leave its half-width as it is; what is bounded on one
+    side only says nothing before there are data.
 
     References
     ----------
@@ -261,108 +325,113 @@ def accuracy(
     >>> found.verify()
     True
     """
-    if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError(
-            f"`schedule` must be a PeriodicSchedule, got {type(schedule).__name__}: its accuracy is that without end."
-        )
     schedule = meet(plant, schedule)
     tolerance = _checks.positive("rtol", rtol)
     rows = wanted_rows(plant, of)
-    bounds = SignalBounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound)
-    known = _known(plant, schedule, bounds)
+    if isinstance(schedule, PeriodicSchedule):
+        given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
+        if given:
+            raise ArgumentError(
+                f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
+                "Cut it: schedule.between(start, end)."
+            )
+        question = Question.endless(plant, schedule, w_bound, v_bound)
+    else:
+        question = Question.finite(plant, schedule, w_bound, v_bound, initial_error, start, end)
+    deviation = None
+    if w_intensity is not None or v_deviation is not None:
+        deviation = deviations(question, rows, w_intensity, v_deviation)
+    known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    search = ChainSearch(_chain(known.plant, schedule, bounds)) if safe else None
+    search = ChainSearch(*question.chain(known.plant)) if safe else None
     found: dict[int, RowSearch] = {}
     if search is not None:
         for k in safe:
             found[k] = search.row(rows.matrix[k] @ known.lift, tolerance, MOST_SOLVES)
             search.profile(found[k])
-    return _record(plant, schedule, rows, bounds, known, search, found, tolerance)
-
-
-def _known(plant: Plant, schedule: PeriodicSchedule, bounds: SignalBounds) -> Known:
-    """The plant without what the schedule can never show."""
-    outputs = [bounds.measured(j) for j in range(len(schedule))]
-    return known_part(plant, schedule.times, schedule.period, outputs)
-
-
-def _chain(plant: Plant, schedule: PeriodicSchedule, bounds: SignalBounds) -> SampleChain:
-    """The chain whose gap j lies behind sample j."""
-    return endless_chain(plant, np.roll(schedule.gaps, -1), bounds)
+    return replace(_record(question, rows, known, search, found, tolerance), deviation=deviation)
 
 
 def _record(
-    plant: Plant,
-    schedule: PeriodicSchedule,
+    question: Question,
     rows: WantedRows,
-    bounds: SignalBounds,
     known: Known,
     finder: ChainSearch | None,
     found: dict[int, RowSearch],
     rtol: float,
 ) -> Accuracy:
-    times, first, count = schedule.times, schedule.times[0], len(rows)
+    times, count, plain = question.nodes, len(rows), question.initial is None
+    lengths = np.diff(times, append=question.end)
     grids = (
-        [opened.d for opened in next(iter(found.values())).opened]
-        if found
-        else [np.array([0.0, h]) for h in np.roll(schedule.gaps, -1)]
+        [opened.d for opened in next(iter(found.values())).opened] if found else [np.array([0.0, h]) for h in lengths]
     )
-    edges = np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [first + schedule.period]])
-    lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, first)
-    closed = np.ones(count, dtype=bool)
+    edges = np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end]])
+    lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
+    closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
+    known_from = np.full(count, np.inf)
     at_samples = np.full((count, len(times)), np.inf)
     below, above = np.full((2, count, edges.size - 1), np.inf)
     witnesses: list[AccuracyWitness | None] = [None] * count
     proof: tuple[GapProof, ...] = ()
     for k, search in found.items():
         assert finder is not None
-        witness, offset = _flown(finder, search.row, bounds, search)
-        gaps = range(len(times))
         again = finder.opened(search.row)  # with what was found for the rows after it
-        witnesses[k], lower[k] = witness, witness.value
-        upper[k] = max(float(np.max(panels)) for panels in again.panels)
-        worst[k] = times[witness.last] + again.opened[witness.last].d[offset]
-        closed[k] = upper[k] <= (1 + rtol) * witness.value
         at_samples[k] = [nodes[0] for nodes in again.nodes]
-        below[k] = np.concatenate([finder.attained(again, j)[:-1] for j in gaps])
         above[k] = np.concatenate(again.panels)
+        attained = [
+            np.where(np.isfinite(nodes), finder.attained(again, j), np.inf) for j, nodes in enumerate(again.nodes)
+        ]
+        below[k] = np.concatenate([part[:-1] for part in attained])
+        if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
+            continue
+        witness, j, offset = _flown(finder, search.row, question, again)
+        witnesses[k], lower[k], upper[k] = witness, witness.value, finder.top(again)[0]
+        worst[k] = times[j] + again.opened[j].d[offset]
+        offsets[k] = finder.offset(again, j, offset)
+        closed[k] = upper[k] <= (1 + rtol) * witness.value
+        open_ends = np.flatnonzero(np.isinf(above[k]))
+        late = open_ends[-1] + 1 if open_ends.size else 0
+        known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf
     if finder is not None:
         proof = tuple(_proof(j, atoms) for j, atoms in enumerate(finder.atoms))
     return Accuracy(
-        plant,
-        schedule,
+        question,
         rows,
-        bounds,
         freeze(lower),
         freeze(upper),
         freeze(worst),
+        freeze(offsets),
+        freeze(known_from),
         closed,
-        freeze(at_samples),
-        AccuracyProfile(freeze(edges), freeze(below), freeze(above), times),
+        freeze(at_samples[:, question.samples]),
+        AccuracyProfile(freeze(edges), freeze(below), freeze(above), freeze(times[question.samples])),
         tuple(witnesses),
         known.modes,
         proof,
     )
 
 
-def _flown(finder: ChainSearch, row: Array, bounds: SignalBounds, found: RowSearch) -> tuple[AccuracyWitness, int]:
-    """The strongest strike as a witness that is flown anew and made admissible, and its offset."""
-    best: tuple[AccuracyWitness, int] | None = None
+def _flown(finder: ChainSearch, row: Array, question: Question, found: RowSearch) -> tuple[AccuracyWitness, int, int]:
+    """The strongest strike as a witness that is flown anew and made admissible, its sample and its offset."""
+    best: tuple[AccuracyWitness, int, int] | None = None
     strikes = []
     for j, opened in enumerate(found.opened):
-        for strike in finder.strikes[j]:
-            values = np.abs(opened.mu @ strike.end) + opened.below
+        sure = np.isfinite(found.nodes[j])
+        if not sure.any():
+            continue
+        for strike in finder.strikes[j] or [finder.idle(j)]:
+            values = np.where(sure, np.abs(opened.mu @ strike.end) + opened.below, -1.0)
             strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
     for value, offset, strike in sorted(strikes, key=lambda a: -a[0]):
         if best is not None and best[0].value >= value:
             break
         witness = physical(row, found.opened[strike.sample], strike, offset)
-        value, excess = attains(witness, bounds)
+        value, excess = attains(witness, question.bounds, question.initial)
         factor = max(excess, 1.0)
         w, states = freeze(witness.w / factor), freeze(witness.states / factor)
         witness = replace(witness, w=w, states=states, value=value / factor)
         if best is None or witness.value > best[0].value:
-            best = witness, offset
+            best = witness, strike.sample, offset
     assert best is not None
     return best
 

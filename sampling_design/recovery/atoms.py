@@ -1,8 +1,8 @@
 """Directions at one sample that gains have bounded, and what they bound of every other direction.
 
-rho(.; t_j) is a norm: if mu = a_1 mu_1 + a_2 mu_2 + rest, then rho(mu) <= |a_1| rho(mu_1) + |a_2| rho(mu_2) + rho(rest),
-and the filter's reach bounds the last. A row turns between samples, and other rows turn through the same directions:
-atoms serve them all.
+rho(.; t_j) is a norm: if mu = a mu_1 + b mu_2 + rest, then rho(mu) <= |a| rho(mu_1) + |b| rho(mu_2) + rho(rest), and
+the filter's reach bounds the last. A row turns between samples, and other rows turn through the same directions: atoms
+serve them all.
 """
 
 from __future__ import annotations
@@ -12,13 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.recovery.program import NOTHING, Gains
+from sampling_design.recovery.gains import Gains
+from sampling_design.recovery.start import NOTHING
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
 
 SAME = 1e-12
 """Two directions are one if their cosine, in units of the reach, is 1 within this."""
+
+PARTNERS = 4
+"""Atoms tried beside the nearest one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,11 @@ class Atoms:
         self.mu = np.zeros((0, len(self.basis)))
 
     @property
+    def whole(self) -> bool:
+        """Whether every direction is bounded."""
+        return bool(self.basis.shape[0] == self.basis.shape[1])
+
+    @property
     def values(self) -> Array:
         """Bounds on rho of the atoms."""
         return np.array([gains.value for gains in self.gains])
@@ -67,16 +76,25 @@ class Atoms:
         return best if near[best] > 1 - SAME else None
 
     def add(self, mu: Array, gains: Gains) -> None:
-        """Keep a bounded direction; of two for the same one the better."""
+        """Keep a bounded direction, unless others bound it better."""
+        if gains.value >= self.bound(mu[None])[0]:
+            return
         place = self.find(mu)
         if place is None:
             self.mu = np.vstack([self.mu, mu])
             self.gains.append(gains)
-            return
-        ratio = float(np.linalg.norm(mu) / np.linalg.norm(self.mu[place]))
-        if gains.value < ratio * self.gains[place].value:
+        else:
             self.mu = self.mu.copy()
             self.mu[place], self.gains[place] = mu, gains
+        self._prune()
+
+    def _prune(self) -> None:
+        """Drop what the last direction bounds better, with others."""
+        if len(self.gains) < 2:
+            return
+        bounds = self.bound(self.mu)
+        keep = np.flatnonzero(bounds >= self.values * (1 - SAME))
+        self.mu, self.gains = self.mu[keep], [self.gains[k] for k in keep]
 
     def _units(self, mu: Array) -> Array:
         """Directions in units of the reach, of length one."""
@@ -85,50 +103,52 @@ class Atoms:
         return np.asarray(scaled / np.where(size > 0, size, 1.0))
 
     def fit(self, targets: Array) -> Fit:
-        """Return each target's nearest atom and the nearest one on its other side, with their shares."""
+        """Return each target as a share of one atom, or of the best pair of near ones on both sides of it."""
         count, atoms = len(targets), len(self.gains)
         if not atoms:
             return Fit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
         T, U = self._units(targets), self._units(self.mu)
         near, rows = T @ U.T, np.arange(count)
-        size = np.abs(near)
-        first = np.argmax(size, axis=1)
-        sign = np.where(near < 0, -1.0, 1.0)
-        across = (U @ U.T)[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
-        second = np.argmax(np.where(across < 0, size, -1.0), axis=1)
-        a, b, gram = near[rows, first], near[rows, second], np.einsum("ti,ti->t", U[first], U[second])
-        alone = 1 - gram**2 < SAME
-        det = np.where(alone, 1.0, 1 - gram**2)
-        share = np.stack([np.where(alone, a, (a - gram * b) / det), np.where(alone, 0.0, (b - gram * a) / det)], axis=1)
-        place = np.stack([first, second], axis=1)
-        sizes = [np.linalg.norm(x @ self.basis * self.reach, axis=1) for x in (targets, self.mu)]
-        return Fit(place, share * sizes[0][:, None] / np.where(sizes[1] > 0, sizes[1], 1.0)[place])
+        size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
+        lengths = [np.linalg.norm(x @ self.basis * self.reach, axis=1) for x in (targets, self.mu)]
+        unit = np.where(lengths[1] > 0, lengths[1], 1.0)
+        rest = np.sqrt(np.maximum(1 - near**2, 0.0))
+        alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
+        best = Fit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
+        best = Fit(best.place, best.share * lengths[0][:, None] / unit[best.place])
+        value = self.judged(targets, best)
+        for first in (alone, np.argmax(size, axis=1)):
+            across = (U @ U.T)[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
+            other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
+            for second in other.T:
+                gram = np.einsum("ti,ti->t", U[first], U[second])
+                det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
+                a, b = near[rows, first], near[rows, second]
+                share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=1)
+                place = np.stack([first, second], axis=1)
+                pair = Fit(place, share * lengths[0][:, None] / unit[place])
+                found = np.where(np.isfinite(det), self.judged(targets, pair), np.inf)
+                better = (found < value)[:, None]
+                best = Fit(np.where(better, place, best.place), np.where(better, pair.share, best.share))
+                value = np.minimum(value, found)
+        return best
 
     def bound(self, targets: Array) -> Array:
         """Return bounds on rho of directions (t, n)."""
-        fit = self.fit(targets)
         plain = self.rest(targets, targets)
-        if not fit.place.size:
-            return plain
-        pair = self.judged(targets, fit)
-        one = self.judged(targets, Fit(fit.place[:, :1], self._alone(targets, fit.place[:, 0])[:, None]))
-        return np.minimum(np.minimum(pair, one), plain)
-
-    def _alone(self, targets: Array, place: Places) -> Array:
-        T, U = (x @ self.basis * self.reach for x in (targets, self.mu[place]))
-        size = np.einsum("ti,ti->t", U, U)
-        return np.asarray(np.einsum("ti,ti->t", T, U) / np.where(size > 0, size, 1.0))
+        return np.minimum(self.judged(targets, self.fit(targets)), plain) if self.gains else plain
 
     def judged(self, targets: Array, fit: Fit) -> Array:
         """Return what a fit bounds."""
         made = np.einsum("tk,tkn->tn", fit.share, self.mu[fit.place])
-        return np.einsum("tk,tk->t", np.abs(fit.share), self.values[fit.place]) + self.rest(targets - made, targets)
+        known = np.einsum("tk,tk->t", np.abs(fit.share), self.values[fit.place])
+        return np.asarray(known + self.rest(targets - made, targets))
 
     def rest(self, rest: Array, targets: Array) -> Array:
         """Return what the reach bounds of the rests of targets: nothing of them may lie outside the basis."""
         seen = rest @ self.basis
         found = np.abs(seen) @ self.reach
-        if self.basis.shape[1] == self.basis.shape[0]:
+        if self.whole:
             return np.asarray(found)
         left = np.linalg.norm(rest - seen @ self.basis.T, axis=1)
         return np.where(left <= NOTHING * np.linalg.norm(targets, axis=1), found, np.inf)

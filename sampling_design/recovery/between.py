@@ -1,7 +1,7 @@
-"""Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, and its closure over all real d.
+"""Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, for all real d.
 
-rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by atoms. On a panel of the grid it lies on the chord
-of its ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too.
+rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by atoms. On a panel it lies on the chord of its
+ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class Open:
 
 def open_row(chain: SampleChain, j: int, row: Array) -> Open:
     """Return one row (n,) of x after sample j, over the whole gap."""
-    gap, A = chain.gaps[j], chain.A
+    length, A = chain.length(j), chain.A
     size = float(np.linalg.norm(A, 2))
-    number = int(np.clip(np.ceil(size * gap.length / FINENESS), *GRID))
-    d = np.linspace(0.0, gap.length, number + 1)
+    number = int(np.clip(np.ceil(size * length / FINENESS), *GRID)) if length else 1
+    d = np.linspace(0.0, length, number + 1)
     above, below, flown, middle, slope = _open_integrals(chain, d, row)
     L = chain.L[j]
     third = middle[:, None] * np.linalg.norm(L, axis=0)

@@ -19,6 +19,7 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.riccati import CovarianceMap, limit, updated
+from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
 
@@ -97,7 +98,17 @@ class ChainSample:
 
 @dataclass(frozen=True, eq=False)
 class SampleChain:
-    """Samples j = 0..N-1 and the gaps behind them; endless: after the last comes the first."""
+    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first.
+
+    Attributes
+    ----------
+    start : StartSet or None
+        Of z_0 in a finite chain.
+    last : float
+        How long a finite chain goes on after its last sample.
+    known : (n,) array of bool or None
+        Entries of x that are exactly their centre at the start.
+    """
 
     plant: Plant
     bounds: SignalBounds
@@ -107,30 +118,46 @@ class SampleChain:
     G: Array
     samples: tuple[ChainSample, ...]
     gaps: tuple[Gap, ...]
+    start: StartSet | None = None
+    last: float = 0.0
+    known: npt.NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.samples)
+
+    def length(self, j: int) -> float:
+        """How long it is from sample j to the next one, or to the end."""
+        return self.gaps[j].length if j < len(self.gaps) else self.last
+
+    def opening(self, z: Array) -> Array:
+        """z_0 with what is known exactly of it put right."""
+        if self.known is None or not self.known.any():
+            return z
+        return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
 
     def mu(self, j: int, rows: Array) -> Array:
         """Return rows (k, n) of x at sample j as columns (n, k) that multiply z."""
         return np.asarray((rows * self.D @ self.L[j]).T)
 
     def nodes(self, j: int, count: int) -> list[int]:
-        """Indices of the `count` samples up to and with j, the latest last."""
+        """Indices of the `count` samples up to and with j, the latest last, or as many as there are."""
+        if self.start is not None:
+            return list(range(max(0, j + 1 - count), j + 1))
         return [(j - k) % len(self) for k in range(count - 1, -1, -1)]
 
     def refined(self, loss: float) -> SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
-        after = [self.L[(j + 1) % len(self)] for j in range(len(self))]
+        after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
         gaps = tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
         finer = replace(self, gaps=gaps)
-        finer.__dict__["reach"] = self.reach
+        if self.start is None:
+            finer.__dict__["reach"] = self.reach
         return finer
 
     @cached_property
     def reach(self) -> Array:
-        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was."""
+        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was; endless."""
         count, n = len(self), self.D.size
         found = np.empty((count, n))
         for j in range(count):

@@ -19,9 +19,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.recovery.between import open_integral
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import ChainSample, Gap, SampleChain, make_gap, noise_units, state_scales
-from sampling_design.recovery.program import ConeWindow, StartSet
+from sampling_design.recovery.program import ConeWindow
 from sampling_design.recovery.riccati import updated
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
 Arrived = tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]

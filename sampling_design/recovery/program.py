@@ -14,18 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._conic import INFEASIBLE, UNBOUNDED, ConeSolver
-from sampling_design.recovery.chain import SampleChain, noise_cost
+from sampling_design.recovery.chain import SampleChain
+from sampling_design.recovery.gains import ROUNDING, Gains, cleared, evaluated
+from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-8
 """Asked of the solver; what it leaves open shows in the bracket, never in a bound."""
-
-ROUNDING = 1e-11
-"""Relative allowance for rounding in every sum that bounds from above."""
-
-NOTHING = 1e-10
-"""A rest below this share of the target counts as none where the start is free: rounding, all being of size one."""
 
 EXACTLY = 1e-6
 """An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
@@ -38,29 +34,6 @@ class Adversary:
     value: float
     w: tuple[Array, ...]  # (m, q) per gap, in units of the bound, latest cell first
     z: Array  # (K, n)
-
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """Gains of the samples of a window and what they prove."""
-
-    value: float
-    gains: tuple[Array, ...]  # (p_k,) in units of the noise
-
-
-@dataclass(frozen=True, eq=False)
-class StartSet:
-    """|S z| <= 1 in the Euclidean norm ("ball") or entry by entry; without S the start is free."""
-
-    S: Array | None
-    ball: bool
-
-    def support(self, rest: Array, scale: float) -> float:
-        """h_start(rest). A free start costs nothing if the rest is rounding, and everything else."""
-        if self.S is None:
-            return 0.0 if np.linalg.norm(rest) <= NOTHING * scale else np.inf
-        weights = np.linalg.solve(self.S.T, rest)
-        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
 
 
 class _ConeRows:
@@ -269,55 +242,22 @@ class ConeWindow:
             if k:
                 F = chain.gaps[self.nodes[k - 1]].F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
-        if isinstance(self.start, StartSet) and self.start.S is None:
-            self._without_rest(mu, gains)
+        if isinstance(self.start, StartSet) and self.start.rows < mu.size:
+            cleared(self.chain, self.nodes, self.start, mu, gains)
         return gains
 
-    def _without_rest(self, mu: Array, gains: list[Array]) -> None:
-        """Change gains as little as can be so that nothing of a free start is left."""
-        chain, seen, flow = self.chain, [], np.eye(mu.size)
-        for k, j in enumerate(self.nodes):
-            flow = chain.gaps[self.nodes[k - 1]].F @ flow if k else flow
-            seen.append(chain.samples[j].H @ flow)
-        rows, ends = np.vstack(seen), np.cumsum([len(H) for H in seen])[:-1]
-        for _ in range(2):
-            rest = mu
-            for k in range(len(gains) - 1, -1, -1):
-                rest = rest - chain.samples[self.nodes[k]].H.T @ gains[k]
-                rest = chain.gaps[self.nodes[k - 1]].F.T @ rest if k else rest
-            change = np.linalg.lstsq(rows.T, rest)[0]
-            gains[:] = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
-
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
-        """Return what any gains prove: h_start(rest) + int h_W(G'g) + sum h_V(gains), for all real times."""
-        chain, total, g, scale = self.chain, 0.0, mu[:, None], float(np.linalg.norm(mu))
-        for k in range(len(self.nodes) - 1, -1, -1):
-            sample, lam = chain.samples[self.nodes[k]], gains[k][:, None]
-            total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
-            step = sample.H.T @ lam
-            scale += float(np.linalg.norm(step))
-            g = g - step
-            if k:
-                gap = chain.gaps[self.nodes[k - 1]]
-                total += float(gap.panels.integral(g, chain.bounds.w_ball)[0])
-                g = gap.F.T @ g
-        if isinstance(self.start, StartSet):
-            total += self.start.support(g[:, 0], scale)
-        else:
-            total += float(np.abs(g[:, 0]) @ self.start)
-        if self.data is not None:
-            shown = [float(lam @ y) for lam, y in zip(gains, self.data, strict=True)]
-            return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
-        return Gains(total * (1 + ROUNDING), tuple(gains))
+        """Return what any gains prove, for all real times."""
+        return evaluated(self.chain, self.nodes, self.start, mu, gains, self.data)
 
     def _admissible(self, mu: Array, x: Array) -> Adversary:
-        """The solver's disturbance, flown from a zero start and scaled until it is admissible."""
+        """The solver's disturbance, flown from its start (0 unless that is a set) and scaled until admissible."""
         chain, n, K = self.chain, mu.size, len(self.nodes)
         meant = x[: K * n].reshape(K, n)
         best = self._nothing()
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
-            z[0] = 0.0
+            z[0] = chain.opening(meant[0]) if isinstance(self.start, StartSet) else 0.0
             for k, j in enumerate(self.nodes[:-1]):
                 gap, q = chain.gaps[j], chain.G.shape[1]
                 u = x[self._w_at[k] : self._w_at[k + 1]].reshape(-1, q)
@@ -337,6 +277,8 @@ class ConeWindow:
     def _excess(self, z: Array, w: list[Array]) -> float:
         """Least factor by which bounds must grow for this trajectory, at least 1."""
         chain, factor = self.chain, 1.0
+        if isinstance(self.start, StartSet):
+            factor = max(factor, self.start.excess(z[0]))
         for u in w:
             size = np.linalg.norm(u, axis=1) if chain.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))

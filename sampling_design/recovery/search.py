@@ -12,7 +12,9 @@ import numpy.typing as npt
 from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.between import Open, open_row
 from sampling_design.recovery.chain import CELL_LOSS, SampleChain
-from sampling_design.recovery.program import Adversary, ConeWindow, Gains
+from sampling_design.recovery.gains import Gains, centre_offset, evaluated
+from sampling_design.recovery.program import Adversary, ConeWindow
+from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
 
@@ -66,6 +68,9 @@ class RowSearch:
     solved: list[dict[int, int]]
     """Offsets at which the program was solved, with the samples back that it took."""
     tried: set[tuple[int, int]] = field(default_factory=set)
+    """Where it was attacked."""
+    combined: set[tuple[int, int]] = field(default_factory=set)
+    """Where gains of atoms were put together."""
     lower: float = 0.0
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)
@@ -75,7 +80,7 @@ class RowSearch:
 class ChainSearch:
     """Windows of a chain, made once for each phase, and what was found after each sample: atoms and strikes."""
 
-    def __init__(self, chain: SampleChain, solved: Callable[[], None] = lambda: None):
+    def __init__(self, chain: SampleChain, atoms: list[Atoms], solved: Callable[[], None] = lambda: None):
         self.chain, self._tell = chain, solved
         self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
@@ -83,20 +88,45 @@ class ChainSearch:
         self.solves = 0
         self._enough: set[int] = set()
         """Depths that twice as many samples did not improve on."""
-        self.atoms = [Atoms(np.eye(chain.D.size), reach) for reach in chain.reach]
+        self.atoms = atoms
         self.strikes: list[list[Strike]] = [[] for _ in range(len(chain))]
 
     @cached_property
     def _coarse(self) -> SampleChain:
         return self.chain.refined(COARSE)
 
+    def idle(self, j: int) -> Strike:
+        """An adversary that does nothing up to sample j."""
+        return Strike(j, Adversary(0.0, (), np.zeros((1, self.chain.D.size))), self.chain)
+
+    def offset(self, found: RowSearch, j: int, place: int) -> float:
+        """What the estimate of a row at an offset adds since bounds are not centred at 0."""
+        return centre_offset(self.chain, found.row, j, float(found.opened[j].d[place]), self._gains_at(found, j, place))
+
+    def _gains_at(self, found: RowSearch, j: int, place: int) -> tuple[Array, ...]:
+        bounds, mu = self.chain.bounds, found.opened[j].mu[place]
+        if bounds.w_centre is None and bounds.v_centre is None:
+            return ()
+        at = self.atoms[j].find(mu)
+        gains = self.atoms[j].gains[at] if at is not None else self.window(j, self.back, False).gains(mu)
+        size = 1.0 if at is None else float(mu @ self.atoms[j].mu[at] / (self.atoms[j].mu[at] @ self.atoms[j].mu[at]))
+        return tuple(size * lam for lam in gains.gains)
+
+    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], Array | StartSet]:
+        """The last samples up to j, and what is known before the first of them."""
+        nodes = self.chain.nodes(j, count)
+        if self.chain.start is not None:
+            if nodes[0] and not from_zero and not self.atoms[nodes[0]].whole:
+                nodes = self.chain.nodes(j, len(self.chain))
+            if not nodes[0]:
+                return nodes, self.chain.start
+        return nodes, np.zeros(self.chain.D.size) if from_zero else self.atoms[nodes[0]].reach
+
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""
         key = (j, count, from_zero, rough)
         if key not in self._windows:
-            nodes = self.chain.nodes(j, count)
-            start = np.zeros(self.chain.D.size) if from_zero else self.chain.reach[nodes[0]]
-            self._windows[key] = ConeWindow(self._coarse if rough else self.chain, nodes, start)
+            self._windows[key] = ConeWindow(self._coarse if rough else self.chain, *self.past(j, count, from_zero))
         return self._windows[key]
 
     def gains(self, j: int, mu: Array) -> Gains:
@@ -120,14 +150,20 @@ class ChainSearch:
     def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
         """Keep a strike, and what it is at the samples of the last lap on its way."""
         count = len(adversary.z)
-        for k in range(max(1, count - len(self.chain)), count):
+        for k in range(max(int(self.chain.start is None), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
             at = (j - (count - 1 - k)) % len(self.chain)
             self.strikes[at].append(Strike(at, part, chain))
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
         """What the gains of a start at rest prove when the past is endless."""
-        return self.window(j, len(gains.gains), False).upper(mu, list(gains.gains))
+        return self.evaluate(j, mu, gains.gains)
+
+    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
+        """What any gains prove of mu'z_j; no solver."""
+        nodes, start = self.past(j, len(gains), False)
+        missing = [np.zeros(len(self.chain.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
+        return evaluated(self.chain, nodes, start, mu, [*missing, *gains])
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
@@ -156,9 +192,18 @@ class ChainSearch:
         """A row over the schedule, as far as atoms and strikes against other rows tell."""
         gaps = [open_row(self.chain, j, row) for j in range(len(self.chain))]
         bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
-        found = RowSearch(row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps])
-        found.lower = max(float(np.max(self.attained(found, j))) for j in range(len(gaps)))
+        found = RowSearch(
+            row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps]
+        )
+        found.lower = max(self._reached(found, j) for j in range(len(gaps)))
         return found
+
+    def below(self, found: RowSearch, j: int) -> Array:
+        """The same, infinite where the row is not known."""
+        return np.where(np.isfinite(found.nodes[j]), self.attained(found, j), np.inf)
+
+    def _reached(self, found: RowSearch, j: int) -> float:
+        return float(np.max(self.attained(found, j)[np.isfinite(found.nodes[j])], initial=0.0))
 
     def attained(self, found: RowSearch, j: int) -> Array:
         """What strikes attain against a row at the offsets of gap j."""
@@ -168,37 +213,45 @@ class ChainSearch:
 
     def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
         """Evaluate given gains for a direction after sample j; no solver."""
-        self.atoms[j].add(mu, self.window(j, len(gains), False).upper(mu, list(gains)))
+        self.atoms[j].add(mu, self.evaluate(j, mu, gains))
 
     def row(self, row: Array, rtol: float, most: int) -> RowSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)
         limit = self.solves + most
         while True:
-            top, j, panel = max((float(np.max(p)), j, int(np.argmax(p))) for j, p in enumerate(found.panels))
+            top, j, panel = self.top(found)
             found.upper, found.worst = top, (j, panel)
             if top <= found.lower * (1 + rtol):
                 found.closed = True
                 return found
             if self.solves >= limit:
                 return found
-            offset = panel + int(found.nodes[j][panel + 1] > found.nodes[j][panel])
+            ends = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)[panel : panel + 2]
+            offset = panel + int(ends[1] > ends[0])
             high, at, peak = self._highest(found)
             if high > 0 and found.solved[at][peak] < self.back:
                 self._node(found, at, peak)
             elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and offset not in found.solved[j]:
-                self._node(found, j, offset)
+                if self._combined(found, j, offset) > max(high, found.lower * (1 + rtol * SHARE)):
+                    self._node(found, j, offset)
             elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
                 return found
+
+    def top(self, found: RowSearch) -> tuple[float, int, int]:
+        """The highest bound, its gap and panel; what is not known at all does not count."""
+        best = (0.0, 0, 0)
+        for j, (nodes, panels) in enumerate(zip(found.nodes, found.panels, strict=True)):
+            ends = np.where(np.isfinite(nodes), nodes, 0.0)
+            high = np.where(np.isfinite(panels), panels, np.maximum(ends[1:], ends[:-1]))
+            k = int(np.argmax(high))
+            best = max(best, (float(high[k]), j, k))
+        return best
 
     def _highest(self, found: RowSearch) -> tuple[float, int, int]:
         """The largest bound at a solved offset, its sample and the offset."""
         return max(
-            (
-                (float(found.nodes[j][offset]), j, offset)
-                for j, solved in enumerate(found.solved)
-                for offset in solved
-            ),
+            ((float(found.nodes[j][offset]), j, offset) for j, solved in enumerate(found.solved) for offset in solved),
             default=(0.0, 0, 0),
         )
 
@@ -216,6 +269,21 @@ class ChainSearch:
         self._refresh(found, j)
         return done
 
+    def _combined(self, found: RowSearch, j: int, offset: int) -> float:
+        """What the gains of the nearest atoms prove together at an offset; no solver."""
+        mu, atoms = found.opened[j].mu[offset], self.atoms[j]
+        if (j, offset) not in found.combined and atoms.gains:
+            found.combined.add((j, offset))
+            fit = atoms.fit(mu[None])
+            parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
+            count = max(map(len, parts))
+            empty = [np.zeros(len(self.chain.samples[k].H)) for k in self.chain.nodes(j, count)]
+            both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
+            put = self.evaluate(j, mu, tuple(a + b for a, b in zip(*both, strict=True)))
+            atoms.add(mu, put)
+            self._refresh(found, j)
+        return float(found.nodes[j][offset])
+
     def _node(self, found: RowSearch, j: int, offset: int) -> None:
         self.gains(j, found.opened[j].mu[offset])
         found.solved[j][offset] = self.back
@@ -223,7 +291,7 @@ class ChainSearch:
 
     def _refresh(self, found: RowSearch, j: int) -> None:
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
-        found.lower = max(found.lower, float(np.max(self.attained(found, j))))
+        found.lower = max(found.lower, self._reached(found, j))
 
     def _attack(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
         """Strike at an offset; what is attained there, and what gains prove there now."""
@@ -237,35 +305,40 @@ class ChainSearch:
         """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
         gaps = range(len(found.opened))
         for j in gaps:
-            if 0 not in found.solved[j]:
+            if 0 not in found.solved[j] and np.isfinite(found.nodes[j][0]):
                 self._node(found, j, 0)
         for _ in range(max(FILLED, 2 * len(gaps))):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._slack(found, j) for j in gaps))
             if ratio <= PROFILE:
                 break
-            self._node(found, j, offset)
+            if (j, offset) in found.combined or not self.atoms[j].gains:
+                self._node(found, j, offset)
+            else:
+                self._combined(found, j, offset)
         for _ in range(ATTACKS):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
             if ratio <= PROFILE:
                 break
+            deep, self.deep = self.deep, min(self.deep, 2 * self.back)
             self._attack(found, j, offset, rough=True)
+            self.deep = deep
 
     def _apart(self, found: RowSearch, j: int) -> tuple[float, int]:
         """The largest ratio of the two bounds on gap j where no attack has been tried, and its offset."""
-        best, top = self.attained(found, j), found.nodes[j]
+        best, top = self.attained(found, j), np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)
         ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
-        ratio = np.where((top > 0) & np.isfinite(top), ratio, 0.0)
+        ratio[top == 0] = 0.0
         ratio[[o for at, o in found.tried if at == j]] = 0.0
         offset = int(np.argmax(ratio))
         return float(ratio[offset]), offset
 
     def _slack(self, found: RowSearch, j: int) -> tuple[float, int]:
         """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""
-        top, solved = found.nodes[j], sorted(found.solved[j])
+        top, solved = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0), sorted(found.solved[j])
         left = np.setdiff1d(np.arange(top.size), solved)
-        if not left.size or not np.isfinite(top).any():
+        if not left.size or not top.any():
             return 1.0, 0
         sure = np.interp(left, solved, top[solved]) if solved else np.zeros(left.size)
         ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
-        best = int(np.argmax(np.where(np.isfinite(top[left]) & (top[left] > 0), ratio, 0.0)))
+        best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
         return float(ratio[best]), int(left[best])

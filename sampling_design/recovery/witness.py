@@ -16,6 +16,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.recovery.between import Open
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.search import Strike
+from sampling_design.recovery.start import InitialSet
 
 KEPT = 1e-9
 """Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
@@ -30,8 +31,8 @@ Array = npt.NDArray[np.float64]
 class AccuracyWitness(Record):
     """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
 
-    The state starts at 0; every sample shows y = C x + v = 0, so that +x and -x look alike, and any estimator errs by
-    `value` on one of them.
+    The state starts at 0 (or within what is known at the start); every sample shows y = C x + v = 0,
+    so that +x and -x look alike, and any estimator errs by `value` on one of them.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class AccuracyWitness(Record):
     last : int
         Place of the last sample in the schedule's period.
     states : (K, n) array
-        x at those samples; the first is 0.
+        x at those samples; the first is 0, or lies within what is known at the start.
     outputs : (K, p) array of bool
         What each sample measures.
     value : float
@@ -111,8 +112,9 @@ class AccuracyWitness(Record):
 
     def explain(self) -> str:
         """Say what the witness does."""
+        start = "an admissible start" if self.states[0].any() else "rest"
         return (
-            f"From rest, a disturbance within its bound moves the row to {short(self.value)} in "
+            f"From {start}, a disturbance within its bound moves the row to {short(self.value)} in "
             f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes all "
             f"{self.samples.size} samples read zero."
         )
@@ -131,18 +133,27 @@ class AccuracyWitness(Record):
         }
 
 
-def attains(witness: AccuracyWitness, bounds: SignalBounds) -> tuple[float, float]:
-    """Return row'x at the end of a witness flown anew, and the factor by which w and v exceed their bounds."""
+def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
+    """Return row'x at the end of a witness flown anew, and the factor by which w, v and start exceed their bounds.
+
+    Without `initial` the schedule is endless and the witness starts from rest; with it, one that starts at the first
+    node may start anywhere in that set.
+    """
     v, x, moved = witness.simulate()
     lap = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
-    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[lap])) and not witness.states[0].any()
+    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[lap]))
+    begun = 0.0
+    if initial is not None and witness.last + 1 == len(v):
+        begun = initial.excess(witness.states[0])
+    elif witness.states[0].any() or (initial is not None and witness.last + 1 < len(v)):
+        legal = False
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[lap], np.inf)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
-    return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit))
+    return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit), begun)
 
 
 def _excess(size: Array, limit: Array) -> float:

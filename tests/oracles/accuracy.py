@@ -20,11 +20,20 @@ def _cells(A, G, h, count):
     return [expm(A * (h - (k + 1) * step)) @ one for k in range(count)]
 
 
-def adversary(A, C, G, times, c, w, v, cells=40):
-    """Largest c'x(t_N) among all trajectories with y = 0 at every time and w constant on cells; (value, x(t_1), w)."""
+def adversary(A, C, G, times, c, w, v, cells=40, start=None, unmeasured=()):
+    """Largest c'x(t_N) among all trajectories with y = 0 at every time and w constant on cells; (value, x(t_1), w).
+
+    `start` = (half-widths or half-axes, "box" | "ball") bounds x(t_1); the times at places `unmeasured` show nothing.
+    """
     A, C, G, c = (np.asarray(m, float) for m in (A, C, G, c))
-    start = cp.Variable(A.shape[0])
-    x, rules, inputs = start, [cp.norm(C @ start) <= v], []
+    known, start = start, cp.Variable(A.shape[0])
+    x, rules, inputs = start, [] if 0 in unmeasured else [cp.norm(C @ start) <= v], []
+    if known is not None:
+        some = np.isfinite(known[0])
+        if known[1] == "ball":
+            rules.append(cp.norm(start[some] / known[0][some]) <= 1)
+        else:
+            rules.append(cp.abs(start[some]) <= known[0][some])
     for h in np.diff(times):
         u = cp.Variable((cells, G.shape[1]))
         parts = _cells(A, G, h, cells)

@@ -94,7 +94,6 @@ def test_the_record_speaks(found):
         ({"v_bound": [-1.0]}, "`v_bound` must not be negative, got -1.0"),
         ({"of": "velocty"}, "got 'velocty'. Did you mean 'velocity'?"),
         ({"of": np.zeros((0, 2))}, "`of` must name at least one row"),
-        ({"schedule": sd.Schedule([0.0, 1.0])}, "`schedule` must be a PeriodicSchedule, got Schedule"),
     ],
 )
 def test_bad_input_is_refused(change, match):

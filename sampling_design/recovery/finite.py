@@ -1,0 +1,123 @@
+"""A finite schedule as a chain of samples that begins with a set of errors, and what its samples determine."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import discounted_flow
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.atoms import Atoms
+from sampling_design.recovery.bounds import SignalBounds
+from sampling_design.recovery.chain import ChainSample, SampleChain, make_gap, noise_units, state_scales
+from sampling_design.recovery.gains import filtered
+from sampling_design.recovery.riccati import updated
+from sampling_design.recovery.start import InitialSet, StartSet
+
+Array = npt.NDArray[np.float64]
+
+DIFFUSE = 1e6
+"""Covariance of what is free at the start, in scaled coordinates: for the choice of coordinates and gains only."""
+
+NO_ERROR = 1e-9
+"""Half-width given to an entry that is known exactly at the start, in scaled coordinates."""
+
+UNSEEN = 1e-9
+"""A free direction counts as unseen if its samples are below this share of what the strongest one shows."""
+
+MEMORY = 64
+"""Samples back that the reach follows; an error bounded there serves as a start."""
+
+
+def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:
+    """Return the chain of nodes `times`, the first of which is the start; rows of `bounds.v` say what each measures."""
+    lengths, last = np.diff(times), float(end - times[-1])
+    balance = balanced_schur(plant.A).d
+    A = plant.A * balance / balance[:, None]
+    G = plant.G * bounds.w / balance[:, None]
+    steps = np.append(lengths, last) if last or not lengths.size else lengths
+    F, W = discounted_flow(A, G @ G.T, steps)
+    W = W * float(np.mean(steps))
+    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
+    D = _scales(F, W, rows, initial, balance)
+    A, G = A * D / D[:, None], G / D[:, None]
+    F, W = F * D / D[:, None], W / np.outer(D, D)
+    rows = [H * D for H in rows]
+    D = balance * D
+    P = _opening(initial, D)
+    before, after = [], []
+    for j, H in enumerate(rows):
+        before.append(P)
+        after.append(updated(P, H.T @ H))
+        if j < len(lengths):
+            P = F[j] @ after[j] @ F[j].T + W[j]
+    L = np.array([np.linalg.cholesky(X + 1e-13 * np.diag(np.diag(X))) for X in after])
+    samples = []
+    for j, H in enumerate(rows):
+        gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
+        K = np.asarray(np.linalg.solve(L[j], gain), dtype=np.float64)
+        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+    gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
+    start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
+    return SampleChain(plant, bounds, D, L, A, G, tuple(samples), gaps, start, last, initial.exact)
+
+
+def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance: Array) -> Array:
+    """Diagonal D: between what w reaches and what samples see, else what is known at the start."""
+    pairs = min(len(F), len(rows))
+    D = state_scales(F[:pairs], W[:pairs], rows[:pairs])
+    if not len(initial.S):
+        return D
+    known = np.linalg.norm(initial.S * balance, axis=0)
+    driven = np.any(W != 0, axis=(0, 2))
+    return np.where(driven | (known == 0), D, 1 / np.where(known > 0, known, 1.0))
+
+
+def _opening(initial: InitialSet, D: Array) -> Array:
+    """Covariance at the start."""
+    known = initial.S * D
+    information = known.T @ known + np.eye(D.size) / DIFFUSE
+    information[initial.exact, initial.exact] += 1 / NO_ERROR
+    return np.asarray(np.linalg.inv(information))
+
+
+def finite_atoms(chain: SampleChain) -> list[Atoms]:
+    """What the samples up to each node determine, with bounds from the filter's gains."""
+    start = chain.start
+    assert start is not None
+    n = chain.D.size
+    free = start.free(n)
+    seen: list[Array] = []
+    found: list[Atoms] = []
+    whole: list[bool] = []
+    for j in range(len(chain)):
+        free = chain.gaps[j - 1].F @ free if j else free
+        seen.append(chain.samples[j].H @ free)
+        basis = _determined(free, seen)
+        whole.append(basis.shape[1] == n)
+        nodes = chain.nodes(j, MEMORY)
+        base: Array | StartSet = found[nodes[0]].reach if nodes[0] and whole[nodes[0]] else start
+        nodes = nodes if nodes[0] and whole[nodes[0]] else list(range(j + 1))
+        reach = np.array([filtered(chain, nodes, base, column).value for column in basis.T])
+        found.append(Atoms(basis, reach))
+    return found
+
+
+def _determined(free: Array, seen: list[Array]) -> Array:
+    """Orthonormal columns that span what nothing free and unseen touches."""
+    n = len(free)
+    rows = np.vstack(seen)
+    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
+    if not free.shape[1]:
+        return np.eye(n)
+    sizes, right = np.zeros(free.shape[1]), np.eye(free.shape[1])
+    if len(rows):
+        _, found, right = np.linalg.svd(rows)
+        sizes[: found.size] = found
+    open_ends = free @ right[sizes <= UNSEEN * max(1.0, float(sizes[0]))].T
+    if not open_ends.shape[1]:
+        return np.eye(n)
+    left, strength, _ = np.linalg.svd(open_ends / np.linalg.norm(open_ends, axis=0))
+    rank = int(np.sum(strength > UNSEEN * strength[0]))
+    return np.asarray(left[:, rank:])

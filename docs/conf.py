@@ -12,7 +12,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("MPLBACKEND", None)
 
 # sliders of the notebooks have no kernel behind them on a page: they show their picture at one value instead
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(HERE / "on_paper"), os.environ.get("PYTHONPATH")]))
+paths = [str(HERE / "on_paper"), str(HERE.parent), os.environ.get("PYTHONPATH")]
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 
 import house_pages  # noqa: E402
 import make_pages  # noqa: E402

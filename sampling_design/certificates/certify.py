@@ -31,7 +31,8 @@ from sampling_design.certificates.exact.window_problem import AnySchedule, windo
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import verdict_of
-from sampling_design.certificates.rigorous.decide import HANDED_OVER
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
@@ -49,10 +50,11 @@ FINER = 4
 """How much finer the second look for a missed peak is than the first."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
-LONGEST_LOOK = 3.0
-"""CPU seconds in which the windows of one choice of weights are followed; what they have met by then is tried."""
-LONGEST_PROOF = 8.0
-"""CPU seconds after which no further attempt at a proof begins, for all choices of weights together."""
+LOOK_WORK = 2e6
+"""Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
+what they have met by then is tried. Counted and not timed, so that a call gives the same on every machine."""
+CHECK_WORK, BALL_WORK, ONE_CHECK = 4e6, 4e6, 1e6
+"""Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats."""
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
@@ -76,7 +78,7 @@ def certify_given(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
-        proof = _Proof(plant, schedule, weights, eta)
+        proof = _Proof(plant, schedule, weights, eta, Efforts())
         followed(proof.canon, eta * proof.canon.time)
         _require(plant, schedule, eta, proof.canon)
         return proof.closed(solver)
@@ -97,13 +99,25 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: Canonical) -> tuple[floa
         return low * canon.time, high * canon.time
 
 
+class Efforts:
+    """What all the looks and proofs for one certificate may do together."""
+
+    def __init__(self) -> None:
+        self.looks, self.floats, self.balls = Work(2 * LOOK_WORK), Work(CHECK_WORK), Work(BALL_WORK)
+
+
 class _Proof:
     """Given weights and rate: the best lambda, found in internal units, and its proof."""
 
     def __init__(
-        self, plant: Plant, schedule: AnySchedule, weights: tuple[Array, Array, Array, Array], eta: float
+        self,
+        plant: Plant,
+        schedule: AnySchedule,
+        weights: tuple[Array, Array, Array, Array],
+        eta: float,
+        efforts: Efforts,
     ) -> None:
-        self.plant, self.schedule, self.weights, self.eta = plant, schedule, weights, eta
+        self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
         self.problem = window_problem(canon.plant, canon.schedule, *inner, eta * canon.time)
@@ -121,10 +135,9 @@ class _Proof:
 
     def found(self, finer: int) -> tuple[Peak, Peak]:
         """The peaks of grids that are so much finer; raises as `peaks`."""
-        until = time.thread_time() + LONGEST_LOOK
         with np.errstate(all="ignore"):
             try:
-                found = supremum(self.problem, finer, until)
+                found = supremum(self.problem, finer, self.efforts.looks.share(LOOK_WORK))
             except (SolverError, np.linalg.LinAlgError) as error:
                 raise UndecidedError(f"undecided: {error}") from None
         if not all(np.isfinite(peak.value) for peak in found):
@@ -136,7 +149,7 @@ class _Proof:
         """ln(lam)/eta."""
         return float(np.log(max(self.peaks[0].value, 1.0))) / self.eta
 
-    def closed(self, solver: SolverRecord, until: float | None = None, plainly: bool = False) -> Certificate:
+    def closed(self, solver: SolverRecord, plainly: bool = False) -> Certificate:
         """Return the certificate, lambda raised to whatever window the checker finds.
 
         What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
@@ -145,24 +158,25 @@ class _Proof:
         Raises
         ------
         UndecidedError
-            If the proof does not close, or not by `until` (CPU time of the thread).
+            If the proof does not close, or not with the work that it may do.
         """
-        until = time.thread_time() + LONGEST_PROOF if until is None else until
-        rooms, room, finer = iter(ROOM), 1.0, 1
+        rooms, room, finer, efforts = iter(ROOM), 1.0, 1, self.efforts
         anywhere, at_samples = self.peaks
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
-            verdict = verdict_of(made.to_dict())
+            verdict = verdict_of(made.to_dict(), efforts.floats.share(ONE_CHECK))
             if verdict.inequality == "witness" and not verdict.passed:  # true, but its replay is lost in rounding
                 made = replace(made, witness=None)
-                verdict = verdict_of(made.to_dict())
-            left = until - time.thread_time()
-            if verdict.verdict == "undecided" and room == 1.0 and find_spec("flint") is not None:
-                verdict = made.verify(rigorous=True, budget=HANDED_OVER)
-                left = until - time.thread_time()
+                verdict = verdict_of(made.to_dict(), efforts.floats.share(ONE_CHECK))
+            handed = verdict.verdict == "undecided" and room == 1.0 and not efforts.balls.over
+            if handed and find_spec("flint") is not None:
+                verdict = verify_rigorously(made.to_dict(), np.inf, efforts.balls)
+                if verdict.inequality == "witness" and not verdict.passed:
+                    made = replace(made, witness=None)
+                    verdict = verify_rigorously(made.to_dict(), np.inf, efforts.balls)
             if verdict.passed:
                 return made
-            if left <= 0:
+            if efforts.floats.over:
                 break
             if verdict.time is None or verdict.start is None:
                 if finer == 1:  # the grids may have missed a peak by a hair
@@ -422,29 +436,30 @@ def _best_proven(
     """The choice of the least exact horizon whose proof closes."""
     plant, schedule, weights = problem
     failed: list[UndecidedError] = []
-    looked = time.thread_time() + LONGEST_LOOK
+    efforts = Efforts()
     proofs: list[tuple[float, int, _Proof, Choice]] = []
     for choice in choices:
         rate = choice.eta / canon.time if eta is None else eta
         prior = symmetrise(canon.outside(choice.P2))
         try:
-            proof = _Proof(plant, schedule, (prior, *weights), rate)
-            if not proofs or (choice.value <= COMPARED * choices[0].value and time.thread_time() < looked):
+            proof = _Proof(plant, schedule, (prior, *weights), rate, efforts)
+            near = choice.value <= COMPARED * choices[0].value and efforts.looks.left > LOOK_WORK
+            if not proofs or near:
                 proofs.append((proof.horizon, len(proofs), proof, choice))
             else:
                 proofs.append((np.inf, len(proofs), proof, choice))
         except UndecidedError as error:
             failed.append(error)
-    until, proofs = time.thread_time() + LONGEST_PROOF, sorted(proofs, key=lambda item: item[:2])
+    proofs = sorted(proofs, key=lambda item: item[:2])
     for plainly, (_, _, proof, choice) in [(plainly, item) for plainly in (True, False) for item in proofs]:
         how = {"weights": f"least horizon under budget {budget:g}"}
         seconds = time.perf_counter() - began
         solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
         try:
-            return proof.closed(solver, until, plainly)
+            return proof.closed(solver, plainly)
         except UndecidedError as error:
             failed.append(error)
-        if not plainly and time.thread_time() > until:
+        if efforts.floats.over:
             break
     if failed:
         raise failed[0]

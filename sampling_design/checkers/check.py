@@ -22,25 +22,28 @@ if not __package__:  # run as a file: its folder is the package
 if TYPE_CHECKING:
     from .outcome import Verdict
     from .strict import Tree
+    from .work import Work
 
 
-def verdict(data: Mapping[str, object]) -> "Verdict":
-    """Return the `Verdict` on the plain data of a certificate file of any claim."""
+def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict":
+    """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     import numpy as np
 
     from . import detectability, families, sampled
     from .grammar import OfFamily, Sampled, certificate
     from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
     from .strict import Altered, BadFile
+    from .work import MOST_WORK, Work
 
+    work = Work(MOST_WORK) if work is None else work
     try:
         c = certificate(data)
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
             if isinstance(c, Sampled):
-                inequality, slack = sampled.prove(c)
+                inequality, slack = sampled.prove(c, work)
                 reason = f"{inequality} for every real window start and every later t, slack {slack:.3g}"
             elif isinstance(c, OfFamily):
-                inequality, slack = families.prove(c)
+                inequality, slack = families.prove(c, work)
                 subject = "for every schedule of the family, every real window start and every later t"
                 reason = f"{inequality} {subject}, slack {slack:.3g}"
             else:
@@ -58,9 +61,9 @@ def verdict(data: Mapping[str, object]) -> "Verdict":
     return Verdict(PROVEN, inequality, reason, slack)
 
 
-def check(data: Mapping[str, object]) -> "Tree":
-    """Return the verdict as plain data."""
-    return verdict(data).to_dict()
+def check(data: Mapping[str, object], work: "Work | None" = None) -> "Tree":
+    """Return the verdict as plain data; the check does at most this `work` (`work.MOST_WORK` unless told)."""
+    return verdict(data, work).to_dict()
 
 
 def main(arguments: list[str]) -> int:

@@ -11,17 +11,18 @@ import numpy as np
 from .cover import judge
 from .frame import Frame, Index, largest, size, turned
 from .grammar import OfFamily
-from .numbers import EPS, Problem, definite, problem
+from .numbers import EPS, definite, problem
 from .outcome import Refused
 from .sampled import targets
-from .strict import Array, Mask
+from .strict import Array
+from .work import Work
 
 CELLS = 8  # cells per interval at first
 ROUNDS = 40  # halvings of a cell
 MOST_CELLS = 400_000  # cells of one target, all rounds together
 
 
-def prove(c: OfFamily) -> tuple[str, float]:
+def prove(c: OfFamily, work: Work | None = None) -> tuple[str, float]:
     """Prove that the graph holds the family, and every edge and node; return the slack."""
     judge(c.family, c.graph)
     numbers, graph, w = problem(c.plant, c.weights), c.graph, c.weights
@@ -36,20 +37,17 @@ def prove(c: OfFamily) -> tuple[str, float]:
         entering = [edge for edge in graph.edges if edge.target == v]
         kinds = np.array([patterns.index(edge.outputs) for edge in entering])
         ends = np.array([[edge.low, edge.high] for edge in entering])
-        intervals = Intervals(numbers, P[v], f"Phi(P_u) + C'R~C >= P_{v}", masks)
+        intervals = Intervals(numbers, P[v], f"Phi(P_u) + C'R~C >= P_{v}", masks, work)
         slack = min(slack, intervals.prove(P[[edge.source for edge in entering]], kinds, ends[:, 0], ends[:, 1]))
     tops, none = np.array([graph.top(u) for u in range(len(P))]), np.zeros((1, len(c.plant.C)), bool)
     for target, name in stated:
-        intervals = Intervals(numbers, target, name, none)
+        intervals = Intervals(numbers, target, name, none, work)
         slack = min(slack, intervals.prove(P, np.zeros(len(P), int), 0 * tops, tops))
     return inequality, slack
 
 
 class Intervals(Frame):
     """Proof of U(h) <= I over intervals of h, in the coordinates of one target."""
-
-    def __init__(self, numbers: Problem, target: Array, inequality: str, patterns: Mask) -> None:
-        super().__init__(numbers, target, inequality, patterns)
 
     def prove(self, P: Array, kinds: Index, low: Array, high: Array) -> float:
         """Prove U <= I from each P, for samples of each kind, on every interval; return the slack."""
@@ -62,6 +60,7 @@ class Intervals(Frame):
             total += owner.size
             if not owner.size or total > MOST_CELLS:
                 break
+            self.spend(8 * owner.size)
             h = np.concatenate([a, b, (a + b) / 2])
             ends, where = np.unique(h, return_inverse=True)
             flows, kind = self.flow(ends)[where], kinds[owner]

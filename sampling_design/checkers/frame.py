@@ -17,6 +17,7 @@ import numpy.typing as npt
 from .numbers import EPS, Problem
 from .outcome import Undecided
 from .strict import Array, Mask
+from .work import MOST_WORK, Work
 
 Index = npt.NDArray[np.intp]
 
@@ -84,8 +85,11 @@ class Flows:
 class Frame:
     """Plant and weights in coordinates where `target` is I, for samples that measure the `patterns` of outputs."""
 
-    def __init__(self, problem: Problem, target: Array, inequality: str, patterns: Mask) -> None:
+    def __init__(
+        self, problem: Problem, target: Array, inequality: str, patterns: Mask, work: Work | None = None
+    ) -> None:
         self.problem, self.inequality, self.n, self.I = problem, inequality, problem.n, np.eye(problem.n)
+        self.work = Work(MOST_WORK) if work is None else work
         try:
             self.L = L = np.linalg.cholesky(target)
         except np.linalg.LinAlgError:
@@ -113,6 +117,12 @@ class Frame:
     def undecided(self, why: str) -> Undecided:
         """What to raise where floats can say neither yes nor no."""
         return Undecided(self.inequality, f"{self.inequality} could not be decided: {why}")
+
+    def spend(self, matrices: int) -> None:
+        """Count one round of operations on so many matrices; undecided where it is more than was allowed."""
+        self.work.spend(150 + matrices * (1 + self.n**2 / 4))
+        if self.work.over:
+            raise self.undecided("it takes more work than one check may do")
 
     def inverse_of(self, P: Array) -> tuple[Array, Array]:
         """Y = L' P^-1 L of a stack of P, from above, and its band."""
@@ -161,6 +171,7 @@ class Frame:
         """The flows of these durations; one that came before is remembered."""
         asked, which = np.unique(np.ravel(durations), return_inverse=True)
         if new := [h for h in asked.tolist() if h not in self.known]:
+            self.spend(4 * len(new))
             found = self.doubled(np.array(new))
             parts = (found.F, found.W, found.wrong_F, found.wrong_W)
             self.known.update(zip(new, zip(*parts, strict=True), strict=True))

@@ -13,6 +13,7 @@ from .grammar import Laps, Sampled, Witness
 from .numbers import EPS, Problem, problem
 from .outcome import Refused, Undecided
 from .strict import Array, Mask
+from .work import Work
 
 RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 REPLAY = 1e-6  # what a witness may miss of its ratio
@@ -20,6 +21,7 @@ CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
 MAX_OPEN = 100_000  # open cells or steps at once
 LAPS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
+SUSPECTS = 200  # windows at once in which a violation is looked for: those of the largest Y
 INFLATION = 1e-2  # noise added per gap, where the target is I, to find the family B_i; then less and less
 
 Target = tuple[Array, str]
@@ -33,7 +35,7 @@ def targets(numbers: Problem, margin: float, P1: Array, lam: float) -> list[Targ
     ]
 
 
-def prove(c: Sampled) -> tuple[str, float]:
+def prove(c: Sampled, work: Work | None = None) -> tuple[str, float]:
     """Prove P1 and lam over all real starts, lam_samples over sample starts, and the witness; return the slack."""
     numbers, w = problem(c.plant, c.weights), c.weights
     stated = targets(numbers, w.margin, numbers.P1, w.lam)
@@ -43,19 +45,19 @@ def prove(c: Sampled) -> tuple[str, float]:
     for k in (0, 1):  # a target that lies below the other is proven with it
         if len(stated) == 2 and least(stated[1 - k][0] - stated[k][0]) >= 0:
             stated.pop(k)
-    slack = min(Windows(numbers, c.laps, target, name).prove() for target, name in stated)
+    slack = min(Windows(numbers, c.laps, target, name, work).prove() for target, name in stated)
     name = "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts"
-    Windows(numbers, c.laps, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name).prove(samples=True)
+    Windows(numbers, c.laps, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name, work).prove(samples=True)
     if c.witness is not None:
-        Windows(numbers, c.laps, numbers.P2, "witness").attained(c.witness)
+        Windows(numbers, c.laps, numbers.P2, "witness", work).attained(c.witness)
     return inequality, slack
 
 
 class Windows(Frame):
     """Proof of Y <= I along one schedule, for one target."""
 
-    def __init__(self, numbers: Problem, laps: Laps, target: Array, inequality: str) -> None:
-        super().__init__(numbers, target, inequality, laps.seen)
+    def __init__(self, numbers: Problem, laps: Laps, target: Array, inequality: str, work: Work | None = None) -> None:
+        super().__init__(numbers, target, inequality, laps.seen, work)
         self.laps, self.N, self.gaps, self.times, self.reach = laps, laps.gaps.size, laps.gaps, laps.times, laps.reach
         self.longer = self.gaps * (1 + 4 * EPS)  # a difference of two times is rounded
         self.lap, self.reached = self.flow(self.gaps), 0.0
@@ -70,6 +72,7 @@ class Windows(Frame):
             U, owner, step, left = U[kept], owner[kept], step[kept], left[kept]
             if not owner.size or owner.size > MAX_OPEN:
                 break
+            self.spend(2 * owner.size)
             right = largest(self.moved(U, step), 0.5)
             bound = np.maximum(left, right) + self.curvature(U, step)
             self.reached = max(self.reached, bound[bound <= self.one].max(initial=0.0))
@@ -113,6 +116,7 @@ class Windows(Frame):
         U, at, good, alive = np.stack([Y + rest, other + rest]), index, high >= low, np.arange(m)
         start, since = self.times[index] - high, high.copy()
         for _ in range((LAPS if family is not None else LAPS // 10) * self.N):
+            self.spend(3 * at.size)
             K = self.gain(Y, at)
             U, (Y, left, lost), before = self.after(U, at, K)[0], self.after(Y, at, K), Y
             E = self.band_after(E, before, at, K, left, lost)
@@ -139,6 +143,10 @@ class Windows(Frame):
 
     def violated(self, Y: Array, E: Array, duration: Array, start: Array, since: Array) -> None:
         """Refused if some true Y exceeds I along `duration`, which begins `since` after its window's start."""
+        if len(Y) > SUSPECTS:
+            worst = np.argsort(-np.einsum("kii->k", Y), kind="stable")[:SUSPECTS]
+            Y, E, duration, start, since = Y[worst], E[worst], duration[worst], start[worst], since[worst]
+        self.spend(33 * len(Y))
         flows = self.flow(np.outer(duration, np.arange(33) / 32))
         moved, lost = self.along(np.repeat(Y, 33, axis=0), flows)
         values = np.linalg.eigvalsh(moved)[:, -1]
@@ -162,6 +170,7 @@ class Windows(Frame):
             Z, Y = np.zeros((N, self.n, self.n)), self.start
             for _ in range(LAPS if self.laps.periodic else 1):
                 before = Y
+                self.spend(N * 8)
                 for i in range(N):
                     moved = lap.F[i] @ Y @ lap.F[i].T + lap.W[i] + inflation * self.I
                     Z[i] = Y = self.after(moved, i, self.gain(moved, i))[0]
@@ -187,6 +196,7 @@ class Windows(Frame):
         turns = np.arange(first, int(t / laps.period) + 2) if laps.periodic else np.zeros(1)
         times, Y, E, near = (self.times + laps.period * turns[:, None]).ravel(), self.start, self.start_band, 1e-9 * t
         for k in np.flatnonzero((times > now + near) & (times < t - near)):
+            self.spend(4)
             Y, E = self.later(Y, E, times[k] - now)
             K = self.gain(Y, k % self.N)
             (Y, left, lost), before = self.after(Y, k % self.N, K), Y
@@ -206,6 +216,8 @@ class Windows(Frame):
 
     def ratio(self, Y: Array, E: Array, x: Array) -> tuple[float, float]:
         """x'x / x'Y^-1 x for the true Y within its band, and what rounding leaves open of it, relative."""
+        if not np.isfinite(E).all():
+            raise self.undecided("the rounding along the witness is beyond doubles")
         z = np.linalg.solve(Y, x)
         rest = x - Y @ z
         lowest = float(least(Y - E))

@@ -67,7 +67,7 @@ def test_budgets_of_a_curve_are_above_one():
 
 
 def test_what_fails_at_every_rate_is_undecided(monkeypatch):
-    def unsettled(problem):
+    def unsettled(problem, work=None):
         raise SolverError("the information did not settle", status="unsettled")
 
     monkeypatch.setattr(weight_choice.WindowSet, "of", unsettled)
@@ -96,7 +96,7 @@ def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
 
     found = room._Proof.found
     monkeypatch.setattr(room._Proof, "found", lambda self, finer: low(found(self, finer)))
-    monkeypatch.setattr(room, "LONGEST_PROOF", 0.0)
+    monkeypatch.setattr(room, "CHECK_WORK", 0.0)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
 

@@ -193,7 +193,7 @@ def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):
     from sampling_design.certificates.form import verdict
 
     found = {"passed": False, "inequality": "x", "time": None, "start": None, "amount": 0.0, "reason": "too tight"}
-    monkeypatch.setattr(verdict, "check", lambda data: {**found, "verdict": "refuted"})
+    monkeypatch.setattr(verdict, "check", lambda data, work=None: {**found, "verdict": "refuted"})
     with pytest.raises(UndecidedError, match="undecided: the proof of the certificate did not close: too tight"):
         sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
 

@@ -180,3 +180,17 @@ def test_units_of_the_states_change_nothing(scale):
     here = certify(Plant(A, C), schedule, eta=0.4, P2=np.eye(2), Qw=np.eye(2))
     moved = certify(there, schedule, eta=0.4, P2=np.linalg.inv(D @ D), Qw=np.eye(2))
     assert moved.lam == pytest.approx(here.lam, rel=1e-12)
+
+
+def test_outputs_that_are_nearly_exact_settle_where_the_recursion_does():
+    """The noise is 1e-14 of what the disturbance does in a gap: composed periods count it against that."""
+    A = np.array([[-0.3, 1.0, 0.0], [-1.0, -0.3, 0.5], [0.0, 0.2, -0.7]])
+    plant = Plant(A, 1e14 * np.array([[1.0, 0.4, 0.2], [0.3, -1.0, 0.5]]), G=np.diag([1.0, 1e-3, 1e-6]))
+    problem = window_problem(plant, PeriodicSchedule([1.0, 0.6]), np.eye(3), np.eye(3), np.eye(2), np.eye(2), 0.3)
+    flows = problem.flow(problem.gaps)
+    Y = np.eye(3)
+    for _ in range(400):
+        for i in range(2):
+            Y = update(push(Y, flows[0][i], flows[1][i]), problem.rows[i])
+    size = np.sqrt(np.diag(Y))
+    assert np.all(np.abs(periodic_riccati_solution(problem)[-1] - Y) <= 1e-6 * size * size[:, None])

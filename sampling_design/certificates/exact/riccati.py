@@ -5,7 +5,6 @@ Windows run side by side in one batch: each step is one sample update and one ga
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +12,16 @@ import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
 
 Array = npt.NDArray[np.float64]
 
 STEADY_RTOL = 1e-10
-"""Relative change of Y per doubling at which the periodic solution counts as found; eps times some condition 1e5."""
+"""Change of Y per doubling, relative in every state, at which the periodic solution counts as found; eps times some
+condition 1e5."""
+REPEATED_RTOL = 1e-6
+"""What is found so must repeat itself to within this a period of samples later: doublings may be lost in rounding."""
 MERGED_RTOL = 1e-5
 """A window below (1 + this) times the periodic solution brings nothing new: lambda is then its own within 1e-5."""
 MAX_DOUBLINGS = 40
@@ -104,10 +107,9 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
     for _ in range(LONGEST_WALK // problem.count + 1):
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
             around = _around(problem, flows, Y)
-            change, size = np.linalg.norm(around[-1] - Y), np.linalg.norm(Y)
-        if not np.isfinite(change):
+        if not np.isfinite(around).all():
             break
-        if change <= STEADY_RTOL * size:
+        if _settled(Y, around[-1], STEADY_RTOL):
             return around
         Y = around[-1]
     raise SolverError(
@@ -118,28 +120,49 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
 
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
     """The periodic solution by composing periods, twice as many in each step."""
-    n = problem.size
-    lap = (np.eye(n), np.zeros((n, n)), np.zeros((n, n)))
-    for i in range(problem.count):
-        C = problem.rows[i]
-        lap = _then(lap, (flows[0][i], flows[1][i], np.zeros((n, n))))
-        lap = _then(lap, (np.eye(n), np.zeros((n, n)), C.T @ C))
-    Y = _apply(lap, np.eye(n))
+    lap = _lap(problem, flows)
+    Y = lap[1]
     for _ in range(MAX_DOUBLINGS):
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # an unseen mode grows beyond all bounds, which ends the loop
             following, longer = _apply(lap, Y), _then(lap, lap)
-            change, size = np.linalg.norm(following - Y), np.linalg.norm(Y)
-        if not np.isfinite(change) or not all(np.all(np.isfinite(part)) for part in longer):
+        if not np.isfinite(following).all() or not all(np.all(np.isfinite(part)) for part in longer):
             break
-        if change <= STEADY_RTOL * size:
-            return _around(problem, flows, following)
+        if _settled(Y, following, STEADY_RTOL):
+            around = _around(problem, flows, following)
+            if _settled(following, around[-1], REPEATED_RTOL):
+                return around
+            break
         Y, lap = following, longer
     raise SolverError(
         "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
     )
+
+
+def _settled(Y: Array, following: Array, rtol: float) -> bool:
+    """Whether no entry changed by more than `rtol` of its row's and column's diagonal, in whatever units."""
+    size = np.sqrt(np.abs(np.diagonal(following)))
+    return bool(np.all(np.abs(following - Y) <= rtol * size * size[:, None]))
+
+
+def _lap(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """One period as the map Y -> F Y (I + H Y)^-1 F' + W: W is where Y = 0 comes to, F its closed loop.
+
+    Sample by sample, each output's information counted against what the disturbance has added by then: an output that
+    is nearly exact leaves H as large as the disturbance lets it, and not as small as its noise.
+    """
+    n = problem.size
+    F, W, H = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
+    for i in range(problem.count):
+        F, W = flows[0][i] @ F, push(W, flows[0][i], flows[1][i])
+        for row in problem.rows[i]:
+            cross, seen = W @ row, row @ F
+            spread = 1 + cross @ row
+            left = np.eye(n) - np.outer(cross / spread, row)
+            F, W, H = left @ F, update(W, row[None]), H + np.outer(seen, seen) / spread
+    return F, W, H
 
 
 def _then(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -176,13 +199,14 @@ def sweep(
     fractions: npt.ArrayLike = TIME_FRACTIONS,
     steady: Array | None = None,
     last_step: int = MAX_STEPS,
-    until: float = np.inf,
+    work: Work | None = None,
 ) -> list[Peak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
     A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
-    All end at `until` (CPU time of the thread): what they have met by then stands.
+    All end where the `work` is used up: what they have met by then stands.
     """
+    work = Work(np.inf) if work is None else work
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size
     ahead = np.arange(problem.count) if last_step + 1 >= problem.count else np.arange(1, last_step + 2) + index.min()
@@ -202,8 +226,9 @@ def sweep(
         going = _going(problem, Y, at, steady)
         Y, alive = Y[going], alive[going]
         at = (at[going] + 1) % problem.count
-        if not alive.size or time.thread_time() > until:
+        if not alive.size or work.over:
             break
+        work.spend(100 + alive.size * (m + 1) * problem.size)
         inside = push(Y[:, None], F[where[at]], W[where[at]])
         _note(best, alive, inside, part, step)
         Y = inside[:, -1]
@@ -240,12 +265,12 @@ def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
     best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
 
 
-def supremum(problem: WindowProblem, finer: int = 1, until: float = np.inf) -> tuple[Peak, Peak]:
+def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -> tuple[Peak, Peak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
     for the checker to prove, which names a window where something was missed. `finer` multiplies both grids; the look
-    ends at `until` with what it has.
+    ends with what it has where the `work` is used up.
     """
     index, remaining = problem.sample_starts()
     steady = None if problem.period is None else periodic_riccati_solution(problem)
@@ -253,13 +278,13 @@ def supremum(problem: WindowProblem, finer: int = 1, until: float = np.inf) -> t
     parts = np.arange(1, 4 * finer + 1) / (4 * finer)
     more = np.repeat(np.arange(problem.count), inner.size)
     starts = problem.reach[more] * np.tile(inner / (inner.size + 1), problem.count)
-    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, until=until)
+    found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, work=work)
     own, others = found[: index.size], found[index.size :]
     if steady is not None:
-        own.append(long_run(problem, steady, max(own, key=_value), until))
-    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size, until)
+        own.append(long_run(problem, steady, max(own, key=_value), work))
+    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size, work)
     anywhere = max([*others, at_sample], key=_value)
-    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size, until)
+    anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size, work)
     return max(anywhere, at_sample, key=_value), at_sample
 
 
@@ -267,7 +292,7 @@ def _value(peak: Peak) -> float:
     return peak.value
 
 
-def long_run(problem: WindowProblem, steady: Array, best: Peak, until: float = np.inf) -> Peak:
+def long_run(problem: WindowProblem, steady: Array, best: Peak, work: Work | None = None) -> Peak:
     """Return `best`, or where the periodic solution exceeds it: a window followed until it reaches that."""
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
@@ -280,22 +305,24 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak, until: float = n
     found = best
     while found.value < (1 - ATTAINED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
         laps *= 4
-        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count, until=until)[0]
-        if time.thread_time() > until:
+        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count, work=work)[0]
+        if work is not None and work.over:
             break
     return max(found, best, key=_value)
 
 
-def refine(problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25, until: float = np.inf) -> Peak:
+def refine(
+    problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25, work: Work | None = None
+) -> Peak:
     """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
     for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):
-        if time.thread_time() > until:
+        if work is not None and work.over:
             break
         lowest = max(peak.remaining - width, 0.0)
         highest = min(peak.remaining + width, float(problem.reach[peak.index]))
         starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
         parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 5)
-        found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0))
+        found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0), work=work)
         peak = max([peak, *found], key=_value)
         width, time_width = width / 3, time_width / 2
     return peak

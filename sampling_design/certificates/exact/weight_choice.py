@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,6 +17,7 @@ from sampling_design.certificates.exact.canonical import Canonical
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
+from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
 
@@ -60,9 +60,11 @@ DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
-LONGEST_SEARCH = 7.0
-"""CPU seconds after which the search ends with the best shape that it has: any shape within the budget is proven
-afterwards, or not."""
+SEARCH_WORK, RATE_WORK = 5e6, 3e6
+"""Work, about microseconds, after which the search of weights (of a rate alone) ends with the best that it has: any
+shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on every machine."""
+STEP_WORK = 30
+"""Work of one step of a descent, per variable, beside that of its windows."""
 COMPARED = 1.15
 """Shapes whose horizon is within this factor of the best one's are compared by their exact lambda."""
 
@@ -123,12 +125,12 @@ class WeightSearch:
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
-        self.until = time.thread_time() + LONGEST_SEARCH
+        self.work = Work(SEARCH_WORK)
 
     @property
     def late(self) -> bool:
         """Whether the search should end with what it has."""
-        return time.thread_time() > self.until
+        return self.work.over
 
     def setting(self, eta: float) -> Setting:
         """The windows of one rate and the demand on P1."""
@@ -140,7 +142,7 @@ class WeightSearch:
 
     def _setting(self, eta: float) -> Setting:
         canon, n = self.canon, self.canon.plant.n_states
-        windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
+        windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta), self.work)
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
         along = np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0)
@@ -208,7 +210,7 @@ class WeightSearch:
             )
             steps, status = int(found.nit), str(found.message)
         except _Late:
-            steps, status = 0, f"the search ended after {LONGEST_SEARCH:g} s with the best that it had"
+            steps, status = 0, "the search has used its work, and ended with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
             steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
         if not state.best.size or not np.isfinite(state.value):
@@ -222,7 +224,7 @@ def _value(choice: Choice) -> float:
 
 
 class _Late(Exception):
-    """The search has used its time."""
+    """The search has used its work."""
 
 
 class _State:
@@ -260,6 +262,7 @@ class _State:
             return self.known[1:]
         if self.search.late:
             raise _Late
+        self.search.work.spend(STEP_WORK * z.size)
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
         # what counts is the least horizon with the constraints kept, at whatever ln lam the windows then need
@@ -344,8 +347,8 @@ def choose_weights(
     -----
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
-    every shape met is scaled to the budget asked for. A local optimum, never evidence. After `LONGEST_SEARCH` of CPU
-    time no further descent begins and the one that runs ends.
+    every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
+    descent begins and the one that runs ends.
 
     Raises
     ------
@@ -406,21 +409,30 @@ def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: f
 
 
 def choose_rate(canon: Canonical, P2: Array, bounds: tuple[float, float], progress: Progress | None = None) -> float:
-    """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best."""
+    """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best.
+
+    After `RATE_WORK` it is the best that was met.
+    """
     report = progress or (lambda fraction, message: None)
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
-    n = canon.plant.n_states
+    n, work, met = canon.plant.n_states, Work(RATE_WORK), dict[float, float]()
 
     def horizon(log_rate: float) -> float:
         rate = float(np.exp(log_rate))
         report(0.5, f"rate {rate:.3g}")
+        if work.over:
+            raise _Late
         try:
             problem = window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, rate)
-            return max(float(WindowSet.of(problem).log_lambda(root)[0].max()), 0.0) / rate
+            met[rate] = max(float(WindowSet.of(problem, work).log_lambda(root)[0].max()), 0.0) / rate
         except (SolverError, np.linalg.LinAlgError):
-            return np.inf
+            met[rate] = np.inf
+        return met[rate]
 
     grid = np.log(np.geomspace(*bounds, SCAN))
-    k = int(np.argmin([horizon(rate) for rate in grid]))
-    found = minimize_scalar(horizon, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, SCAN - 1)]), options={"xatol": 1e-3})
-    return float(np.exp(found.x))
+    try:
+        k = int(np.argmin([horizon(rate) for rate in grid]))
+        ends = grid[max(k - 1, 0)], grid[min(k + 1, SCAN - 1)]
+        return float(np.exp(minimize_scalar(horizon, bounds=ends, options={"xatol": 1e-3}).x))
+    except _Late:
+        return min(met, key=lambda rate: met[rate])

@@ -6,13 +6,14 @@ eigenvector e of L'YL (P2 = L L') the gradient of lambda in P2 is lambda a a' - 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution, push, update
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+from sampling_design.checkers.work import Work
 
 Array = npt.NDArray[np.float64]
 
@@ -27,6 +28,8 @@ ACTIVE = 0.05
 SHARPNESS = 100.0
 """Exponent of the smooth maximum over a window's times: it exceeds the true one by ln(times)/100 at most."""
 PARTS = (0.5, 1.0)
+SET_UP = 1000
+"""Work, about microseconds, of a set of windows before any is followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +41,10 @@ class WindowSet:
     head: tuple[Array, Array]
     inside: tuple[Array, Array]
     steady: Array | None
+    work: Work = field(default_factory=lambda: Work(np.inf))
 
     @classmethod
-    def of(cls, problem: WindowProblem) -> WindowSet:
+    def of(cls, problem: WindowProblem, work: Work | None = None) -> WindowSet:
         """Sample starts and starts in the middle of each gap; where these are too many, evenly chosen ones."""
         index, remaining = problem.sample_starts()
         index = np.append(index, np.arange(problem.count))
@@ -50,11 +54,13 @@ class WindowSet:
             order = np.argsort(-remaining, kind="stable")
             chosen = order[np.linspace(0, order.size - 1, most).astype(int)]
             index, remaining = index[chosen], remaining[chosen]
+        work = Work(np.inf) if work is None else work
+        work.spend(SET_UP + 100 * problem.count)
         parts = np.asarray(PARTS)
         F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
         shape = (problem.count, parts.size, problem.size, problem.size)
         steady = None if problem.period is None else periodic_riccati_solution(problem)
-        return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady)
+        return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady, work)
 
     def least_floor(self, size: Array) -> float:
         """The largest eigenvalue of size Y size in the long run (finite: of the windows without prior error).
@@ -93,6 +99,7 @@ class WindowSet:
             if not alive.any():
                 break
             at = (at + 1) % problem.count
+            self.work.spend((40 + at.size * problem.size) * (2 if gains else 1))
             for part in range(len(PARTS)):
                 F, W = self.inside[0][at, part], self.inside[1][at, part]
                 Y, Phi = push(following, F, W), F @ gain_free if gains else Phi

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from sampling_design._record import Plain, Record, short
 from sampling_design.checkers import check
 from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.work import Work
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,6 +65,6 @@ class Verification(Record):
         return f"{self.verdict.capitalize()}: {self.reason}"
 
 
-def verdict_of(data: Tree) -> Verification:
-    """Return the verdict of the independent checker on the plain data of a certificate."""
-    return Verification(**check(data))
+def verdict_of(data: Tree, work: Work | None = None) -> Verification:
+    """Return the verdict of the independent checker on the plain data of a certificate; it does at most this work."""
+    return Verification(**check(data, work))

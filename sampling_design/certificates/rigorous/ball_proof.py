@@ -39,7 +39,9 @@ POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
 
 
-def settled(frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float) -> tuple[list[Array], float]:
+def settled(
+    frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float, clock: Clock
+) -> tuple[list[Array], float]:
     """Return Y after each sample of the last lap with inflated noise, in floats, and its largest eigenvalue on the lap.
 
     Raises
@@ -51,6 +53,7 @@ def settled(frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float) -
     kept: list[Array] = [I] * laps.N
     for lap in range(1, LAPS + 1 if laps.periodic else 2):
         before, worst, whole = Y, 0.0, I
+        clock.check(60.0 * laps.N)
         for i, (F, W) in enumerate(flows):
             Y = F @ Y @ F.T + W
             worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
@@ -99,7 +102,7 @@ class BallWindows:
         """Find and prove a family B_i that the recursion maps below itself and that stays below I."""
         for inflation in INFLATIONS:
             try:
-                Z, worst = settled(self.frame, self.flows, inflation)
+                Z, worst = settled(self.frame, self.flows, inflation, self.clock)
             except (ArithmeticError, np.linalg.LinAlgError):
                 continue
             for power in POWERS if worst < 1 else ():

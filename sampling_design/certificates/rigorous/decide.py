@@ -31,15 +31,32 @@ from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.grammar import certificate
 from sampling_design.checkers.strict import Altered, BadFile, Tree
+from sampling_design.checkers.work import Work
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
 NEAR = 1e-9
 """Samples this close to the ends of the witness's window, relative to t, are the ends: limits from inside are meant."""
-HANDED_OVER = 10.0
-"""Most seconds that balls take for what was only asked of floats: what is tight stays undecided for ever."""
+HANDED_OVER = 1e7
+"""Most work, about microseconds, that balls do for what was only asked of floats: what is tight stays undecided for
+ever."""
 PATIENCE = 6
 """Halvings of a cell of window starts after which a counterexample is looked for."""
+
+
+class CountedClock(Clock):
+    """A budget in counted work beside that in seconds: it ends at the same place on every machine."""
+
+    def __init__(self, seconds: float, work: Work) -> None:
+        super().__init__(seconds)
+        self.work = work
+
+    def check(self, price: float = 0.0) -> None:
+        """Raise OutOfTime once either budget is spent."""
+        self.work.spend(price)
+        if self.work.over:
+            raise OutOfTime("the work ran out")
+        super().check()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,10 +93,10 @@ def judged(data: Tree, rigorous: bool, budget: float) -> Verification:
     found = None if rigorous else verdict_of(data)
     if found is not None and (found.verdict != "undecided" or find_spec("flint") is None):
         return found
-    return verify_rigorously(data, budget if rigorous else min(budget, HANDED_OVER))
+    return verify_rigorously(data, budget, None if rigorous else Work(HANDED_OVER))
 
 
-def verify_rigorously(data: Tree, budget: float = 60.0) -> RigorousVerification:
+def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None) -> RigorousVerification:
     """Decide in ball arithmetic whether what a certificate file states is true.
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
@@ -90,6 +107,8 @@ def verify_rigorously(data: Tree, budget: float = 60.0) -> RigorousVerification:
         Plain data of the file.
     budget : float [seconds]
         When it runs out the verdict is "undecided".
+    work : Work, optional
+        Counted instead of timed, and likewise "undecided" when it runs out.
 
     Returns
     -------
@@ -109,7 +128,8 @@ def verify_rigorously(data: Tree, budget: float = 60.0) -> RigorousVerification:
     in floats and proven by the pivots of L D L' in balls.
     """
     flint()
-    began, clock = time.perf_counter(), Clock(budget)
+    began = time.perf_counter()
+    clock = Clock(budget) if work is None else CountedClock(budget, work)
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision():
@@ -117,7 +137,8 @@ def verify_rigorously(data: Tree, budget: float = 60.0) -> RigorousVerification:
     except Unproven as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
     except OutOfTime:
-        found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": f"{budget:g} s were not enough"}
+        reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
+        found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": reason}
     except np.linalg.LinAlgError as error:
         found |= {
             "verdict": "undecided",

@@ -61,7 +61,7 @@ class BallIntervals:
         first, length = _ball(low), _ball(high - low)
         pending = [(flow.step(start, first), first, length, 0)]
         while pending:
-            self.clock.check()
+            self.clock.check(150 + frame.n**3)
             Y, at, length, depth = pending.pop()
             bound = self._bound(Y, length, which)
             if bound <= 1:

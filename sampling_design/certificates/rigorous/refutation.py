@@ -81,7 +81,7 @@ class RefutationSearch:
         laps, found, before, parts = self.laps, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
         for k in range(1, LAPS * laps.N + 1):
             at = (i + k - 1) % laps.N
-            self.clock.check()
+            self.clock.check(100 + r.size * PARTS * self.frame.n)
             Y, after = self.sampled(Y, at), laps.after(at)
             if not laps.periodic and at + 1 == laps.N:
                 break
@@ -102,7 +102,7 @@ class RefutationSearch:
 
     def value(self, i: int, r: float, k: int, s: float) -> float:
         """Largest eigenvalue of Y at a point."""
-        self.clock.check()
+        self.clock.check(40.0 * (k + 1))
         Y = self.step(floats(self.frame.start), r)
         for j in range(k):
             Y = self.sampled(Y, (i + j) % self.laps.N)

@@ -1,0 +1,25 @@
+"""How much may be done: counted and never timed, so that a call ends in the same way on every machine."""
+
+MOST_WORK = 1e7  # of one check
+
+
+class Work:
+    """Operations that are left, in units of about a microsecond; what a share of it spends counts here too."""
+
+    def __init__(self, most: float, whole: "Work | None" = None) -> None:
+        self.left, self.whole = most, whole
+
+    def spend(self, amount: float) -> None:
+        """Count what is about to be done."""
+        self.left -= amount
+        if self.whole is not None:
+            self.whole.spend(amount)
+
+    def share(self, most: float) -> "Work":
+        """A part of what is left, at most this much."""
+        return Work(min(most, self.left), self)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left."""
+        return self.left <= 0

@@ -121,7 +121,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
     """The periodic solution by composing periods, twice as many in each step."""
     lap = _lap(problem, flows)
-    Y = lap[1]
+    Y = _apply(lap, np.eye(problem.size))  # from 0 a growing mode without disturbance would stay there
     for _ in range(MAX_DOUBLINGS):
         with np.errstate(
             over="ignore", invalid="ignore"

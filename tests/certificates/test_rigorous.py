@@ -368,7 +368,7 @@ def test_a_recursion_that_grows_has_no_family():
         frame = BallFrame(weights, BallLaps(made_up["times"], 1), weights.P2, "aliased")
         flows = BallWindows(frame, Clock(60.0)).flows
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
-            settled(frame, flows, 1e-2)
+            settled(frame, flows, 1e-2, Clock(60.0))
 
 
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):

@@ -174,7 +174,7 @@ def test_lying(monkeypatch):
     room, believed = certify.__globals__, Verification(True, "", None, None, 1.0, "", verdict="proven")
     made = room["_made"]
     monkeypatch.setitem(room, "_made", lambda *a: dataclasses.replace(made(*a), P1=[[1.0]]))
-    monkeypatch.setitem(room, "verdict_of", lambda data: believed)
+    monkeypatch.setitem(room, "verdict_of", lambda data, work=None: believed)
     assert certify(sd.Plant([[0.2]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0]])
 """
 

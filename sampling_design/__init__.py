@@ -16,6 +16,7 @@ _FRONT_DOOR = {
     "errors": ("SamplingDesignError", "ArgumentError"),
     "plants.plant": ("Plant", "Signals"),
     "plants.modes": ("split_modes",),
+    "plants.sparse": ("SparsePlant", "split_sparse"),
     "plants.files": ("read_plant", "write_plant"),
     "plants.library": ("named_plant",),
     "plants": ("library",),

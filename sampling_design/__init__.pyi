@@ -82,6 +82,8 @@ from sampling_design.plants.library import named_plant as named_plant
 from sampling_design.plants.modes import split_modes as split_modes
 from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
+from sampling_design.plants.sparse import SparsePlant as SparsePlant
+from sampling_design.plants.sparse import split_sparse as split_sparse
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval

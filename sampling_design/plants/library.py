@@ -6,11 +6,13 @@ import difflib
 from collections.abc import Callable
 
 import numpy as np
+from scipy import sparse
 
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.sparse import SparsePlant
 
 # speeds of the tidal constituents [degree/h] and round typical amplitudes [m], of no particular gauge
 TIDES = {
@@ -372,3 +374,75 @@ def named_plant(name: str) -> Plant:
             f"`name` must be a plant of the library, got {name!r}. Did you mean {near!r}? All: {', '.join(PLANTS)}."
         )
     return PLANTS[name]()
+
+
+def heat_plate(side: int = 100, *, sensors: int = 4) -> SparsePlant:
+    """Return an insulated square plate of `side` x `side` cells, its temperature measured at a few of them.
+
+    Edge 1 m, diffusivity 1e-4 m^2/s, time in minutes: x' = k Laplacian x, Neumann boundary. Its eigenvalues are sums
+    of two of -4 k side^2 sin^2(pi j/(2 side)), j = 0 .. side - 1, and most appear twice.
+
+    Examples
+    --------
+    >>> heat_plate(10).n_states
+    100
+    """
+    side = _checks.whole("side", side, 2)
+    sensors = _checks.whole("sensors", sensors, 1)
+    ring = np.ones(side)
+    ring[[0, -1]] = 0.5
+    line = sparse.diags_array([np.ones(side - 1), -2 * ring, np.ones(side - 1)], offsets=[-1, 0, 1])
+    eye = sparse.eye_array(side)
+    cells = (side * ((np.arange(sensors) * 7 + 3) % side) + (np.arange(sensors) * 4 + 1) % side) % side**2
+    C = sparse.csr_array((np.ones(sensors), (np.arange(sensors), cells)), shape=(sensors, side**2))
+    return SparsePlant(
+        60 * 1e-4 * side**2 * (sparse.kron(line, eye) + sparse.kron(eye, line)),
+        C,
+        time_unit="min",
+        name="heat_plate",
+        outputs=Signals(tuple(f"T{i + 1}" for i in range(sensors)), ("K",) * sensors),
+    )
+
+
+def droop_network(nodes: int = 2000, *, meters: int = 6, seed: int = 1) -> SparsePlant:
+    """Return a grid-like network of droop-controlled sources: d_i theta_i' = -sum b_ij (theta_i - theta_j) + w.
+
+    Nodes at random in the plane, joined to near neighbours as lines of a transmission grid are (Delaunay edges, the
+    longest left out); phase angles measured at a few nodes. d_i in 0.5 to 2 s, b_ij in 0.5 to 2. One mode stays, the
+    angle that all share, and the slow ones sway between regions.
+
+    References
+    ----------
+    Simpson-Porco, Doerfler, Bullo, Automatica 49(9), 2013 (droop-controlled networks).
+
+    Examples
+    --------
+    >>> droop_network(50).n_states
+    50
+    """
+    from scipy.spatial import Delaunay
+
+    nodes = _checks.whole("nodes", nodes, 10)
+    meters = _checks.whole("meters", meters, 1)
+    rng = np.random.default_rng(_checks.whole("seed", seed))
+    places = rng.uniform(size=(nodes, 2))
+    corners = Delaunay(places).simplices
+    pairs = np.unique(
+        np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]]), axis=1), axis=0
+    )
+    length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    tree = sparse.csgraph.minimum_spanning_tree(sparse.csr_array((length, pairs.T), shape=(nodes, nodes))).tocoo()
+    near = pairs[length <= np.quantile(length, 0.7)]
+    edges = np.unique(np.concatenate([near, np.sort(np.stack([tree.row, tree.col], axis=1), axis=1)]), axis=0)
+    b = rng.uniform(0.5, 2.0, len(edges))
+    W = sparse.csr_array((b, edges.T), shape=(nodes, nodes))
+    W = W + W.T
+    chosen = np.sort(rng.choice(nodes, meters, replace=False))
+    return SparsePlant(
+        W - sparse.diags_array(np.asarray(W.sum(axis=1)).ravel()),
+        sparse.csr_array((np.ones(meters), (np.arange(meters), chosen)), shape=(meters, nodes)),
+        rng.uniform(0.5, 2.0, nodes),
+        time_unit="s",
+        name="droop_network",
+        outputs=Signals(tuple(f"angle_{i}" for i in chosen), ("rad",) * meters),
+    )

@@ -33,7 +33,7 @@ def draw_estimates(
 
 
 def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None) -> Axes:
-    t, x, radius = record.times, record.x[:, i], record.radii[:, i]
+    t, x, radius = record.times, record.x[:, i], record.ellipsoid_radii[:, i]
     known = np.isfinite(radius) & record.certified
     low, high = np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
     ax.fill_between(t, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the truth")

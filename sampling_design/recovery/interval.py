@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,57 +11,111 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._linalg import discounted_flow, expm_batch
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.between import open_integral
-from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.chain import ChainSample, Gap, SampleChain, make_gap, noise_units, state_scales
-from sampling_design.recovery.program import ConeWindow
-from sampling_design.recovery.riccati import updated
+from sampling_design.recovery.bounds import Bound, SignalBounds
+from sampling_design.recovery.gap_table import GapTable
+from sampling_design.recovery.readings import Arrived, Push, Readings, Row, StartError, arrived, gathered
+from sampling_design.recovery.record_program import SPREADS, End, RecordProgram
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
-from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
-Arrived = tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]
-
-DIFFUSE = 1e6
-"""Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
-
-COARSE = 2e-2
-"""Share of the curvature that cells may lose here: gains are second order in it, and more cells cost time."""
-
-LOOSE = 1e-6
-"""Tolerance asked of the solver here: gains are second order in it, too."""
 
 DISPROVED = 1e-9
 """A contradiction must exceed this share of its terms before the bounds count as disproved."""
 
+KEPT = 1e-9
+"""Share of its width within which an end is that of its gains when it is evaluated anew."""
 
-@dataclass(frozen=True, eq=False)
-class Data:
-    """Measurements in order of time, with what they would read without error.
+MOSTLY = 0.9
+"""Share of a contradiction that the samples named with it make."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Disproof(Record):
+    """Why the data contradict the bounds: gains for the row 0, whose bound would have to be negative.
+
+        0 <= sum lambda'(y - ybar) + theta b(lambda)
 
     Attributes
     ----------
-    times : (K,) array
-    start : float
-    y : (K, p) array
-        Less D u and C times the nominal state; NaN where not measured.
-    nominal : (n,) array
-        The nominal state at the last sample: the prior's centre, flown with the inputs.
-    size : (n,) array or None
-        Half-widths of the error at the start (equal ones: a Euclidean bound, if `ball`); None: nothing is known.
+    readings : Readings
+    factors : dict of str to float
+        The least factor by which all bounds together ("all"), that on w alone ("w") or those on v alone ("v") would
+        have to grow; infinity where no factor suffices. Each is proven by its gains.
+    gains : dict of str to (R,) arrays
+        One number for each row that was read.
+    scales : (n,) array
+        Sizes of the states in which the proof's integrals are evaluated; any will do.
     """
 
-    times: Array
-    start: float
-    y: Array
-    nominal: Array
-    size: Array | None
-    ball: bool
+    readings: Readings
+    factors: dict[str, float]
+    gains: dict[str, Array]
+    scales: Array = field(repr=False)
+
+    @property
+    def times(self) -> Array:
+        """Times of the samples that make nine tenths of it, the strongest first."""
+        return freeze(self.readings.times[self._strongest])
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """The same samples, counted from 0 among all times at which something was read."""
+        sampled = np.cumsum(np.diff(self.readings.offsets) > 0) - 1
+        return np.asarray(sampled[self._strongest])
+
+    @property
+    def _strongest(self) -> npt.NDArray[np.intp]:
+        shares = np.zeros(len(self.readings.times))
+        np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
+        if not shares.any():
+            np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"] * self.readings.shown))
+        order = np.argsort(-shares, kind="stable")
+        count = int(np.searchsorted(np.cumsum(shares[order]), MOSTLY * shares.sum())) + 1
+        return np.asarray(order[:count])
+
+    def verify(self) -> bool:
+        """Whether the gains prove the factors, evaluated without a solver."""
+        program = _program(self.readings, self.scales)
+        return all(
+            factor <= 0 or program.growth(which, self.gains[which]) >= factor * (1 - KEPT)
+            for which, factor in self.factors.items()
+        )
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.readings.plant.time_unit
+        return [
+            ("samples at", f"{short(self.times)} {unit}"),
+            ("all bounds", f"{short(self.factors['all'], 3)} times as large at least"),
+            *((f"that on {k} alone", _grown(self.factors[k])) for k in ("w", "v")),
+        ]
+
+    def explain(self) -> str:
+        """Say what contradicts what, and by how much."""
+        when = ", ".join(short(t) for t in self.times[:4])
+        alone = ", ".join(f"that on {k} alone {_grown(self.factors[k])}" for k in ("w", "v"))
+        return (
+            f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to be "
+            f"{short(self.factors['all'], 3)} times as large; {alone}."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; a factor that is infinite becomes None."""
+        return {
+            "times": self.times.tolist(),
+            "factors": {k: float(x) if np.isfinite(x) else None for k, x in self.factors.items()},
+            "gains": {k: x.tolist() for k, x in self.gains.items()},
+        }
+
+
+def _program(readings: Readings, scales: Array) -> RecordProgram:
+    return RecordProgram(readings, GapTable(readings.A, readings.G, scales))
+
+
+def _grown(factor: float) -> str:
+    return f"{short(factor, 3)} times" if np.isfinite(factor) else "never suffices"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,28 +126,46 @@ class Interval(Record):
 
     Attributes
     ----------
+    readings : Readings
+        All that it was made from.
     t : float
     rows : WantedRows
     lower, upper : (r,) arrays
-    contradiction : float
-        0 where the data agree with the bounds; else the least factor by which all bounds together would have to grow,
-        proven by `evidence`.
-    evidence : tuple of arrays
-        Gains of the samples (in units of the noise) for which sum lambda'y exceeds what the bounds allow.
-    samples : (m,) int array
-        The samples that matter most in it, the first ones first.
+    gains : (r, 2, R) array
+        Proof of the upper and of the lower end: one number for each row that was read, in plain units.
+    scales : (n,) array
+        Sizes of the states in which the proof's integrals are evaluated; any will do.
+    outer : (r, 2) array or None
+        Lower and upper ends that are proven elsewhere (an estimator's ellipsoid); where one is the tighter, it is
+        the end.
+    disproof : Disproof or None
+        Where the data contradict the bounds; the ends are NaN then.
     """
 
-    plant: Plant
-    bounds: SignalBounds
-    data: Data
+    readings: Readings
     t: float
     rows: WantedRows
     lower: Array
     upper: Array
-    gains: tuple[tuple[tuple[Array, ...], tuple[Array, ...]], ...] = field(repr=False)
-    contradiction: float = 0.0
-    evidence: tuple[Array, ...] = ()
+    gains: Array = field(repr=False)
+    scales: Array = field(repr=False)
+    outer: Array | None = None
+    disproof: Disproof | None = None
+
+    @property
+    def plant(self) -> Plant:
+        """The plant."""
+        return self.readings.plant
+
+    @property
+    def contradiction(self) -> float:
+        """0 where the data agree with the bounds, else the least factor by which all of them would have to grow."""
+        return 0.0 if self.disproof is None else self.disproof.factors["all"]
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """Samples that make nine tenths of a contradiction, the strongest first."""
+        return np.zeros(0, dtype=np.intp) if self.disproof is None else self.disproof.samples
 
     @property
     def centre(self) -> Array:
@@ -105,15 +177,10 @@ class Interval(Record):
         """Half-widths."""
         return freeze((self.upper - self.lower) / 2)
 
-    @property
-    def samples(self) -> npt.NDArray[np.intp]:
-        """Samples that make nine tenths of a contradiction, the strongest first."""
-        if not self.evidence:
-            return np.zeros(0, dtype=np.intp)
-        share = np.array([float(np.abs(lam).sum()) for lam in self.evidence])[-len(self.data.times) :]
-        order = np.argsort(-share, kind="stable")
-        count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
-        return np.asarray(order[:count])
+    def radii_from(self, z: npt.ArrayLike) -> Array:
+        """Return the distance from an estimate z (r,) of the rows to the far ends: what its error is at most."""
+        z = _checks.vector("z", z, len(self.rows))
+        return freeze(np.maximum(self.upper - z, z - self.lower))
 
     def holds(self, truth: npt.ArrayLike) -> bool:
         """Whether rows of the state `truth` lie in their intervals."""
@@ -122,37 +189,32 @@ class Interval(Record):
 
     def verify(self) -> bool:
         """Whether the gains prove both ends (or the contradiction), evaluated without a solver."""
-        engine = Engine(self.plant, self.bounds, self.data)
-        if self.contradiction:
-            return engine.factor(list(self.evidence)) >= self.contradiction * (1 - DISPROVED)
-        for k, (high, low) in enumerate(self.gains):
-            up, down = (
-                engine.end(self.t, self.rows.matrix[k], list(high)),
-                engine.end(self.t, -self.rows.matrix[k], list(low)),
-            )
-            slack = DISPROVED * max(abs(self.upper[k]), abs(self.lower[k]))
-            if up > self.upper[k] + slack or -down < self.lower[k] - slack:
-                return False
+        if self.disproof is not None:
+            return bool(np.isnan(self.upper).all()) and self.disproof.verify()
+        program = _program(self.readings, self.scales)
+        ends = np.array([self.lower, self.upper]).T
+        for k, row in enumerate(self.rows.matrix):
+            for side, sign in enumerate((1.0, -1.0)):
+                own = program.upper(self.t, sign * row, self.gains[k, side])
+                proven = own.value
+                if self.outer is not None:
+                    proven = min(proven, sign * self.outer[k, 1 - side])
+                if not proven <= sign * ends[k, 1 - side] + KEPT * (self.upper[k] - self.lower[k]):
+                    return False
         return True
 
     def _rows(self) -> list[tuple[str, str]]:
-        lines = [("t", f"{short(self.t)} {self.plant.time_unit}"), ("samples", str(self.data.times.size))]
-        if self.contradiction:
-            return [
-                *lines,
-                ("contradiction", f"all bounds would have to be {short(self.contradiction, 3)} times as large"),
-            ]
+        count = int(np.sum(np.diff(self.readings.offsets) > 0))
+        lines = [("t", f"{short(self.t)} {self.plant.time_unit}"), ("samples", str(count))]
+        if self.disproof is not None:
+            return [*lines, *self.disproof._rows()]
         ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
         return [*lines, *((label, f"{short(a)} to {short(b)}") for label, a, b in ends)]
 
     def explain(self) -> str:
         """Say what the data prove."""
-        if self.contradiction:
-            when = ", ".join(short(self.data.times[k]) for k in self.samples[:4])
-            return (
-                f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to "
-                f"be {short(self.contradiction, 3)} times as large."
-            )
+        if self.disproof is not None:
+            return self.disproof.explain()
         ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
         return "The data prove " + ", ".join(f"{n} from {short(a, 4)} to {short(b, 4)}" for n, a, b in ends) + "."
 
@@ -160,137 +222,13 @@ class Interval(Record):
         """Plain data; what is unbounded becomes None."""
         return {
             "t": self.t,
-            "rows": list(self.rows.names),
+            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
             "lower": [float(x) if np.isfinite(x) else None for x in self.lower],
             "upper": [float(x) if np.isfinite(x) else None for x in self.upper],
             "contradiction": self.contradiction,
-            "gains": [[[lam.tolist() for lam in side] for side in pair] for pair in self.gains],
-            "evidence": [lam.tolist() for lam in self.evidence],
+            "gains": self.gains.tolist(),
+            "disproof": None if self.disproof is None else self.disproof.to_dict(),
         }
-
-
-class Engine:
-    """The program of one record, posed once; every row and both its ends are solves of it.
-
-    `gaps` keeps gaps by length, for records that grow or slide in the same coordinates.
-    """
-
-    def __init__(self, plant: Plant, bounds: SignalBounds, data: Data, coordinates: Array | None = None):
-        self.plant, self.bounds, self.data = plant, bounds, data
-        merged = data.times.size > 0 and data.times[0] == data.start
-        marks = data.times if merged else np.concatenate([[data.start], data.times])
-        lengths = np.diff(marks)
-        balance = balanced_schur(plant.A).d
-        A = plant.A * balance / balance[:, None]
-        G = plant.G * bounds.w / balance[:, None]
-        F, W = discounted_flow(A, G @ G.T, lengths) if lengths.size else (np.zeros((0, *A.shape)),) * 2
-        W = W * (float(np.mean(lengths)) if lengths.size else 1.0)
-        rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
-        D = self._scales(F, W, rows, merged)
-        A, G, F, W = A * D / D[:, None], G / D[:, None], F * D / D[:, None], W / np.outer(D, D)
-        rows = [H * D for H in rows]
-        self.D = balance * D
-        L = self._root(F, W, rows, merged)
-        count = len(lengths) + 1
-        gaps = self._gaps(A, G, lengths, L, F)
-        no_gain: Array = np.zeros((len(A), 0))
-        blank = ChainSample(
-            np.zeros(0, dtype=np.intp),
-            np.zeros(0),
-            np.zeros((0, A.shape[0])),
-            np.zeros(0, bool),
-            no_gain,
-        )
-        measured = self._samples(rows, sizes, exact, L, gaps, merged)
-        samples = tuple(measured if merged else [blank, *measured])
-        self.chain = SampleChain(plant, bounds, self.D, np.broadcast_to(L, (count, *L.shape)), A, G, samples, gaps)
-        start = StartSet(None, False)
-        if data.size is not None:
-            start = StartSet(
-                self.D[:, None] * L / np.where(data.size > 0, data.size, NO_ERROR * self.D)[:, None], data.ball
-            )
-        shown = [data.y[k, s.outputs] / s.size for k, s in enumerate(measured)]
-        self.window = ConeWindow(
-            self.chain, list(range(count)), start, shown if merged else [np.zeros(0), *shown], LOOSE
-        )
-
-    def _scales(self, F: Array, W: Array, rows: list[Array], merged: bool) -> Array:
-        if not len(F):
-            return np.ones(self.plant.n_states)
-        ahead = rows if merged else [np.zeros((0, self.plant.n_states)), *rows]
-        return state_scales(F, W, ahead[:-1])
-
-    def _root(self, F: Array, W: Array, rows: list[Array], merged: bool) -> Array:
-        """One root of the filter's covariance at the last sample: the coordinates of the whole record."""
-        P = np.eye(len(self.D)) * DIFFUSE
-        if self.data.size is not None:
-            P = np.diag((np.where(self.data.size > 0, self.data.size, 1e-3 * self.D) / self.D) ** 2)
-        steps = list(zip(F, W, strict=True))
-        if merged:
-            P = updated(P, rows[0].T @ rows[0])
-        for (f, w), H in zip(steps, rows[1:] if merged else rows, strict=True):
-            P = f @ P @ f.T + w
-            P = updated(P, H.T @ H)
-        return np.asarray(np.linalg.cholesky(P + 1e-13 * np.diag(np.diag(P))))
-
-    def _gaps(self, A: Array, G: Array, lengths: Array, L: Array, F: Array) -> tuple[Gap, ...]:
-        known: dict[float, Gap] = {}
-        for h, f in zip(lengths, F, strict=True):
-            if float(h) not in known:
-                known[float(h)] = make_gap(A, G, float(h), L, L, f, COARSE)
-        return tuple(known[float(h)] for h in lengths)
-
-    def _samples(
-        self,
-        rows: list[Array],
-        sizes: list[Array],
-        exact: list[npt.NDArray[np.bool_]],
-        L: Array,
-        gaps: tuple[Gap, ...],
-        merged: bool,
-    ) -> list[ChainSample]:
-        """Samples with the gains of the filter, in the coordinates of the record."""
-        found, n = [], len(L)
-        P = np.eye(n) * DIFFUSE
-        for j, H in enumerate(rows):
-            if j or not merged:
-                gap = gaps[j - merged]
-                P = gap.F @ P @ gap.F.T + np.einsum("mnq,mkq->nk", gap.cells, gap.cells)
-            Hz = H @ L
-            gain = np.asarray(np.linalg.solve(Hz @ P @ Hz.T + np.eye(len(Hz)), Hz @ P).T, dtype=np.float64)
-            P = updated((P + P.T) / 2, Hz.T @ Hz)
-            found.append(ChainSample(self.bounds.measured(j), sizes[j], Hz, exact[j], gain))
-        return found
-
-    def ahead(self, t: float, row: Array) -> tuple[Array, float, float]:
-        """Phi(d)'c in the coordinates of the last sample, a bound on what w adds until t, and c'Phi(d)xbar."""
-        last = self.data.times[-1] if self.data.times.size else self.data.start
-        flown = row @ self.plant.transition(t - last) if t > last else row
-        added = open_integral(self.chain, t - last, row) if t > last else 0.0
-        mu = self.chain.mu(len(self.chain) - 1, flown[None])[:, 0]
-        return mu, added, float(flown @ self.data.nominal)
-
-    def end(self, t: float, row: Array, gains: list[Array]) -> float:
-        """The upper end that given gains prove, no solver."""
-        mu, added, nominal = self.ahead(t, row)
-        return nominal + added + self.window.upper(mu, gains).value
-
-    def solve(self, t: float, row: Array) -> tuple[float, tuple[Array, ...]]:
-        """The upper end of a row at t, and the gains that prove it."""
-        mu, added, nominal = self.ahead(t, row)
-        found = self.window.gains(mu)
-        return nominal + added + found.value, found.gains
-
-    def factor(self, gains: list[Array]) -> float:
-        """The factor by which bounds must grow for the data, as given gains for the row 0 prove it."""
-        zero = np.zeros(len(self.D))
-        shown = sum(float(lam @ y) for lam, y in zip(gains, self.window.data or [], strict=True))
-        allowed = self.window.upper(zero, gains).value - shown
-        return -shown / allowed if allowed > 0 else (np.inf if shown < 0 else 0.0)
-
-
-NO_ERROR = 1e-9
-"""Half-width of an entry that is known exactly at the start, in scaled coordinates."""
 
 
 @door
@@ -299,8 +237,8 @@ def interval(
     record: Iterable[Arrived],
     t: float | None = None,
     *,
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
     initial_error: npt.ArrayLike | None = None,
     prior: npt.ArrayLike | None = None,
     prior_time: float | None = None,
@@ -315,8 +253,9 @@ def interval(
         In order of time; y is NaN where not measured, u holds from t on.
     t : float, optional
         At or after the last sample; default the last sample.
-    w_bound, v_bound : float or array
-        As for `accuracy`; `v_bound` may have a row for each sample.
+    w_bound, v_bound : float, array, mapping, or for v a function of time
+        As for `accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold pairs
+        (lower, upper); `v_bound` may have a row for each sample.
     initial_error : float or (n,) array, optional
         Bound on |x - prior| at `prior_time`, Euclidean or entry by entry. Default: nothing is known.
     prior : (n,) array, optional
@@ -353,92 +292,101 @@ def interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    data = read_record(plant, record, prior, prior_time, initial_error)
-    if not data.times.size:
-        raise ArgumentError("`record` must hold at least one measurement, got none.")
-    at = float(data.times[-1]) if t is None else _checks.number("t", t)
-    if at < data.times[-1]:
-        raise ArgumentError(f"`t` must not lie before the last sample {float(data.times[-1])!r}, got {at!r}.")
-    bounds = SignalBounds.of(plant, data.times.size, np.isfinite(data.y), w_bound, v_bound)
-    return prove(Engine(plant, bounds, data), at, wanted_rows(plant, of))
+    readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
+    last = float(readings.times[-1])
+    at = last if t is None else _checks.number("t", t)
+    if at < last:
+        raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
+    return prove(RecordProgram(readings), at, wanted_rows(plant, of))
 
 
-def prove(engine: Engine, t: float, rows: WantedRows) -> Interval:
+def prove(program: RecordProgram, t: float, rows: WantedRows, outer: Array | None = None) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
-    lower, upper, gains = [], [], []
-    for row in rows.matrix:
-        (high, up), (low, down) = engine.solve(t, row), engine.solve(t, -row)
-        if engine.window.infeasible or high < -low - DISPROVED * max(abs(high), abs(low)):
-            evidence = engine.window.least_scale()
-            factor = engine.factor(evidence)
-            if factor > 1 + DISPROVED:
-                nothing = freeze(np.full(len(rows), np.nan))
-                return Interval(
-                    engine.plant, engine.bounds, engine.data, t, rows, nothing, nothing, (), factor, tuple(evidence)
-                )
-        lower.append(-low)
-        upper.append(high)
-        gains.append((up, down))
-    return Interval(engine.plant, engine.bounds, engine.data, t, rows, freeze(lower), freeze(upper), tuple(gains))
+    ends = [program.solve(t, row) for row in rows.matrix]
+    readings = program.readings
+    if program.infeasible or any(_crossed(up, down) for up, down in ends):
+        found = disprove(program)
+        if found is not None:
+            nothing = freeze(np.full(len(rows), np.nan))
+            gains = freeze(np.zeros((len(rows), 2, len(readings.y))))
+            return Interval(readings, t, rows, nothing, nothing, gains, program.table.D, None, found)
+    lower, upper = np.array([-down.value for _, down in ends]), np.array([up.value for up, _ in ends])
+    if outer is not None:
+        lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])
+    gains = freeze(np.array([(up.gains, down.gains) for up, down in ends]))
+    return Interval(readings, t, rows, freeze(lower), freeze(upper), gains, program.table.D, outer)
 
 
-def _arrived(item: object, p: int) -> tuple[float, Array | None, npt.ArrayLike | None]:
-    """One row of a record, checked."""
-    if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
-        raise ArgumentError(f"`record` must hold rows (t, y, u), got {item!r:.60}.")
-    t = _checks.number("t", item[0])
-    if item[1] is None:
-        return t, None, item[2] if len(item) == 3 else None
-    try:
-        y = np.asarray(item[1], dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError):
-        y = np.full(p + 1, np.nan)
-    if y.size != p or np.isinf(y).any():
-        raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
-    return t, y, item[2] if len(item) == 3 else None
+def _crossed(up: End, down: End) -> bool:
+    return up.value + down.value < -DISPROVED * (up.width + down.width)
+
+
+def disprove(program: RecordProgram) -> Disproof | None:
+    """Return the proof that the readings of a program contradict the bounds; None where there is none."""
+    gains = {which: program.least_growth(which) for which in SPREADS}
+    factors = {which: program.growth(which, gains[which]) for which in SPREADS}
+    if not factors["all"] > 1 + DISPROVED:
+        return None
+    kept = {which: freeze(found) for which, found in gains.items()}
+    return Disproof(program.readings, factors, kept, program.table.D)
 
 
 def read_record(
     plant: Plant,
     record: Iterable[Arrived],
+    w_bound: Bound,
+    v_bound: Bound,
+    initial_error: npt.ArrayLike | None,
     prior: npt.ArrayLike | None,
     prior_time: float | None,
-    initial_error: npt.ArrayLike | None,
-) -> Data:
-    """Return the measurements less what the prior, flown with the inputs, would show."""
-    n, p, m = plant.n_states, plant.n_outputs, plant.n_inputs
-    x = np.array(_checks.vector("prior", np.zeros(n) if prior is None else prior, n))
-    items = [_arrived(item, p) for item in record]
+) -> Readings:
+    """Return what a record says of a plant under bounds as typed by a user.
+
+    Raises
+    ------
+    ArgumentError
+        If the record is empty or not in order, or a bound is missing or of another shape.
+    """
+    centre = _checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
+    items = arrived(record, plant.n_outputs)
     start = items[0][0] if prior_time is None and items else _checks.number("prior_time", prior_time or 0.0)
-    joint = np.zeros((n + m, n + m))
-    joint[:n] = np.hstack([plant.A, plant.B])
-    now, u = start, np.zeros(m)
-    times: list[float] = []
-    shown: list[Array] = []
-    for item in items:
-        t = item[0]
+    samples = _in_order(plant, items, start)
+    if not samples[0]:
+        raise ArgumentError("`record` must hold at least one measurement, got none.")
+    y, times = np.array([values for _, values in samples[0]]), np.array([t for t, _ in samples[0]])
+    bounds = SignalBounds.of(plant, len(y), np.isfinite(y), w_bound, v_bound, times)
+    centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
+    push = Push(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
+    heard = y if bounds.v_centre is None else y - bounds.v_centre
+    rows = [
+        (t, tuple(Row(plant.C[i], values[i], size[i]) for i in np.flatnonzero(np.isfinite(size))))
+        for t, values, size in zip(times.tolist(), heard, bounds.v, strict=True)
+    ]
+    error = StartError.of(plant, initial_error)
+    return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=samples[1])
+
+
+def _in_order(
+    plant: Plant, items: Sequence[tuple[float, Array | None, npt.ArrayLike | None]], start: float
+) -> tuple[list[tuple[float, Array]], tuple[tuple[float, Array], ...]]:
+    """Samples less D u, and inputs."""
+    now, u = start, np.zeros(plant.n_inputs)
+    samples: list[tuple[float, Array]] = []
+    inputs: list[tuple[float, Array]] = []
+    for t, y, given in items:
         if t < now:
             raise ArgumentError(
                 f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
             )
-        x, now = expm_batch(joint, [t - now])[0][:n] @ np.concatenate([x, u]), t
-        if item[2] is not None and m:
-            u = np.array(_checks.vector("u", item[2], m))
-        if item[1] is None:
+        now = t
+        if given is not None and plant.n_inputs:
+            u = np.array(_checks.vector("u", given, plant.n_inputs))
+            if inputs and inputs[-1][0] == t:
+                inputs.pop()
+            inputs.append((t, u))
+        if y is None or not np.isfinite(y).any():
             continue
-        y = item[1]
-        if times and t == times[-1]:
+        if samples and t == samples[-1][0]:
             raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
-        if np.isfinite(y).any():
-            times.append(t)
-            shown.append(y - plant.C @ x - plant.D @ u)
-            nominal = x
-    size, ball = None, False
-    if initial_error is not None:
-        ball = np.ndim(initial_error) == 0 and n > 1
-        bound = np.full(n, _checks.nonnegative("initial_error", initial_error)) if np.ndim(initial_error) == 0 else None
-        size = _checks.vector("initial_error", initial_error, n) if bound is None else bound
-        if np.any(size < 0):
-            raise ArgumentError(f"`initial_error` must not be negative, got {float(size.min())!r}.")
-    empty = np.zeros((0, p))
-    return Data(freeze(times), start, np.array(shown) if shown else empty, nominal if times else x, size, ball)
+        samples.append((t, y - plant.D @ u))
+    return samples, tuple(inputs)

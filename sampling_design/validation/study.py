@@ -268,7 +268,7 @@ class Study:
         errors = np.array([run.errors(found.rows) for run in runs])
         self._agree("real estimator", errors, expected)
         self._held("real estimator", runs, found)
-        self.example = Example(found.rows.times, errors[0], np.array([e.radii for e in runs[0].estimates]))
+        self.example = Example(found.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates]))
 
     def _agree(self, scenario: str, errors: Array, expected: Array) -> None:
         size = float(np.max(np.linalg.norm(expected @ self.measure.T, axis=2)))

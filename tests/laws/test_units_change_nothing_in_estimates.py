@@ -79,7 +79,7 @@ def same_estimate(a, b, units):
     correlated = np.outer(spread, spread)
     assert np.max(np.abs(b.covariance / np.outer(units.states, units.states) - a.covariance) / correlated) < RELATIVE
     assert np.allclose(b.radius, a.radius, rtol=RELATIVE, atol=0, equal_nan=True)
-    assert np.allclose(b.radii / units.states, a.radii, rtol=RELATIVE, atol=0, equal_nan=True)
+    assert np.allclose(b.ellipsoid_radii / units.states, a.ellipsoid_radii, rtol=RELATIVE, atol=0, equal_nan=True)
     assert np.allclose(b.cost, a.cost, rtol=RELATIVE, atol=1e-9, equal_nan=True)
     if a.contradiction:
         assert b.contradiction._replace(t=0.0, factor=0.0) == a.contradiction._replace(t=0.0, factor=0.0)
@@ -207,3 +207,21 @@ def test_planned_against_actual_times(c, offset):
     assert a.match.tolist() == b.match.tolist()
     assert np.allclose(b.deviations, c * a.deviations, rtol=RELATIVE, atol=1e-6 * c, equal_nan=True)
     assert (a.kept is None) == (b.kept is None)
+
+
+@pytest.mark.parametrize("kind", ["free", "boxes", "disturbance ball"])
+def test_intervals(kind):
+    def make(plant, units, **given):
+        return MovingHorizonEstimator(plant, horizon=3.0 * units.time, **KINDS[kind](units), **given)
+
+    for seed in SEEDS:
+        plant, units, weights, other, _ = setting(seed)
+        plain = followed(make, plant, one(plant), weights, np.random.default_rng(seed), 0.3)[6:8]
+        moved = followed(make, plant, units, other, np.random.default_rng(seed), 0.3)[6:8]
+        for a, b in zip(plain, moved, strict=True):
+            mine, theirs = a.interval(), b.interval()
+            assert theirs.contradiction == pytest.approx(mine.contradiction, rel=RELATIVE)
+            for end in ("lower", "upper"):
+                off = getattr(theirs, end) / units.states - getattr(mine, end)
+                assert mine.contradiction or np.max(np.abs(off) / mine.radii) < RELATIVE, (seed, end)
+            assert theirs.verify()

@@ -29,8 +29,8 @@ def test_estimates_have_a_panel_per_state_with_tube_and_readings():
     assert [ax.get_ylabel() for ax in axes] == ["place", "speed"]
     assert axes[-1].get_xlabel() == "time [s]"
     tube = axes[0].collections[0].get_paths()[0].vertices[:, 1]
-    assert tube.max() == pytest.approx(np.max(found.x[:, 0] + found.radii[:, 0]))
-    assert tube.min() == pytest.approx(np.min(found.x[:, 0] - found.radii[:, 0]))
+    assert tube.max() == pytest.approx(np.max(found.x[:, 0] + found.ellipsoid_radii[:, 0]))
+    assert tube.min() == pytest.approx(np.min(found.x[:, 0] - found.ellipsoid_radii[:, 0]))
     assert list(axes[0].lines[0].get_ydata()) == list(found.x[:, 0])
     assert list(axes[0].lines[1].get_ydata()) == list(readings.y[:, 0])  # the output reads the first state
     assert len(axes[1].lines) == 1

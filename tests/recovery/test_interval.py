@@ -9,8 +9,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.interval import Engine, interval, read_record
+from sampling_design.recovery.interval import interval, read_record
+from sampling_design.recovery.record_program import RecordProgram
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
@@ -72,9 +72,11 @@ def test_inputs_and_a_prior_move_it():
 
 def test_corrupt_gains_prove_nothing():
     found = interval(OSCILLATOR, RECORD, **GIVEN)
-    (up, down), *rest = found.gains
-    assert not replace(found, gains=((tuple(1.2 * g for g in up), down), *rest)).verify()
+    wrong = found.gains.copy()
+    wrong[0, 0] *= 1.2
+    assert not replace(found, gains=wrong).verify()
     assert not replace(found, upper=found.upper - 0.1).verify()
+    assert not replace(found, lower=found.lower + 0.1).verify()
 
 
 def test_a_contradiction_is_proven_with_its_samples_and_factor():
@@ -83,7 +85,7 @@ def test_a_contradiction_is_proven_with_its_samples_and_factor():
     assert found.contradiction > 1
     assert 2 in found.samples
     assert found.verify()
-    assert not replace(found, contradiction=1.01 * found.contradiction).verify()
+    assert not replace(found, disproof=replace(found.disproof, factors={"all": 1.01 * found.contradiction})).verify()
     assert "The data contradict the bounds" in found.explain()
     assert np.isnan(found.upper).all()
     factor = found.contradiction
@@ -105,12 +107,11 @@ def test_one_row_takes_milliseconds():
     A[:2, :2], A[2:, 2:] = [[0, 1], [-1, 0]], [[0, 1], [-2.3, 0]]
     plant = sd.Plant(A, [[1.0, 0.0, 1.0, 0.0]])
     record = [(t, [np.sin(t)], None) for t in np.cumsum(np.random.default_rng(0).uniform(0.3, 1, 20))]
-    data = read_record(plant, record, None, None, None)
-    engine, taken = Engine(plant, SignalBounds.of(plant, 20, None, 0.05, 0.5), data), []
+    program, taken = RecordProgram(read_record(plant, record, 0.05, 0.5, None, None, None)), []
     for _ in range(10):
         for row in np.eye(4):
             begun = time.process_time()
-            engine.solve(record[-1][0], row)
+            program.solve(record[-1][0], row)
             taken.append(time.process_time() - begun)
     assert np.median(taken) < 0.02  # two milliseconds on a quiet machine
 

@@ -15,6 +15,8 @@ from sampling_design._checks import freeze
 from sampling_design._record import Plain, Record, Table, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery.interval import Interval
+from sampling_design.recovery.rows import Wanted
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -72,6 +74,14 @@ class Contradiction(NamedTuple):
         return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
 
 
+class ProvesIntervals(Protocol):
+    """What an interval is proven from."""
+
+    def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array] | None) -> Interval:
+        """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, radius times covariance)."""
+        ...
+
+
 class HasStates(Protocol):
     """A plant of any kind."""
 
@@ -82,9 +92,9 @@ class HasStates(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Record):
-    """The state at one time, with the ellipsoid that holds it.
+    """The state at one time, with the ellipsoid that holds it and the interval of each entry that the data prove.
 
-        |x(t) - x|^2_Pi <= radius,    |x_i(t) - x_i| <= radii_i = sqrt(radius (Pi^-1)_ii)
+        |x(t) - x|^2_Pi <= radius,    |x_i(t) - x_i| <= radii_i <= sqrt(radius (Pi^-1)_ii)
 
     Attributes
     ----------
@@ -112,6 +122,9 @@ class Estimate(Record):
         Why a flag is down or a solve failed, in words.
     contradiction : Contradiction or None
         Where the data contradict the bounds: the sample that does, and by what factor.
+    proof : ProvesIntervals or None
+        The samples and bounds behind it, from which `interval` and `radii` are computed when they are asked for; None
+        where no bound on w or v was given.
     """
 
     t: float
@@ -126,6 +139,39 @@ class Estimate(Record):
     engine: str = ""
     note: str = ""
     contradiction: Contradiction | None = None
+    proof: ProvesIntervals | None = field(default=None, repr=False)
+
+    def known_by(self, proof: ProvesIntervals) -> Estimate:
+        """Return this estimate with what its interval is proven from."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self.__dict__, proof=proof)
+        found.__dict__.pop("radii", None)
+        return found
+
+    def interval(self, of: Wanted = None) -> Interval:
+        """Return the values that the data and the bounds leave possible, for the states or for wanted rows.
+
+        Parameters
+        ----------
+        of : str, sequence of str, or (r, n) array, optional
+            Names of states or outputs, or rows; default all states.
+
+        Returns
+        -------
+        Interval
+            Never wider than the ellipsoid; with gains that prove it (`verify`).
+
+        Raises
+        ------
+        ArgumentError
+            If the estimator was given no bound on w or on v.
+        """
+        if self.proof is None:
+            raise ArgumentError(
+                "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
+            )
+        ellipsoid = self.x, self.radius * self.covariance
+        return self.proof.interval(self.t, of, ellipsoid if self.certified else None)
 
     @cached_property
     def Pi(self) -> Array:
@@ -136,6 +182,16 @@ class Estimate(Record):
 
     @cached_property
     def radii(self) -> Array:
+        """Distance from each entry to the far end of its interval; without a proof, half-widths of the ellipsoid.
+
+        NaN where the data contradict the bounds, also where only the interval proves it.
+        """
+        if self.proof is None or np.isnan(self.radius):
+            return self.ellipsoid_radii
+        return self.interval().radii_from(self.x)
+
+    @cached_property
+    def ellipsoid_radii(self) -> Array:
         """Half-widths of the ellipsoid, one per state."""
         return freeze(half_widths(np.asarray(self.radius), np.diag(self.covariance)))
 
@@ -173,7 +229,9 @@ class Estimate(Record):
     def explain(self) -> str:
         """Say what this estimate promises."""
         text = f"At {short(self.t)} the state is {short(self.x)} ({self.status})."
-        if self.certified:
+        if self.certified and np.isnan(self.radii).any():
+            text += f" {self.interval().explain()}"
+        elif np.isfinite(self.radii).any():
             text += f" It is within {short(self.radii)} of the truth, state by state, if the given bounds hold."
         else:
             text += " No radius is proven."
@@ -222,6 +280,8 @@ class EstimateRecord(Table):
     certified, on_schedule : (N,) arrays of bool
     notes : tuple of str
     contradictions : tuple of Contradiction or None
+    estimates : tuple of Estimate
+        Those that it was made of.
     """
 
     plant: Plant
@@ -235,6 +295,7 @@ class EstimateRecord(Table):
     on_schedule: npt.NDArray[np.bool_]
     notes: tuple[str, ...] = field(default=())
     contradictions: tuple[Contradiction | None, ...] = field(default=())
+    estimates: tuple[Estimate, ...] = field(default=(), repr=False)
 
     @classmethod
     def collect(cls, plant: Plant | HasStates, estimates: Iterable[Estimate]) -> EstimateRecord:
@@ -259,6 +320,7 @@ class EstimateRecord(Table):
             on_schedule=np.array([e.on_schedule for e in found], dtype=bool),
             notes=tuple(e.note for e in found),
             contradictions=tuple(e.contradiction for e in found),
+            estimates=tuple(found),
         )
 
     def __len__(self) -> int:
@@ -266,6 +328,11 @@ class EstimateRecord(Table):
 
     @cached_property
     def radii(self) -> Array:
+        """What each entry is off at most, (N, n): see `Estimate.radii`; computed when first asked for."""
+        return freeze(np.array([e.radii for e in self.estimates]).reshape(self.x.shape))
+
+    @cached_property
+    def ellipsoid_radii(self) -> Array:
         """Half-widths of the ellipsoids, (N, n)."""
         return freeze(half_widths(self.radius[:, None], np.einsum("kii->ki", self.covariance)))
 

@@ -71,11 +71,11 @@ class State(NamedTuple):
             k -= 1
         return self.inputs[k][1] if k >= 0 else None
 
-    def trimmed(self, memory: float) -> State:
-        """Drop what lies further back than `memory`, save the last node and input before."""
+    def trimmed(self, memory: float, least: int = 0) -> State:
+        """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
         limit = self.last.t - memory
-        first = max(0, self.node_before(limit))
-        if first == 0:
+        first = min(self.node_before(limit), len(self.nodes) - 1 - least)
+        if first <= 0:
             return self
         nodes = self.nodes[first:]
         keep = max(0, bisect_right(self.inputs, nodes[0].t, key=_first) - 2)

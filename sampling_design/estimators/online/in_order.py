@@ -34,6 +34,8 @@ class OnlineEstimator(ABC):
     maximum_delay: float
     input_side: str
     state: State
+    remembered: int = 0
+    """Nodes that are kept beside those that `memory` [time] keeps."""
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -75,9 +77,14 @@ class OnlineEstimator(ABC):
             if checked.y is None:
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
-            state = State((*state.nodes, self._advance(state, checked)), state.inputs).trimmed(self.memory)
-            return state, state.last.estimate
+            state = State((*state.nodes, self._advance(state, checked)), state.inputs)
+            state = state.trimmed(self.memory, self.remembered)
+            return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
+
+    def _handed_out(self, state: State, node: int) -> Estimate:
+        """Return the estimate of a node as a caller gets it."""
+        return state.nodes[node].estimate
 
     def _after_input(self, state: State, t: float) -> State:
         """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
@@ -90,7 +97,7 @@ class OnlineEstimator(ABC):
         if state.nodes[at].t == sample.t and state.nodes[at].sample.y is not None:
             merged = _merge(state.nodes[at].sample, sample)
             if merged is None:
-                return state, state.last.estimate
+                return state, self._handed_out(state, len(state.nodes) - 1)
             first, at = [merged], at - 1
         elif sample.y is None:
             first = []
@@ -103,8 +110,8 @@ class OnlineEstimator(ABC):
         replayed = State(state.nodes[: at + 1], state.inputs)
         for item in [*first, *later]:
             replayed = State((*replayed.nodes, self._advance(replayed, item)), state.inputs)
-        replayed = replayed.trimmed(self.memory)
-        return replayed, replayed.last.estimate
+        replayed = replayed.trimmed(self.memory, self.remembered)
+        return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, sample: Sample, state: State) -> Sample:
         t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)

@@ -16,10 +16,12 @@ from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, Sample, Status
+from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery.readings import Push, StartError
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 Array = npt.NDArray[np.float64]
@@ -59,6 +61,7 @@ class OpenLoopEstimator(OnlineEstimator):
     claim_note: str
     radius_note: str
     _watch: ScheduleWatch | None
+    _assumed: Assumptions | None
 
     def _set_up(
         self,
@@ -87,12 +90,43 @@ class OpenLoopEstimator(OnlineEstimator):
     ) -> None:
         plant, weights = self.plant, self.weights
         self._v_bound = noise_bound("v_bound", v_bound, plant.n_outputs)
-        self._w_energy = weights.disturbance_energy(noise_bound("w_bound", w_bound, plant.n_disturbances))
+        self._w_bound = noise_bound("w_bound", w_bound, plant.n_disturbances)
+        self._w_energy = weights.disturbance_energy(self._w_bound)
         v_energy = float(self._sample_energy(np.ones((1, plant.n_outputs)))[0])
         self._prior_energy = weights.prior_energy(noise_bound("initial_error", initial_error, plant.n_states))
         energies = {"w_bound": self._w_energy, "v_bound": v_energy, "initial_error": self._prior_energy}
         missing = [name for name, energy in energies.items() if np.isinf(energy)]
         self.radius_note = f"No radius: {', '.join(missing)} not given." if missing else ""
+        self._assumed = self._assumptions(StartError.of(plant, initial_error))
+        self.remembered = REMEMBERED if self._assumed is not None else 0
+        self._evidence: Evidence | None = None
+
+    def _assumptions(self, error: StartError) -> Assumptions | None:
+        """Return what an interval may take for granted; None where w or v is not bounded."""
+        if self._w_bound is None or self._v_bound is None:
+            return None
+        (w, w_ball), (v, v_ball) = (
+            (np.broadcast_to(bound, (count,)), bound.ndim == 0 and count > 1)
+            for bound, count in (
+                (self._w_bound, self.plant.n_disturbances),
+                (self._v_bound, self.plant.n_outputs),
+            )
+        )
+        push = Push(np.zeros(w.size), np.diag(w), w_ball)
+        return Assumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), error)
+
+    def _handed_out(self, state: State, node: int) -> Estimate:
+        return self._known(state, node, state.nodes[node].estimate)
+
+    def _known(self, state: State, node: int, estimate: Estimate) -> Estimate:
+        """Return an estimate made from the nodes up to one of them, with the evidence for its interval."""
+        if self._assumed is None:
+            return estimate
+        nodes = state.nodes if node + 1 == len(state.nodes) else state.nodes[: node + 1]
+        evidence = self._evidence
+        if evidence is None or evidence.nodes is not nodes or evidence.inputs is not state.inputs:
+            evidence = self._evidence = Evidence(self._assumed, nodes, state.inputs, not self.radius_note)
+        return estimate.known_by(evidence)
 
     def _sample_energy(self, masks: Array) -> Array:
         return self.weights.sample_energy(self._v_bound, False, masks)
@@ -156,9 +190,10 @@ class OpenLoopEstimator(OnlineEstimator):
         return state._replace(reached=(a, t, self._drift.between(state, a, t)))
 
     def _predict(self, state: State, t: float) -> Estimate:
-        node = state.nodes[state.node_before(t)]
+        at = state.node_before(t)
+        node = state.nodes[at]
         if node.t == t:
-            return node.estimate
+            return self._handed_out(state, at)
         (flow,) = self.table.get([t - node.t])
         drift = self._drift.between(state, node.t, t)
         self._refuse_overflow(flow, self._moved(node, flow, drift), t)
@@ -167,9 +202,10 @@ class OpenLoopEstimator(OnlineEstimator):
             self._refuse_overflow(flow, np.array([np.inf]), t)
         scheduled = node.scheduled and self._nothing_missed(node, t)
         details = {"contradiction": node.estimate.contradiction}
-        return self._estimate(
+        found = self._estimate(
             t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, **details
         )
+        return self._known(state, at, found)
 
     @staticmethod
     def _moved(node: Node, flow: GapFlow, drift: Array) -> Array:

@@ -1,0 +1,124 @@
+"""What an estimate knows: the samples behind it and the bounds; its interval is proven from them when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.online.history import Node
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.gap_table import GapTable
+from sampling_design.recovery.interval import Interval, prove
+from sampling_design.recovery.readings import Push, Readings, Row, StartError, gathered
+from sampling_design.recovery.record_program import RecordProgram
+from sampling_design.recovery.rows import Wanted, wanted_rows
+
+Array = npt.NDArray[np.float64]
+
+REMEMBERED = 24
+"""Samples that an interval looks back; what came before them is what their first one knew."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetBounds:
+    """|z - centre| <= size, together in the Euclidean norm (`ball`) or entry by entry."""
+
+    centre: Array
+    size: Array
+    ball: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Assumptions:
+    """What the truth is taken to keep: bounds on w and v, on the first error, and rows of the state.
+
+    Attributes
+    ----------
+    plant : Plant
+    push : Push
+    noise : SetBounds
+    error : StartError
+        Of the prior.
+    state : tuple of Row
+        One-sided rows that the state keeps at all times.
+    """
+
+    plant: Plant
+    push: Push
+    noise: SetBounds
+    error: StartError
+    state: tuple[Row, ...] = ()
+    _tables: dict[tuple[bytes, ...], GapTable] = field(default_factory=dict, repr=False)
+
+    def program(self, readings: Readings) -> RecordProgram:
+        """Return the program of some readings; gaps are shared with those before."""
+        found = RecordProgram(readings, self._tables.get(readings.means))
+        self._tables.setdefault(readings.means, found.table)
+        return found
+
+
+class Evidence:
+    """The nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
+
+    __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
+
+    def __init__(
+        self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: tuple[tuple[float, Array], ...], known: bool
+    ):
+        self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
+        self._program: RecordProgram | None = None
+
+    def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array] | None = None) -> Interval:
+        """Return the interval of wanted rows at t; `ellipsoid` (x, covariance times radius) holds the state, too."""
+        if self._program is None:
+            self._program = self.assumed.program(self._readings())
+        program, rows = self._program, wanted_rows(self.assumed.plant, of)
+        if self.assumed.state and t > program.readings.times[-1]:
+            program = self.assumed.program(self._readings(t))
+        outer = None
+        if ellipsoid is not None:
+            x, Y = ellipsoid
+            z = rows.matrix @ x
+            reach = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", rows.matrix, Y, rows.matrix), 0.0))
+            outer = np.array([z - reach, z + reach]).T
+        return prove(program, t, rows, outer)
+
+    def _readings(self, until: float | None = None) -> Readings:
+        nodes = self.nodes[-(REMEMBERED + 1) :]
+        first = nodes[0]
+        start = self.assumed.error
+        if first.number:
+            known = self.radius_known and first.sound and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
+            start = StartError(_root(first.beta * first.Y), True) if known else StartError()
+        rows: dict[float, tuple[Row, ...]] = {}
+        for node in nodes:
+            rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
+        if until is not None:
+            rows[until] = self.assumed.state
+        return gathered(
+            self.assumed.plant,
+            self.assumed.push,
+            start,
+            first.x,
+            first.t,
+            sorted(rows.items()),
+            ball=self.assumed.noise.ball,
+            inputs=self.inputs,
+        )
+
+    def _rows(self, node: Node) -> tuple[Row, ...]:
+        C, noise = self.assumed.plant.C, self.assumed.noise
+        y = node.y - node.feedthrough - noise.centre
+        return tuple(Row(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask))
+
+
+def _root(Y: Array) -> Array:
+    """A root of a covariance, also where rounding has made it singular."""
+    size = np.sqrt(np.maximum(np.diag(Y), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
+    # what rounding may hide of an eigenvalue is added to it: the set only grows
+    values = np.maximum(values, 0.0) + len(Y) * np.finfo(float).eps * max(1.0, float(values[-1]))
+    return np.asarray(unit[:, None] * vectors * np.sqrt(values))

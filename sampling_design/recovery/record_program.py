@@ -1,0 +1,352 @@
+"""The cone program of one record: the largest value of a row over everything that the readings and bounds allow.
+
+    maximise  c'x(t)   over starts and w constant on cells, subject to  the bounds and every reading
+
+Its multipliers are gains; what gains prove is evaluated without the solver and for all real times (`upper`). Gains are
+kept in plain units: one number for each row that was read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._conic import INFEASIBLE, UNBOUNDED
+from sampling_design.recovery.gap_table import GapTable, Quadrature
+from sampling_design.recovery.readings import Readings
+from sampling_design.recovery.record_cones import RecordCones
+
+Array = npt.NDArray[np.float64]
+
+TOLERANCE = 1e-6
+"""Asked of the solver; what it leaves open widens an interval, never breaks it."""
+
+DIFFUSE = 1e6
+"""Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
+
+EXACT = 1e-6
+"""Size given to an exact reading, in units of what w does to it over a gap: for scaling only."""
+
+ROUNDING = 1e-11
+"""Relative allowance for rounding in sums that bound from above."""
+
+HELD = 1e-13
+"""Relative error with which nominal states and readings are held."""
+
+NOTHING = 1e-10
+"""A rest below this share of the gains' terms counts as none where the start is free: rounding."""
+
+LEAST = 1e-12
+"""Eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates."""
+
+CLOSED = 1e-2
+"""Share of the half-width by which the adversary may fall short of it before cells are made finer."""
+
+LEVELS = 3
+"""Levels of cells."""
+
+SPREADS = ("all", "w", "v")
+"""Which bounds may grow: all of them, that on w alone, those on v alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """What gains prove: `value`, the upper end of a row.
+
+    `bound` is that beyond the nominal state, `width` the part of it that comes from bounds, `short` by how much the
+    adversary of the program falls short of it.
+    """
+
+    value: float
+    bound: float
+    width: float
+    gains: Array
+    short: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """What gains cost: 0 <= shown + start + w + v for the row 0; `fixed` is in units of no bound."""
+
+    shown: float
+    start: float
+    w: float
+    v: float
+
+
+class RecordProgram:
+    """The program of one record, posed once; every row and both its ends are solves of it.
+
+    `table` keeps gaps between records that grow or slide.
+    """
+
+    def __init__(self, readings: Readings, table: GapTable | None = None):
+        self.readings = readings
+        lengths = np.diff(readings.times)
+        unit = np.where((readings.size > 0) & ~readings.below, readings.size, 1.0)
+        if table is None:
+            told = np.where(readings.below[:, None], 0.0, readings.H / unit[:, None])
+            rows = np.split(told, readings.offsets[1:-1])[:-1]
+            table = GapTable.suited(readings.A, readings.G, lengths, rows)
+        self.table = table
+        self.gaps = table.get(lengths.tolist())
+        n = len(table.D)
+        self.F = np.array([gap.F for gap in self.gaps]).reshape(-1, n, n)
+        if readings.kept is not None:
+            self.F = self.F * readings.kept[:-1, None, :]
+        self.H = readings.H * table.D
+        self.infeasible = False
+
+    @cached_property
+    def _quadrature(self) -> Quadrature:
+        return Quadrature(self.gaps)
+
+    @cached_property
+    def _spread(self) -> Array:
+        """(K-1, n, n) sum over the cells of a gap of their squares: its noise, for scaling only."""
+        n = len(self.table.D)
+        cells = [gap.cells(0) for gap in self.gaps]
+        return np.array([np.einsum("mnq,mkq->nk", own, own) for own in cells]).reshape(-1, n, n)
+
+    @cached_property
+    def unit(self) -> Array:
+        """(R,) the size of the noise of each row, or what stands for it: for scaling only."""
+        read, driven = self.readings, np.zeros(len(self.H))
+        if len(self._spread):
+            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._spread.mean(axis=0), self.H), 0.0))
+        size = np.linalg.norm(self.H, axis=1)
+        stand_in = np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
+        stand_in = np.where(read.below, stand_in, EXACT * stand_in)
+        return np.where((read.size > 0) & ~read.below, read.size, stand_in)
+
+    @cached_property
+    def _filter(self) -> tuple[Array, Array]:
+        """Gains (R, n) of the filter with the same bounds as deviations, and its covariance at the end, for scaling."""
+        read, n, D = self.readings, len(self.table.D), self.table.D
+        P = np.eye(n) * DIFFUSE
+        if read.start.root is not None:
+            root = np.zeros((n, n))
+            root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
+            root = root / D[:, None]
+            known = np.sqrt(np.einsum("ij,ij->i", root, root))
+            P = root @ root.T + np.diag(np.where(known > 0, 0.0, 1e-6))
+        H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
+        gains, identity = np.zeros((len(H), n)), np.eye(n)
+        for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
+            if k:
+                P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
+            if b > a:
+                own = H[a:b]
+                seen = own @ P
+                K = np.linalg.solve(seen @ own.T + np.eye(b - a), seen).T
+                left = identity - K @ own
+                P = left @ P @ left.T + K @ K.T
+                gains[a:b] = K.T
+        return gains, (P + P.T) / 2
+
+    @cached_property
+    def L(self) -> Array:
+        """Coordinates x = D L z in which states that are possible are of size one: a root of its covariance."""
+        P = self._filter[1]
+        size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(P / np.outer(size, size))
+        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, LEAST * len(P))))
+
+    @cached_property
+    def _levels(self) -> dict[int, RecordCones]:
+        return {}
+
+    def posed(self, level: int = 0) -> RecordCones:
+        """Return the program with the cells of a level."""
+        if level not in self._levels:
+            cells = [gap.cells(level) for gap in self.gaps]
+            self._levels[level] = RecordCones(
+                self.readings, self.F, cells, self.table.D, self.L, self.H, self.unit, TOLERANCE
+            )
+        return self._levels[level]
+
+    def solve(self, t: float, row: Array) -> tuple[End, End]:
+        """Return the ends of a row of x at t, the upper one of c and that of -c, and the gains that prove them.
+
+        Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
+        """
+        ends, open_ = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], []
+        for level in range(1, LEVELS):
+            half = (ends[0].value + ends[1].value) / 2
+            open_ = [k for k in (0, 1) if ends[k].short > CLOSED * max(half, 0.0)]
+            if self.infeasible or not open_:
+                break
+            for k in open_:
+                finer = self._end(t, row if k == 0 else -row, level)
+                ends[k] = finer if finer.value < ends[k].value else replace(ends[k], short=finer.short)
+        return ends[0], ends[1]
+
+    def _end(self, t: float, row: Array, level: int) -> End:
+        """The upper end of a row, from the program of one level."""
+        c, added = self._ahead(t, row)
+        attained, gains, ahead = self._solved(c, level)
+        found = self.upper(t, row, self._steadied(c, gains, ahead))
+        short = found.bound - added - attained
+        return replace(found, short=short if np.isfinite(short) else 0.0)
+
+    def _ahead(self, t: float, row: Array) -> tuple[Array, float]:
+        """The row in the coordinates of the last time, and a bound on what w adds until t."""
+        longer = np.zeros(len(self.table.D))
+        longer[: row.size] = row
+        c, last = longer * self.table.D, float(self.readings.times[-1])
+        if t <= last:
+            return c, 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            gap = self.table.open(t - last)
+            return np.asarray(gap.F.T @ c), Quadrature([gap]).integral(c[None], self.readings.push.ball)
+
+    def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
+        """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
+        posed, mu = self.posed(level), self.L.T @ c
+        size = float(np.linalg.norm(mu))
+        nothing = np.inf, np.zeros(len(self.H)), np.zeros_like(self.F[:, 0])
+        if size == 0 or not np.isfinite(size):
+            return nothing
+        cost = np.zeros(posed.columns)
+        cost[posed.last] = -mu / size
+        x, y, status = posed.solver.solve(cost, posed.b)
+        self.infeasible = status == INFEASIBLE
+        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
+            return nothing
+        return -float(cost @ x) * size, *posed.read(np.asarray(y * size, dtype=np.float64))
+
+    def _steadied(self, c: Array, gains: Array, ahead: Array) -> Array:
+        """The solver's gains, corrected by the filter's wherever its costate and the true one part.
+
+        The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
+        What is left of a free start then is taken away by the least change of the gains.
+        """
+        unit, read = self.unit, self.readings
+        gains = np.where(read.below, np.maximum(gains, 0.0), gains)
+        meant = np.linalg.solve(self.L.T, ahead.T).T if len(ahead) else ahead
+        begun = np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
+        open_ = begun - self._per_time(self.H * gains[:, None])
+        open_[1:] -= meant
+        e, errors = np.zeros(len(c)), np.zeros_like(begun)
+        for k in range(len(begun) - 1, 0, -1):
+            errors[k] = e
+            e = self._offset(k, open_[k], e)
+        errors[0] = e
+        gains = gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit
+        if read.start.root is None:
+            for _ in range(2):
+                rest, scale = self._rest(c, gains)
+                if np.linalg.norm(self.L.T @ rest) <= NOTHING * 1e-3 * scale:
+                    break
+                change, through = self._start_rows
+                gains = gains + change @ (through.T @ rest)
+        return gains
+
+    def _offset(self, k: int, open_: Array, e: Array) -> Array:
+        """The costates' difference one time earlier."""
+        return np.asarray(self._through[k - 1] @ e + self.F[k - 1].T @ open_)
+
+    @cached_property
+    def _through(self) -> Array:
+        """(K-1, n, n) how a difference of costates passes a time with the filter's gains, and the gap before."""
+        H = np.where(self.readings.below[:, None], 0.0, self.H / self.unit[:, None])
+        squares = self._per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), -1))
+        n = len(self.table.D)
+        return np.asarray(np.matmul(np.swapaxes(self.F, 1, 2), np.eye(n) - squares.reshape(-1, n, n)[1:]))
+
+    def _per_time(self, values: Array) -> Array:
+        """Sums (K, ...) of values (R, ...) over the rows of each time."""
+        found = np.zeros((len(self.readings.times), values.shape[1]))
+        np.add.at(found, self.readings.nodes, values)
+        return found
+
+    @cached_property
+    def _start_rows(self) -> tuple[Array, Array]:
+        """The least change of gains that takes a rest away (for L'rest), and L."""
+        flow, seen = self.L.copy(), []
+        n = self.readings.plant.n_states
+        for k, (a, b) in enumerate(zip(self.readings.offsets[:-1], self.readings.offsets[1:], strict=True)):
+            flow = self.F[k - 1] @ flow if k else flow
+            seen.append(np.where(self.readings.below[a:b, None], 0.0, self.H[a:b]) @ flow)
+        rows = np.vstack(seen) / self.unit[:, None] if seen else np.zeros((0, n))
+        if not np.isfinite(rows).all():
+            return np.zeros_like(rows), self.L
+        return np.asarray(np.linalg.pinv(rows.T, rcond=HELD) / self.unit[:, None]), self.L
+
+    def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
+        """(K-1, n) costates just after each gap, and the rest at the start."""
+        steps = self._per_time(self.H * gains[:, None])
+        found, g = np.empty_like(self.F[:, 0]), c
+        for k in range(len(steps) - 1, 0, -1):
+            g = g - steps[k]
+            found[k - 1] = g
+            g = self.F[k - 1].T @ g
+        return found, g - steps[0]
+
+    def _rest(self, c: Array, gains: Array) -> tuple[Array, float]:
+        """What of the start is left in D coordinates, and the size of the terms that it is a difference of."""
+        rest = self._costates(c, gains)[1]
+        terms = np.abs(gains) @ np.linalg.norm(self.H @ self.L, axis=1) if gains.size else 0.0
+        return rest, float(np.linalg.norm(self.L.T @ c) + terms)
+
+    def upper(self, t: float, row: Array, gains: Array) -> End:
+        """Return what any gains prove of a row at t, without a solver: for all real times, rounded outwards."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._upper(t, row, gains)
+
+    def _upper(self, t: float, row: Array, gains: Array) -> End:
+        c, added = self._ahead(t, row)
+        spent = self.budget(c, gains)
+        nominal = self.readings.nominal_at(t)
+        value = float(row @ nominal) + spent.shown
+        width = (added + spent.start + spent.w + spent.v) * (1 + ROUNDING)
+        read = self.readings
+        terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown))
+        end = value + width + HELD * float(terms)
+        return End(end if np.isfinite(end) else np.inf, spent.shown + width, width, gains)
+
+    def budget(self, c: Array, gains: Array) -> Budget:
+        """Return what gains cost for a target (n,) in D coordinates at the last time."""
+        read = self.readings
+        costates, rest = self._costates(c, gains)
+        w = self._quadrature.integral(costates, read.push.ball) if len(costates) else 0.0
+        if np.any(gains[read.below] < 0):
+            return Budget(0.0, np.inf, w, 0.0)
+        if read.start.root is not None:
+            start = read.start.support((rest / self.table.D)[: read.plant.n_states])
+        else:
+            _, scale = self._rest(c, gains)
+            start = 0.0 if np.linalg.norm(self.L.T @ rest) <= NOTHING * scale else np.inf
+        return Budget(float(gains @ read.shown), start, w, self._noise(gains))
+
+    def _noise(self, gains: Array) -> float:
+        read = self.readings
+        cost = np.abs(gains) * read.size
+        if not read.ball:
+            return float(cost.sum())
+        square = self._per_time((np.where(read.below, 0.0, cost) ** 2)[:, None])
+        return float(np.sqrt(square).sum() + cost[read.below].sum())
+
+    def least_growth(self, which: str) -> Array:
+        """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow."""
+        posed = self.posed()
+        y = posed.grown(which)
+        zero = np.zeros(len(self.table.D))
+        if y is None:
+            return np.zeros(len(self.H))
+        return self._steadied(zero, *posed.read(y))
+
+    def growth(self, which: str, gains: Array) -> float:
+        """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""
+        spent = self.budget(np.zeros(len(self.table.D)), gains)
+        fixed = {"all": 0.0, "w": spent.start + spent.v, "v": spent.start + spent.w}[which]
+        grown = {"all": spent.start + spent.w + spent.v, "w": spent.w, "v": spent.v}[which]
+        read = self.readings
+        error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown)))
+        needed = -spent.shown - fixed * (1 + ROUNDING) - error
+        if needed <= 0:
+            return 0.0
+        return needed / (grown * (1 + ROUNDING)) if grown > 0 else np.inf

@@ -1,0 +1,137 @@
+"""Intervals of estimates: bounds and constraints enter, nothing is wider than it was, and the proof can be checked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from sampling_design.recovery.interval import interval, prove
+from sampling_design.recovery.readings import Push, Row, StartError, gathered
+from sampling_design.recovery.record_program import RecordProgram
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
+TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
+RECORD = [(t, [np.sin(t)], None) for t in TIMES]
+GIVEN = {"w_bound": 0.02, "v_bound": 0.2}
+MAKERS = {
+    "moving horizon": lambda **o: sd.MovingHorizonEstimator(PLANT, horizon=20.0, **(GIVEN | o)),
+    "short horizon": lambda **o: sd.MovingHorizonEstimator(PLANT, horizon=1.5, **(GIVEN | o)),
+    "filter": lambda **o: sd.KalmanFilter(PLANT, **(GIVEN | o)),
+}
+
+
+def followed(estimator, record=RECORD):
+    return [estimator.update(*row) for row in record][-1]
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_every_estimator_says_what_the_record_says(maker):
+    estimator = MAKERS[maker](initial_error=[2.0, 2.0])
+    estimate = followed(estimator)
+    alone = interval(PLANT, RECORD, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
+    found = estimate.interval()
+    assert found.lower == pytest.approx(alone.lower, rel=1e-4)
+    assert found.verify()
+    assert estimate.radii == pytest.approx(np.maximum(alone.upper - estimate.x, estimate.x - alone.lower), rel=1e-4)
+    assert np.all(estimate.radii < estimate.ellipsoid_radii)
+    later = estimator.predict(8.0)
+    beyond = interval(PLANT, RECORD, 8.0, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
+    assert later.interval().upper == pytest.approx(beyond.upper, rel=1e-4)
+    (row,) = estimate.interval([[1.0, -1.0]]).radii
+    assert row < np.sum(found.radii)
+    assert estimate.interval("velocity").upper[0] == found.upper[1]
+
+
+def test_without_a_first_error_there_is_an_interval_but_no_ellipsoid():
+    estimate = followed(MAKERS["filter"]())
+    assert not estimate.certified
+    assert np.isinf(estimate.ellipsoid_radii).all()
+    assert np.isfinite(estimate.radii).all()
+    assert "state by state" in estimate.explain()
+
+
+def test_without_a_bound_there_is_none():
+    estimate = followed(sd.KalmanFilter(PLANT, v_bound=0.2, initial_error=1.0))
+    assert np.isinf(estimate.radii).all()
+    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given to the estimator"):
+        estimate.interval()
+
+
+def test_a_long_record_keeps_its_past_in_its_first_ellipsoid():
+    times = np.cumsum(np.random.default_rng(0).uniform(0.3, 1.2, 60))
+    record = [(float(t), [np.sin(t)], None) for t in times]
+    estimate = followed(MAKERS["filter"](initial_error=2.0), record)
+    found = estimate.interval()
+    assert len(found.readings.times) == 25
+    assert found.readings.start.ball
+    whole = interval(PLANT, record, **GIVEN)
+    assert found.radii == pytest.approx(whole.radii, rel=0.01)
+    assert found.holds([np.sin(times[-1]), np.cos(times[-1])])
+
+
+def test_constraints_narrow_it_and_are_in_the_proof():
+    free = followed(MAKERS["moving horizon"](initial_error=2.0))
+    for sets in (
+        {"x": ([-0.9, -2.0], [2.0, 0.95])},
+        {"x": sd.ConvexSet.halfspaces([[-1.0, 1.0]], [1.36])},
+        {"v": (-0.05, 0.05)},
+        {"v": (0.0, 0.2)},
+        {"w": (-0.01, 0.0)},
+        {"w": sd.ConvexSet.ball(0.004, centre=[0.001, 0.0])},
+    ):
+        estimate = followed(MAKERS["moving horizon"](initial_error=2.0, constraints=sd.Constraints(**sets)))
+        found = estimate.interval()
+        assert found.verify(), sets
+        assert np.all(found.radii <= free.interval().radii * (1 + 1e-6)), sets
+        assert np.any(found.radii < 0.98 * free.interval().radii), sets
+        if "x" in sets:
+            assert not replace(found, gains=-found.gains).verify()
+
+
+def test_a_constraint_counts_ahead_of_the_samples_too():
+    box = MAKERS["moving horizon"](initial_error=2.0, constraints=sd.Constraints(x=([-9.0, -9.0], [0.8, 9.0])))
+    followed(box)
+    assert box.predict(7.9).interval().upper[0] <= 0.8 + 1e-6
+
+
+def test_bounds_and_sets_must_meet():
+    with pytest.raises(ArgumentError, match=r"`w_bound` and `constraints\.w` must have something in common"):
+        MAKERS["moving horizon"](constraints=sd.Constraints(w=(1.0, 2.0)))
+
+
+def test_a_contradiction_is_told_by_the_interval_first():
+    wrong = [(t, [y[0] + (0.7 if k == 3 else 0.0)], u) for k, (t, y, u) in enumerate(RECORD)]
+    estimate = followed(MAKERS["moving horizon"](initial_error=2.0), wrong)
+    assert estimate.certified  # the ellipsoid does not see it
+    found = estimate.interval().disproof
+    assert found.factors["all"] > 1
+    assert found.factors["v"] > found.factors["all"]
+    assert found.verify()
+    assert 5.2 in found.times
+    assert np.isnan(estimate.radii).all()
+    assert "contradict the bounds" in estimate.explain()
+    assert not replace(found, factors={"v": 1.01 * found.factors["v"]}).verify()
+
+
+def test_a_mean_over_a_day_is_a_row_of_its_own():
+    """A constant level, read as a mean: the same as reading it; a ramp: its middle."""
+    tank = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    still = Push(np.zeros(2), np.zeros((2, 2)), False)
+    rows = [(2.0, (Row(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (Row(tank.C[0], 5.0, 0.1, since=4.0),))]
+    readings = gathered(tank, still, StartError(), np.zeros(2), 0.0, rows, ball=False)
+    assert readings.times.tolist() == [0.0, 2.0, 4.0, 6.0]
+    found = prove(RecordProgram(readings), 6.0, sd.recovery.rows.wanted_rows(tank))
+    # x(1) = 1 +- .1 and x(5) = 5 +- .1: slope 1 +- .05, x(6) = 6 +- .15
+    assert found.centre == pytest.approx([6.0, 1.0], abs=1e-6)
+    assert found.radii == pytest.approx([0.15, 0.05], abs=1e-6)
+    assert found.verify()
+
+
+@pytest.mark.parametrize("since", [-1.0, 1.0])
+def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
+    rows = [(2.0, (Row(PLANT.C[0], 1.0, 0.1, since=0.0),)), (3.0, (Row(PLANT.C[0], 1.0, 0.1, since=since),))]
+    push = Push(np.zeros(2), np.eye(2), False)
+    with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
+        gathered(PLANT, push, StartError(), np.zeros(2), 0.0, rows, ball=False)

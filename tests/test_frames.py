@@ -42,7 +42,7 @@ def test_a_frame_has_the_columns_of_its_record(kind):
         shown = frame.index if name == frame.index.name else frame[name]
         assert len(column) == len(shown) > 1
         for mine, theirs in zip(column, shown, strict=True):
-            assert mine == theirs or (mine is None and pandas.isna(theirs))
+            assert mine == theirs or (pandas.isna(mine) and pandas.isna(theirs))
 
 
 def test_every_table_is_in_this_list():

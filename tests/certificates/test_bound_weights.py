@@ -51,7 +51,7 @@ def test_radii_are_far_smaller_than_with_the_shortest_horizon():
         certificate = certify(plant, family, eta=eta, **weights)
         found = MovingHorizonEstimator(plant, certificate, **bounds).run(record)
         assert found.certified.all()
-        radii.append(found.radii[-1])
+        radii.append(found.ellipsoid_radii[-1])
     assert np.all(radii[1] < 0.5 * radii[0])
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._balance import balance
+
 Array = npt.NDArray[np.float64]
 
 _TAYLOR_DEGREE = 18
@@ -17,6 +19,7 @@ SHORT = 0.25
 """|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
 
 _GRAMIAN_DEGREE = 16
+_BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 
 
 def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
@@ -98,9 +101,18 @@ def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.
     """
     h = np.atleast_1d(np.asarray(gaps, dtype=np.float64))
     n = A.shape[0]
-    plain = expm_batch(A, h)
     if n == 0 or h.size == 0:
-        return plain, np.zeros((h.size, n, n))
+        return expm_batch(A, h), np.zeros((h.size, n, n))
+    if np.linalg.norm(A, 1) * float(np.abs(h).max()) > _BALANCED_FROM:
+        d = balance(A).d  # each doubling doubles the rounding: in balanced coordinates there are fewest
+        plain, W = _flow_and_gramian(A * d / d[:, None], noise / d / d[:, None], h, eta)
+        return plain / d * d[:, None], W * d * d[:, None]
+    return _flow_and_gramian(A, noise, h, eta)
+
+
+def _flow_and_gramian(A: Array, noise: Array, h: Array, eta: float) -> tuple[Array, Array]:
+    """What `discounted_flow` returns, in the coordinates given."""
+    n, plain = len(A), expm_batch(A, h)
     shifted = A + (eta / 2) * np.eye(n)
     norm = max(float(np.linalg.norm(shifted, 1)), 1e-300)
     doublings = np.maximum(0, np.ceil(np.log2(np.maximum(h * norm / SHORT, 1e-300)))).astype(int)

@@ -78,6 +78,17 @@ def exact_float_exponential(A, t):
     return np.exp(mean * t) * (np.cosh(root * t).real * np.eye(2) + sinch * B)
 
 
+def test_a_long_flow_in_uneven_units_is_that_in_even_ones():
+    A, N = np.array([[-0.7, 1.5], [-1.25, 0.7]]), np.array([[2.0, 0.5], [0.5, 1.0]])
+    d = np.exp2([26.0, -13.0])
+    gaps = np.array([3e4, 2e7, 9e10])
+    flow, W = _linalg.discounted_flow(A, N, gaps, 1e-12)
+    again, V = _linalg.discounted_flow(A * d[:, None] / d, N * d[:, None] * d, gaps, 1e-12)
+    assert np.array_equal(again / d[:, None] * d, flow)
+    assert np.array_equal(V / d[:, None] / d, W)
+    assert np.linalg.norm(flow, axis=(1, 2)) == pytest.approx([np.linalg.norm(flow[0])] * 3, rel=1.0)
+
+
 def test_discounted_flow_edges():
     flow, W = _linalg.discounted_flow(np.zeros((0, 0)), np.zeros((0, 0)), [1.0])
     assert flow.shape == W.shape == (1, 0, 0)

@@ -296,7 +296,7 @@ def certify(
     P2 : (n, n) array, optional
         Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
     Qw : (q, q) array, optional
-        Default diag(1/s_w^2).
+        Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
     R, Qv : (p, p) arrays, optional
         Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
     budget : float

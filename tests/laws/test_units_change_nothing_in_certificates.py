@@ -48,7 +48,7 @@ def outcome(verb):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_given_weights(seed):
     plant, schedule, rng = case(seed)
-    units = Units.drawn(rng, plant, decades=6)
+    units = Units.drawn(rng, plant)
     P2, Qw, R = spd(rng, plant.n_states), spd(rng, 2), spd(rng, plant.n_outputs)
     here = outcome(lambda: certify(plant, schedule, eta=0.3, P2=P2, Qw=Qw, R=R))
     moved = {"P2": units.state_weight(P2), "Qw": units.disturbance_weight(Qw), "R": units.output_weight(R)}
@@ -86,7 +86,7 @@ def test_lambda_over_the_whole_range_of_units(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_chosen_weights(seed, rate):
     plant, schedule, rng = case(seed)
-    units = Units.drawn(rng, plant, decades=4)
+    units = Units.drawn(rng, plant)
     here = outcome(lambda: certify(plant, schedule, eta=rate))
     eta = None if rate is None else rate / units.time
     Qw = units.disturbance_weight(weights_of(plant, None, None, None)[0])  # the default counts energy per unit of time
@@ -100,7 +100,7 @@ def test_chosen_weights(seed, rate):
 @pytest.mark.parametrize("seed", SEEDS[:2])
 def test_tradeoff_curves(seed):
     plant, schedule, rng = case(seed)
-    units = Units.drawn(rng, plant, decades=4)
+    units = Units.drawn(rng, plant)
     here = outcome(lambda: tradeoff_curve(plant, schedule, 0.3, [1.5, 5.0]))
     Qw, moved = units.disturbance_weight(weights_of(plant, None, None, None)[0]), units.schedule(schedule)
     there = outcome(lambda: tradeoff_curve(units.plant(plant), moved, 0.3 / units.time, [1.5, 5.0], Qw=Qw))

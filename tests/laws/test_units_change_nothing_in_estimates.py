@@ -158,7 +158,7 @@ def test_the_clocks_zero(kind, offset):
 
 def test_certificates_schedules_validation_and_records():
     for seed in range(3):
-        plant, units, weights, other, _ = setting(seed, decades=3, time_decades=3)
+        plant, units, weights, other, _ = setting(seed)
         schedule, c = PeriodicSchedule(GAPS), units.time
         there, moved = units.plant(plant), units.schedule(schedule)
         certificate = certify(plant, schedule, eta=0.2, **weights)

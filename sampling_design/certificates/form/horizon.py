@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._linalg import unit_diagonal
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim
@@ -177,8 +178,18 @@ def output_information(R: Array, Qv: Array) -> Array:
 
 
 def least_eigenvalue(matrix: Array) -> float:
-    """Least eigenvalue of a symmetric matrix; infinity if it is empty."""
-    return float(np.linalg.eigvalsh(matrix)[0]) if matrix.size else float("inf")
+    """Least eigenvalue of a positive definite matrix, to its own digits whatever the units; infinity if it is empty.
+
+    With `matrix` = d M d, M = L L' of diagonal about one, it is 1/|L^-1 d^-1|^2; an eigenvalue beside others that are
+    1e16 times larger would have no digits.
+    """
+    if not matrix.size:
+        return float("inf")
+    d, M = unit_diagonal(matrix)
+    least = float(np.linalg.eigvalsh(M)[0])
+    if least <= 0:
+        return float(np.linalg.eigvalsh(matrix)[0])
+    return float(1 / np.linalg.norm(np.linalg.solve(np.linalg.cholesky(M), np.diag(1 / d)), 2)) ** 2
 
 
 def largest_eigenvalue(matrix: Array) -> float:

@@ -18,8 +18,8 @@ Array = npt.NDArray[np.float64]
 SHIFTS = np.geomspace(0.02, 4.0, 8)
 """Shifts of the filter's poles in units of |A|."""
 NOISES = np.geomspace(1e-2, 1e3, 8)
-"""Process noise against measurement noise of one."""
-REFINEMENTS = 300
+"""Process noise against measurement noise, in units of |A|^2/|C|^2."""
+REFINEMENTS = 400
 """Evaluations of the simplex search that refines the best of the 64."""
 RATE_CAP = 2.0
 """The sweep values no rate beyond RATE_CAP/t*: where the output shows every state the horizon tends to 2 t* only as the
@@ -58,11 +58,12 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
 
 
 class _GainSearch:
-    """The horizon as a function of log shift, log noise, log ratios of noise and of Q."""
+    """The horizon, in units of 1/|A|, as a function of log shift, log noise, log ratios of noise and of Q."""
 
     def __init__(self, plant: Plant, t_star: float, variant: str, cap: float) -> None:
         self.plant, self.t_star, self.variant, self.cap = plant, t_star, variant, min(cap, RATE_CAP / t_star)
         self.size = float(np.linalg.norm(plant.A, 2)) or 1.0
+        self.noise = (self.size / (float(np.linalg.norm(plant.C, 2)) or 1.0)) ** 2
         self.times = np.linspace(0.0, t_star, INSTANTS)
         self.flows = expm_batch(plant.A, self.times)
 
@@ -70,14 +71,14 @@ class _GainSearch:
         """Gain, Q and P at these parameters."""
         plant, n = self.plant, self.plant.n_states
         shifted = plant.A + np.exp(parameters[0]) * self.size * np.eye(n)
-        noise = np.exp(parameters[1] + np.r_[0.0, parameters[2 : n + 1]])
+        noise = self.noise * np.exp(parameters[1] + np.r_[0.0, parameters[2 : n + 1]])
         Q = np.diag(np.exp(np.r_[0.0, parameters[n + 1 :]]))
         Y = solve_continuous_are(shifted.T, plant.C.T, np.diag(noise), np.eye(plant.n_outputs))
         gain = Y @ plant.C.T
         return gain, Q, symmetrise(solve_continuous_lyapunov((plant.A - gain @ plant.C).T, -Q))
 
     def __call__(self, parameters: Array) -> float:
-        """The horizon, infinite where the equations have no answer."""
+        """The horizon in units of 1/|A|, infinite where the equations have no answer."""
         if np.max(np.abs(parameters)) > 30:
             return float("inf")
         try:
@@ -86,7 +87,7 @@ class _GainSearch:
             if values[0] <= 0:
                 return float("inf")
             eta = float(np.min(np.diag(Q))) / (2 * values[-1])
-            return float(2 * (np.log(2) + self._log_lambda(P, values, eta)) / min(eta, self.cap))
+            return float(2 * (np.log(2) + self._log_lambda(P, values, eta)) / (min(eta, self.cap) / self.size))
         except (LinAlgError, ValueError):
             return float("inf")
 

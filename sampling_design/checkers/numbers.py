@@ -54,7 +54,7 @@ def problem(plant: Plant, weights: Weights) -> Problem:
     C, A = plant.C * x / y[:, None], plant.A * x / x[:, None]
     S = inner(plant.G, weights.Qw, x)
     safe(A, C, S, P1, V)
-    return Problem(A, C, S, P1, P2, V, loose, weights.eta, x)
+    return Problem(A=A, C=C, S=S, P1=P1, P2=P2, V=V, loose=loose, eta=weights.eta, units=x)
 
 
 def unit(P: Array) -> Array:

@@ -140,18 +140,18 @@ def design_schedule(
     check_size(pose(designed_plant(split, resolved), resolved, least, check=False))
     count = zero_count_bound(split.retained, float(resolved.window or 0))  # refuses a mode that no output sees
     run = _Run(
-        plant,
-        split,
-        resolved,
-        used,
-        count,
-        int((np.random.default_rng(0) if rng is None else rng).integers(2**63)),
-        starts,
-        branches,
-        rtol,
-        seconds,
-        progress,
-        time.perf_counter(),
+        plant=plant,
+        split=split,
+        requirement=resolved,
+        used=used,
+        zero_count=count,
+        seed=int((np.random.default_rng(0) if rng is None else rng).integers(2**63)),
+        starts=starts,
+        branches=branches,
+        rtol=rtol,
+        seconds=seconds,
+        progress=progress,
+        began=time.perf_counter(),
     )
     return _aimed(run) if resolved.target_sigma is not None else run.best()
 

@@ -37,16 +37,16 @@ def folded(problem: DesignProblem) -> DesignProblem | None:
     fixed = np.sort(np.mod(problem.fixed, period))
     apart = np.append(np.diff(fixed) > _SAME_RATIO * problem.period, True)[: fixed.size]
     part = DesignProblem(
-        problem.plant,
-        problem.window,
-        period,
-        problem.spacing,
-        problem.samples // count,
-        _folded(problem.forbidden, period, count),
-        fixed[apart],
-        tuple(None if a is None else _common(a, problem.period, count) for a in problem.available),
-        problem.costs,
-        problem.cost_limit / count,
+        plant=problem.plant,
+        window=problem.window,
+        period=period,
+        spacing=problem.spacing,
+        samples=problem.samples // count,
+        forbidden=_folded(problem.forbidden, period, count),
+        fixed=fixed[apart],
+        available=tuple(None if a is None else _common(a, problem.period, count) for a in problem.available),
+        costs=problem.costs,
+        cost_limit=problem.cost_limit / count,
     )
     part.__dict__["rows"] = problem.rows
     return part if obstacle(part) is None else None

@@ -135,7 +135,20 @@ class KalmanFilter(OpenLoopEstimator):
             **details,
         )
         return Node(
-            sample.t, y, mask, feedthrough, x, Y, found.beta, flow, drift, False, sound, estimate, sample, number
+            t=sample.t,
+            y=y,
+            mask=mask,
+            feedthrough=feedthrough,
+            x=x,
+            Y=Y,
+            beta=found.beta,
+            flow=flow,
+            drift=drift,
+            scheduled=False,
+            sound=sound,
+            estimate=estimate,
+            sample=sample,
+            number=number,
         )
 
     def _blame(

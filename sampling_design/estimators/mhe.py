@@ -255,8 +255,22 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             contradiction=found.contradiction,
             **details,
         )
-        kept = (scheduled, found.sound, estimate, sample, last.number + 1)
-        return Node(sample.t, y, mask, feedthrough, x, Y, found.beta, flow, drift, *kept)
+        return Node(
+            t=sample.t,
+            y=y,
+            mask=mask,
+            feedthrough=feedthrough,
+            x=x,
+            Y=Y,
+            beta=found.beta,
+            flow=flow,
+            drift=drift,
+            scheduled=scheduled,
+            sound=found.sound,
+            estimate=estimate,
+            sample=sample,
+            number=last.number + 1,
+        )
 
     def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds."""
@@ -381,7 +395,17 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         if self.check_spacing is not None and self.constraints.x is not None:
             times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
-        return build_window(self.weights, np.array(times), flows, drift, reference, y, masks, feedthrough, start.root)
+        return build_window(
+            weights=self.weights,
+            times=np.array(times),
+            flows=flows,
+            drift=drift,
+            reference=reference,
+            y=y,
+            masks=masks,
+            feedthrough=feedthrough,
+            prior_root=start.root,
+        )
 
     def _path(
         self, state: State, start: Start, inside: list[Node], times: list[float]

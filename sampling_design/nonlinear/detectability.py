@@ -232,7 +232,16 @@ class _Study:
         values = _checks.freeze([value for value, _, _ in found])
         growth = max(1.0, *(value for _, value, _ in found))  # at t = 0 it is 1
         return DetectabilityEvidence(
-            least, growth, values, len(found), left_out, self.weights.eta, self.duration, unit, witness, claim
+            ratio=least,
+            least_lambda=growth,
+            ratios=values,
+            pairs=len(found),
+            left_out=left_out,
+            eta=self.weights.eta,
+            duration=self.duration,
+            time_unit=unit,
+            witness=witness,
+            claim=claim,
         )
 
     def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:

@@ -112,7 +112,18 @@ def patient_run(case: str = "per_second", run: int = 0, *, days: float = 20.0, s
     y = truth[:, [1, 2, 4]] + v
     found = [_estimates(scheme, times, y, chosen) for chosen in (np.ones(times.size, dtype=bool), sampled)]
     (standard, dense), (sparse, rare) = found
-    return PatientRun(case, run, times, truth, y, sampled, standard, sparse, dense, rare)
+    return PatientRun(
+        case=case,
+        run=run,
+        times=times,
+        truth=truth,
+        outputs=y,
+        sampled=sampled,
+        standard=standard,
+        sample_based=sparse,
+        solves_standard=dense,
+        solves_sample_based=rare,
+    )
 
 
 def _estimates(

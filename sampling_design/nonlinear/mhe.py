@@ -192,7 +192,19 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
         nothing = np.zeros(0)
         return Node(
-            sample.t, y, mask, nothing, x, estimate.covariance, np.inf, None, nothing, False, True, estimate, sample
+            t=sample.t,
+            y=y,
+            mask=mask,
+            feedthrough=nothing,
+            x=x,
+            Y=estimate.covariance,
+            beta=np.inf,
+            flow=None,
+            drift=nothing,
+            scheduled=False,
+            sound=True,
+            estimate=estimate,
+            sample=sample,
         )
 
     def _said(self, t: float, x: Array, status: Status, note: str = "", **details: Any) -> Estimate:

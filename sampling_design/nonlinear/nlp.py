@@ -305,9 +305,17 @@ class WindowProgram:
         if self.bounds_y:
             outputs = lam[dynamic:].reshape(N + 1, -1)[N - K :]
         return WindowSolution(
-            edges, self._split(found["x"], K), self._split(found["lam_x"], K), rows, outputs,
-            float(found["f"]), status, word.replace("_", " ").lower(), int(stats["iter_count"]), seconds,
-        )  # fmt: skip
+            edges=edges,
+            point=self._split(found["x"], K),
+            bound_multipliers=self._split(found["lam_x"], K),
+            row_multipliers=rows,
+            output_multipliers=outputs,
+            cost=float(found["f"]),
+            status=status,
+            message=word.replace("_", " ").lower(),
+            iterations=int(stats["iter_count"]),
+            seconds=seconds,
+        )
 
 
 def _behind(idle: int, fill: Array, rows: Array) -> Array:

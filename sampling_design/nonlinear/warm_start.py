@@ -20,7 +20,18 @@ def open_loop_guess(edges: Array, states: Array, points: Array, sizes: tuple[int
     zero = ProgramPoint(np.zeros(n), np.zeros((K + 1, r)), np.zeros((K, q)), np.zeros((K, degree, n)))
     point = zero._replace(z0=states[0], z=_at(edges, states, _collocation_times(edges, points)))
     rows, outputs = np.zeros((K, degree * n)), np.zeros((K + 1, p))
-    return WindowSolution(edges, point, zero, rows, outputs, np.nan, "solver failed", "not solved", 0, 0.0)
+    return WindowSolution(
+        edges=edges,
+        point=point,
+        bound_multipliers=zero,
+        row_multipliers=rows,
+        output_multipliers=outputs,
+        cost=np.nan,
+        status="solver failed",
+        message="not solved",
+        iterations=0,
+        seconds=0.0,
+    )
 
 
 def moved(previous: WindowSolution, guess: WindowSolution, points: Array) -> WindowSolution:

@@ -140,15 +140,15 @@ class Study:
         bound = None if self.promise is None else np.sqrt(self._largest(self.promise))
         norm = "states over their scales" if self.promise is None else f"|e|_P1, {self.promise.theorem}"
         return ValidationReport(
-            self.plant,
-            tuple(self.findings),
-            self.map.rows.times,
-            bound,
-            norm,
-            tuple(self.courses),
-            self.example,
-            settings,
-            tuple(self.skipped),
+            plant=self.plant,
+            findings=tuple(self.findings),
+            times=self.map.rows.times,
+            bound=bound,
+            norm=norm,
+            courses=tuple(self.courses),
+            example=self.example,
+            settings=settings,
+            skipped=tuple(self.skipped),
         )
 
     def _largest(self, promise: Promise) -> Array:

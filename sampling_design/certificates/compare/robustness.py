@@ -283,7 +283,16 @@ def robustness(
     losses, thinned = _most_losses(breaker, schedule, most, report)
     jittered = None if best is None else _proven(breaker, Jitter(schedule, radius), best)
     return Robustness(
-        planned, M, limit, radius, broken, tuple(trials), tuple(losses), jittered, tuple(thinned), not breaker.late
+        certificate=planned,
+        length=M,
+        limit=limit,
+        radius=radius,
+        broken=broken,
+        trials=tuple(trials),
+        losses=tuple(losses),
+        jittered=jittered,
+        thinned=tuple(thinned),
+        closed=not breaker.late,
     )
 
 

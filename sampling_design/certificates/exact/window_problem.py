@@ -125,4 +125,14 @@ def window_problem(
     else:
         gaps = np.diff(times, prepend=0.0)
         reach, period = gaps.copy(), None
-    return WindowProblem(np.asarray(A, dtype=np.float64), noise, rows, eta, root, gaps, reach, times, period)
+    return WindowProblem(
+        A=np.asarray(A, dtype=np.float64),
+        noise=noise,
+        rows=rows,
+        eta=eta,
+        root=root,
+        gaps=gaps,
+        reach=reach,
+        times=times,
+        period=period,
+    )

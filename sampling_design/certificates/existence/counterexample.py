@@ -146,7 +146,17 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
         return None
     main = found.eigenvalue if found.eigenvalue is not None else sight.rate
     unseen = tuple(complex(x) for x in direction)
-    return Counterexample(plant, schedule, eta, main, found.partners, mu, unseen, residual, found.reason)
+    return Counterexample(
+        plant=plant,
+        schedule=schedule,
+        eta=eta,
+        eigenvalue=main,
+        partners=found.partners,
+        multiplier=mu,
+        direction=unseen,
+        residual=residual,
+        reason=found.reason,
+    )
 
 
 @door

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,14 @@ LEAST_TIME = 0.05
 """Seconds that a solver is given where the deadline has passed."""
 LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
+
+
+class Solved(NamedTuple):
+    """The largest value that was found, with its matrices (None: none), and how the solver ended."""
+
+    value: float
+    P: Array | None
+    solver: SolverRecord
 
 
 @dataclass(eq=False)
@@ -84,7 +93,7 @@ class Program:
         assert column is not None
         return slice(column.start * self.pairs, column.stop * self.pairs)
 
-    def floor(self) -> tuple[float, Array | None, SolverRecord]:
+    def floor(self) -> Solved:
         """Return the largest p such that Pi >= p unit is certified from P2 = infinity on the grid, the P_v (P[0] nan).
 
         p <= 0 or None: not even this exists.
@@ -98,12 +107,12 @@ class Program:
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
             found = _solved(cost, [b for b in blocks if b[2].size], self.deadline)
             if not _conic.usable(found.record):
-                return 0.0, None, found.record
-            return float(found.x[-1]), self._matrices(found.x), found.record
+                return Solved(0.0, None, found.record)
+            return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
         finally:
             self.P2 = given
 
-    def feasible(self, lam: float, floor: float) -> tuple[float, Array | None, SolverRecord]:
+    def feasible(self, lam: float, floor: float) -> Solved:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -119,10 +128,10 @@ class Program:
         blocks.append(("nonnegative", cap, np.ones(1)))
         found = _solved(cost, blocks, self.deadline)
         if not _conic.usable(found.record) or found.x[-1] < LEAST_SLACK:
-            return 0.0, None, found.record
-        return float(found.x[-1]), self._matrices(found.x), found.record
+            return Solved(0.0, None, found.record)
+        return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
 
-    def best_ratio(self) -> tuple[float, Array | None, SolverRecord]:
+    def best_ratio(self) -> Solved:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -131,8 +140,8 @@ class Program:
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
         found = _solved(cost, blocks, self.deadline)
         if not _conic.usable(found.record) or found.x[-1] <= 0:
-            return 0.0, None, found.record
-        return float(found.x[-1]), self._matrices(found.x), found.record
+            return Solved(0.0, None, found.record)
+        return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]

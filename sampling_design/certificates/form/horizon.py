@@ -159,15 +159,15 @@ def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | No
     gain = 1.0 if theorem == "sharp" else 4.0 * lam
     noise = output_information(certificate.R, certificate.Qv) if theorem == "sharp" else 2.0 * certificate.Qv
     return Horizon(
-        theorem,
-        float(minimum),
-        float(M),
-        float(rate),
-        gain * largest_eigenvalue(P2) / low,
-        gain * largest_eigenvalue(certificate.Qw) / low,
-        gain * largest_eigenvalue(noise) / low,
-        float(lam),
-        certificate.plant.time_unit,
+        theorem=theorem,
+        minimum=float(minimum),
+        length=float(M),
+        eta_tilde=float(rate),
+        C_x=gain * largest_eigenvalue(P2) / low,
+        C_w=gain * largest_eigenvalue(certificate.Qw) / low,
+        C_v=gain * largest_eigenvalue(noise) / low,
+        lam=float(lam),
+        time_unit=certificate.plant.time_unit,
     )
 
 

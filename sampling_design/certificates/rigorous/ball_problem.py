@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,22 @@ Array = npt.NDArray[np.float64]
 
 
 PROVEN, REFUTED, UNDECIDED = "proven", "refuted", "undecided"
+
+
+class Stated(NamedTuple):
+    """What a file states: target <= Pi(t), its name, and whether for sample starts only."""
+
+    target: Matrix
+    name: str
+    samples_only: bool
+
+
+class Decision(NamedTuple):
+    """What was proven: the inequalities, for what, and the slack."""
+
+    inequality: str
+    subject: str
+    slack: float
 
 
 class Unproven(Exception):

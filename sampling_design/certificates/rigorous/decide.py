@@ -19,7 +19,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
     UNDECIDED,
     BallLaps,
     BallWeights,
+    Decision,
     ScheduleFrame,
+    Stated,
     Unproven,
     positive,
     positive_definite,
@@ -159,7 +161,7 @@ def _decided(data: Tree, clock: Clock) -> Tree:
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
 
-def targets(data: Tree) -> list[tuple[Matrix, str, bool]]:
+def targets(data: Tree) -> list[Stated]:
     """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
     with reading():
         n, margin = len(data["P1"]), float(data["margin"])
@@ -169,21 +171,21 @@ def targets(data: Tree) -> list[tuple[Matrix, str, bool]]:
         raise Unproven(REFUTED, "margin >= 0", f"margin must be non-negative, got {data['margin']!r}")
     positive_definite("P1", P1)
     share = P2 * (ball(1.0) - ball(RESOLUTION))
-    first = (P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
-    second = (share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
-    third = (share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
+    first = Stated(P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
+    second = Stated(share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
+    third = Stated(share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
     if not n:
         return []
     kept = [first, second]
-    if definite(first[0] - second[0]):
+    if definite(first.target - second.target):
         kept = [first]
-    elif definite(second[0] - first[0]):
+    elif definite(second.target - first.target):
         kept = [second]
-    implied = lam_samples >= lam or any(definite(target - third[0]) for target, _, _ in kept)
+    implied = lam_samples >= lam or any(definite(other.target - third.target) for other in kept)
     return kept if implied else [*kept, third]
 
 
-def assumption_7(data: Tree, clock: Clock) -> tuple[str, str, float]:
+def assumption_7(data: Tree, clock: Clock) -> Decision:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated = targets(data)
     with reading():
@@ -193,13 +195,13 @@ def assumption_7(data: Tree, clock: Clock) -> tuple[str, str, float]:
 
         def make(k: int = k, inequality: str = inequality) -> ScheduleFrame:
             weights = BallWeights(data)
-            return ScheduleFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k][0], inequality)
+            return ScheduleFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k].target, inequality)
 
         slack = min(slack, prove(make, samples_only, clock))
     if stated and data["witness"] is not None:
         attained(data)
     names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
-    return names, "every real window start and every later t", slack
+    return Decision(names, "every real window start and every later t", slack)
 
 
 def attained(data: Tree) -> None:
@@ -258,12 +260,12 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
     raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
 
 
-def of_family(data: Tree, clock: Clock) -> tuple[str, str, float]:
+def of_family(data: Tree, clock: Clock) -> Decision:
     """Prove a family certificate; the inequalities, for what, and the slack."""
     return family(data, targets(data), clock)
 
 
-CLAIMS: dict[str, Callable[[Tree, Clock], tuple[str, str, float]]] = {
+CLAIMS: dict[str, Callable[[Tree, Clock], Decision]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: of_family,
     DETECTABILITY_CLAIM: detectability,

@@ -16,7 +16,14 @@ import numpy.typing as npt
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
 from sampling_design._record import short
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Unproven, positive, reading
+from sampling_design.certificates.rigorous.ball_problem import (
+    REFUTED,
+    UNDECIDED,
+    Decision,
+    Unproven,
+    positive,
+    reading,
+)
 from sampling_design.checkers.strict import Tree
 
 Array = npt.NDArray[np.float64]
@@ -26,7 +33,7 @@ SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(data: Tree, clock: Clock) -> tuple[str, str, float]:
+def detectability(data: Tree, clock: Clock) -> Decision:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises
@@ -38,10 +45,10 @@ def detectability(data: Tree, clock: Clock) -> tuple[str, str, float]:
     with reading():
         c = numbers(data)
     if not c.n:
-        return INEQUALITY, "a plant without states", 1.0
+        return Decision(INEQUALITY, "a plant without states", 1.0)
     form, sizes = negative(c)
     decided("P > 0", c.P, [abs(c.P[i, i]) for i in range(c.n)])
-    return INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes)
+    return Decision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
 
 
 def numbers(data: Tree) -> SimpleNamespace:

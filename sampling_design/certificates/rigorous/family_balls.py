@@ -29,6 +29,8 @@ from sampling_design.certificates.rigorous.ball_problem import (
     UNDECIDED,
     BallFrame,
     BallWeights,
+    Decision,
+    Stated,
     Unproven,
     positive_definite,
     reading,
@@ -99,7 +101,7 @@ def _ball(time: Fraction) -> Ball:
     return flint().arb(time.numerator) / time.denominator
 
 
-def family(data: Tree, stated: list[tuple[Matrix, str, bool]], clock: Clock) -> tuple[str, str, float]:
+def family(data: Tree, stated: list[Stated], clock: Clock) -> Decision:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
     c = certificate(data)
     assert isinstance(c, OfFamily)
@@ -126,4 +128,5 @@ def family(data: Tree, stated: list[tuple[Matrix, str, bool]], clock: Clock) -> 
         for u, node in enumerate(P):
             along.prove(node, None, Fraction(0), Fraction(graph.top(u)))
         slack = min(slack, 1.0 - along.reached)
-    return " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)", SUBJECT, slack
+    names = " and ".join(each.name for each in stated) or "(1 + margin) P1 <= Pi(t)"
+    return Decision(names, SUBJECT, slack)

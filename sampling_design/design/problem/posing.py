@@ -120,16 +120,16 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     access = [requirement.outputs.get(name) for name in names]
     prices = np.array([0.0 if a is None else a.cost for a in access])
     problem = DesignProblem(
-        plant,
-        _known(requirement.window),
-        _known(requirement.period),
-        _known(requirement.spacing),
-        samples,
-        requirement.forbidden,
-        requirement.fixed,
-        tuple(None if a is None else a.available for a in access),
-        prices,
-        np.inf if requirement.cost_limit is None else requirement.cost_limit,
+        plant=plant,
+        window=_known(requirement.window),
+        period=_known(requirement.period),
+        spacing=_known(requirement.spacing),
+        samples=samples,
+        forbidden=requirement.forbidden,
+        fixed=requirement.fixed,
+        available=tuple(None if a is None else a.available for a in access),
+        costs=prices,
+        cost_limit=np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
     if check:
         try:

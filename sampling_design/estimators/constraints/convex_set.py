@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,14 @@ Array = npt.NDArray[np.float64]
 
 EMPTY_MARGIN = 1e-9
 """A set counts as empty if every point violates it by more than this, relative to the sizes it names."""
+
+
+class LinearRows(NamedTuple):
+    """lower <= matrix z <= upper, row by row."""
+
+    matrix: Array
+    lower: Array
+    upper: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,13 +171,13 @@ class ConvexSet(Record):
         return np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
 
     @cached_property
-    def inequalities(self) -> tuple[Array, Array, Array]:
-        """Matrix, lower and upper bounds of what is linear beside the box: half-spaces, and balls that are points."""
+    def inequalities(self) -> LinearRows:
+        """What is linear beside the box: half-spaces, and balls that are points."""
         points = [ball for ball in self.balls if ball.radius == 0]
         places = [ball.shape @ ball.centre for ball in points]
         matrix = np.concatenate([self.rows, *(ball.shape for ball in points)])
         lower = np.concatenate([np.full(self.offsets.size, -np.inf), *places])
-        return matrix, lower, np.concatenate([self.offsets, *places])
+        return LinearRows(matrix, lower, np.concatenate([self.offsets, *places]))
 
     @property
     def round_balls(self) -> tuple[Ball, ...]:

@@ -62,7 +62,17 @@ class WindowConstraints:
             names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
             sets = self.reach.over(window.flows)
             signals.append(
-                Signal("constraints.w", window.times[1:], names, base, sets, at, np.ones(len(names)), whiten, before)
+                Signal(
+                    name="constraints.w",
+                    times=window.times[1:],
+                    entries=names,
+                    base=base,
+                    sets=sets,
+                    at=at,
+                    unit=np.ones(len(names)),
+                    here=whiten,
+                    before=before,
+                )
             )
         return Demands(free.spread, signals, *nodes.shape)
 

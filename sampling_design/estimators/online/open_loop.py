@@ -151,7 +151,19 @@ class OpenLoopEstimator(OnlineEstimator):
         estimate = self._estimate(t, x, Y, self._prior_energy, "prior", sound=True, scheduled=scheduled)
         zero = np.zeros(p)
         node = Node(
-            t, zero, zero, zero, x, Y, self._prior_energy, None, np.zeros(n), scheduled, True, estimate, Sample(t)
+            t=t,
+            y=zero,
+            mask=zero,
+            feedthrough=zero,
+            x=x,
+            Y=Y,
+            beta=self._prior_energy,
+            flow=None,
+            drift=np.zeros(n),
+            scheduled=scheduled,
+            sound=True,
+            estimate=estimate,
+            sample=Sample(t),
         )
         return State((node,))
 

@@ -205,7 +205,17 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
         citation="Mo and Sinopoli 2012",
     )
     lower, period = min(lower, upper), schedule.period
-    return LossTolerance(lower, upper, limit, float(growth), density, period, times, periods, claim)
+    return LossTolerance(
+        lower=lower,
+        upper=upper,
+        limit=limit,
+        growth=float(growth),
+        density=density,
+        period=period,
+        hidden_times=times,
+        periods=periods,
+        claim=claim,
+    )
 
 
 def _borne(growth: float, time: float, shown: float) -> float:

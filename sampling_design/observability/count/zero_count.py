@@ -186,7 +186,19 @@ def _record(
         citation="paper, equation (29)",
     )
     critical = n if below else None
-    return ZeroCountBound(float(value), needed, order, spread, T, n, plant.n_outputs, length, critical, least, claim)
+    return ZeroCountBound(
+        value=float(value),
+        samples_needed=needed,
+        order=order,
+        frequency_spread=spread,
+        duration=T,
+        n_states=n,
+        n_outputs=plant.n_outputs,
+        critical_length=length,
+        samples_critical=critical,
+        samples_least=least,
+        claim=claim,
+    )
 
 
 def _order_and_spread(clusters: tuple[EigenvalueCluster, ...]) -> tuple[int, float]:

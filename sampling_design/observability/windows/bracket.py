@@ -259,18 +259,18 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     with np.errstate(divide="ignore"):
         sigma = 1 / np.concatenate(search.values)
     return Bracket(
-        lower,
-        upper,
-        status,
-        start,
-        pieces.side(g, start),
-        pieces.samples(g),
-        right[-1],
-        pieces,
-        nodes[order],
-        sigma[order],
-        owner[order],
-        search.piece_lower,
+        lower=lower,
+        upper=upper,
+        status=status,
+        start=start,
+        side=pieces.side(g, start),
+        samples=pieces.samples(g),
+        direction=right[-1],
+        pieces=pieces,
+        nodes=nodes[order],
+        sigma=sigma[order],
+        owner=owner[order],
+        piece_lower=search.piece_lower,
     )
 
 
@@ -298,16 +298,16 @@ def _nothing_to_see(pieces: Pieces) -> Bracket:
     infinite = np.full(len(pieces), np.inf)
     owner = np.arange(len(pieces))
     return Bracket(
-        np.inf,
-        np.inf,
-        "no states",
-        start,
-        "at",
-        pieces.samples(0),
-        nothing,
-        pieces,
-        pieces.left,
-        infinite,
-        owner,
-        infinite,
+        lower=np.inf,
+        upper=np.inf,
+        status="no states",
+        start=start,
+        side="at",
+        samples=pieces.samples(0),
+        direction=nothing,
+        pieces=pieces,
+        nodes=pieces.left,
+        sigma=infinite,
+        owner=owner,
+        piece_lower=infinite,
     )

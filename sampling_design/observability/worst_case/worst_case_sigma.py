@@ -356,16 +356,16 @@ def _record(
     seen, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
     frozen = [_checks.freeze(a) for a in (s, seen, times, at_samples)]
     return WorstCaseSigma(
-        min(proof.lower, upper),
-        upper,
-        frozen[2],
-        _checks.freeze(x),
-        proof.status,
-        method,
-        proof.cells,
-        family,
-        rtol,
-        WorstCaseProfile(*frozen),
+        lower=min(proof.lower, upper),
+        upper=upper,
+        witness=frozen[2],
+        direction=_checks.freeze(x),
+        status=proof.status,
+        method=method,
+        cells=proof.cells,
+        family=family,
+        rtol=rtol,
+        profile=WorstCaseProfile(*frozen),
         scaled=scaled,
         time_unit=plant.time_unit,
     )

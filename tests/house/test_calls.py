@@ -1,0 +1,69 @@
+"""What is handed over in long rows is named: calls and results."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "sampling_design"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+MOST_BY_PLACE = 8
+"""Arguments of one call that are told apart by their place alone."""
+
+
+def calls_by_place(source: str) -> list[ast.Call]:
+    return [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call) and len(n.args) > MOST_BY_PLACE]
+
+
+def test_arguments_are_counted_by_place():
+    assert len(calls_by_place("f(1, 2, 3, 4, 5, 6, 7, 8, 9)")) == 1
+    assert calls_by_place("f(1, 2, 3, 4, 5, 6, 7, 8, i=9)") == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_call_tells_many_arguments_apart_by_their_place(path):
+    found = [f"line {call.lineno}: {ast.unparse(call.func)}" for call in calls_by_place(path.read_text())]
+    assert not found
+
+
+def long_tuples(hint: ast.expr | None) -> list[str]:
+    """The tuples of three and more different things in an annotation."""
+    found = []
+    for node in ast.walk(hint) if hint is not None else ():
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "tuple" and isinstance(node.slice, ast.Tuple):
+            parts = [ast.unparse(part) for part in node.slice.elts]
+            if len(parts) > 2 and "..." not in parts:
+                found.append(ast.unparse(node))
+    return found
+
+
+def test_long_tuples_are_found_wherever_they_stand():
+    hints = ["tuple[int, str, float]", "list[tuple[A, B, C]] | None", "tuple[A, B]", "tuple[A, ...]"]
+    assert [len(long_tuples(ast.parse(hint, mode="eval").body)) for hint in hints] == [1, 1, 0, 0]
+
+
+def public_results() -> dict[str, ast.expr | None]:
+    """What doors hand out, and public methods and fields of records and of what stands at the front door."""
+    import sampling_design
+
+    results: dict[str, ast.expr | None] = {}
+    for path in SOURCES:
+        for node in ast.parse(path.read_text()).body:
+            bases = [ast.unparse(base) for base in getattr(node, "bases", [])]
+            if isinstance(node, ast.FunctionDef) and "door" in map(ast.unparse, node.decorator_list):
+                results[node.name] = node.returns
+            if isinstance(node, ast.ClassDef) and (
+                {"Record", "Table"} & {*bases} or node.name in sampling_design.__all__
+            ):
+                for member in node.body:
+                    if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):
+                        results[f"{node.name}.{member.name}"] = member.returns
+                    elif isinstance(member, ast.AnnAssign) and not ast.unparse(member.target).startswith("_"):
+                        results[f"{node.name}.{ast.unparse(member.target)}"] = member.annotation
+    return results
+
+
+def test_what_a_user_gets_has_names_and_no_places():
+    results = public_results()
+    assert len(results) > 300  # the walk found them
+    assert {name: long_tuples(hint) for name, hint in results.items() if long_tuples(hint)} == {}

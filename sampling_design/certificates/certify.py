@@ -61,9 +61,19 @@ its own rounding leaves no other proof."""
 
 
 def certify_given(
-    plant: Plant, schedule: AnySchedule, P2: Array, Qw: Array, R: Array, Qv: Array, eta: float, solver: SolverRecord
+    plant: Plant,
+    schedule: AnySchedule,
+    P2: Array,
+    Qw: Array,
+    R: Array,
+    Qv: Array,
+    eta: float,
+    solver: SolverRecord,
+    exists: bool = False,
 ) -> Certificate:
     """Return the certificate with the best P1 for given weights and rate, proven.
+
+    `exists` says that one with this rate, or a larger one, is known to exist: then that is not asked again.
 
     Raises
     ------
@@ -80,7 +90,8 @@ def certify_given(
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
         proof = _Proof(plant, schedule, weights, eta, Efforts())
         followed(proof.canon, eta * proof.canon.time)
-        _require(plant, schedule, eta, proof.canon)
+        if not exists:
+            _require(plant, schedule, eta, proof.canon)
         return proof.closed(solver)
 
 
@@ -372,14 +383,14 @@ def certify(
         prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
     if prior is None:
         return chosen(plant, schedule, weights, rate, [float(budget)], progress)[0]
-    how = "given weights"
+    how, searched = "given weights", rate is None
     if rate is None:
         canon = canonical(plant, schedule, weights, prior)
         with np.errstate(all="ignore"):
             rate = choose_rate(canon, canon.inside(prior), _bounds(plant, schedule, canon), progress) / canon.time
         how = "least horizon for given P2"
     solver = SolverRecord("sampling_design", __version__, "given", 0, time.perf_counter() - began, {"weights": how})
-    return certify_given(plant, schedule, prior, *weights, rate, solver)
+    return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and bool(plant.n_states))
 
 
 def chosen(

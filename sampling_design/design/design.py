@@ -135,10 +135,11 @@ def design_schedule(
     split = split_modes(plant, _rate(wanted, plant))
     if split.retained.n_states == 0:
         return _nothing(plant, split, wanted)
-    resolved, used = resolve(split, wanted)
+    resolved, used, count = resolve(split, wanted)
     least = max(1, resolved.fixed.size, resolved.samples.get("exactly", resolved.samples.get("at_least", 1)))
     check_size(pose(designed_plant(split, resolved), resolved, least, check=False))
-    count = zero_count_bound(split.retained, float(resolved.window or 0))  # refuses a mode that no output sees
+    if count is None:  # refuses a mode that no output sees
+        count = zero_count_bound(split.retained, float(resolved.window or 0))
     run = _Run(
         plant=plant,
         split=split,

@@ -38,7 +38,7 @@ class Objective:
 
     def __init__(self, plant, requirement, seconds):
         split = split_modes(plant)
-        asked, _ = resolve(split, requirement)
+        asked = resolve(split, requirement).requirement
         self.problem = pose(split.retained, asked, asked.samples["exactly"])
         self.plant, self.best, self.times, self.calls = split.retained, 0.0, None, 0
         self.until = time.process_time() + seconds

@@ -14,7 +14,7 @@ BASE = {"window": 4.0, "spacing": 0.5, "samples": 3}
 
 
 def test_defaults_come_from_the_modes_and_are_told():
-    requirement, used = resolve(split_modes(OSCILLATOR), Requirement())
+    requirement, used, _ = resolve(split_modes(OSCILLATOR), Requirement())
     assert requirement.window == pytest.approx(2 * np.pi)
     assert requirement.period == requirement.window
     assert requirement.samples == {"exactly": 4}  # k* = 1 + T delta/(2 pi) = 3, strictly more
@@ -30,13 +30,15 @@ def test_without_oscillation_the_window_is_four_over_the_norm():
 def test_the_default_count_is_cut_with_a_notice():
     A = np.kron(np.diag(np.arange(1.0, 6.0)), [[0.0, 1.0], [-1.0, 0.0]])
     plant = Plant(A, np.tile([[1.0, 0.0]], 5))
-    requirement, used = resolve(split_modes(plant), Requirement(window=20.0))
+    requirement, used, _ = resolve(split_modes(plant), Requirement(window=20.0))
     assert requirement.samples == {"exactly": 24}
     assert "24 are designed" in used["notice"]
 
 
 def test_times_are_converted_to_the_unit_of_the_plant():
-    requirement, _ = resolve(split_modes(OSCILLATOR), Requirement(window=0.1, spacing=0.01, samples=3, time_unit="min"))
+    requirement = resolve(
+        split_modes(OSCILLATOR), Requirement(window=0.1, spacing=0.01, samples=3, time_unit="min")
+    ).requirement
     assert requirement.window == pytest.approx(6.0)
     assert requirement.spacing == pytest.approx(0.6)
     assert requirement.time_unit == "s"
@@ -112,9 +114,8 @@ def test_the_capacity_is_the_most_by_enumeration():
 
     grid = np.arange(20) / 5
     for forbidden in ([[0.4, 1.0]], [[0.0, 0.6], [2.0, 3.0]], [[1.0, 1.2], [3.4, 4.0]]):
-        requirement, _ = resolve(
-            split_modes(OSCILLATOR), Requirement(window=4.0, spacing=0.6, samples=2, forbidden=forbidden)
-        )
+        asked = Requirement(window=4.0, spacing=0.6, samples=2, forbidden=forbidden)
+        requirement = resolve(split_modes(OSCILLATOR), asked).requirement
         problem = pose(OSCILLATOR, requirement, 2)
         allowed = grid[problem.mask(grid).any(axis=-1)]
         most = max(

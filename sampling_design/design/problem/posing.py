@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.observability.count.default_window import default_window
-from sampling_design.observability.count.zero_count import zero_count_bound
+from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 
@@ -24,12 +24,20 @@ Array = npt.NDArray[np.float64]
 MOST_DEFAULT_SAMPLES = 24
 
 
+class Resolved(NamedTuple):
+    """A requirement without gaps, the defaults that were used, with reasons, and the zero count if they took it."""
+
+    requirement: Requirement
+    used: dict[str, Any]
+    zero_count: ZeroCountBound | None
+
+
 @door
-def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, dict[str, Any]]:
-    """Fill in the defaults, in the plant's time unit; return the requirement and the defaults used, with reasons."""
+def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
+    """Fill in the defaults, in the plant's time unit; return them with what they rest on."""
     r = _in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
-    retained = split.retained
+    retained, count = split.retained, None
     if r.scaled is None:
         r = r.replace(scaled=retained.has_scales)
         if retained.has_scales:
@@ -41,11 +49,12 @@ def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, d
         r = r.replace(period=r.window)
         used["period"] = r.period
     if not r.samples:
-        needed = zero_count_bound(retained, _known(r.window)).samples
+        count = zero_count_bound(retained, _known(r.window))
+        needed = count.samples
         per_period = max(1, int(np.ceil(needed * _known(r.period) / _known(r.window) - SLACK)))
         kind = "exactly" if r.target_sigma is None else "at_most"
-        count = min(per_period, MOST_DEFAULT_SAMPLES) if r.target_sigma is None else MOST_DEFAULT_SAMPLES
-        r = r.replace(samples={kind: max(count, r.fixed.size)})
+        most = min(per_period, MOST_DEFAULT_SAMPLES) if r.target_sigma is None else MOST_DEFAULT_SAMPLES
+        r = r.replace(samples={kind: max(most, r.fixed.size)})
         used["samples"] = dict(r.samples)
         if r.target_sigma is None and per_period > MOST_DEFAULT_SAMPLES:
             used["notice"] = (
@@ -56,7 +65,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> tuple[Requirement, d
         r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
         used["spacing"] = r.spacing
     r._check_within(_known(r.period))
-    return r, used
+    return Resolved(r, used, count)
 
 
 def repeated(requirement: Requirement, laps: int) -> Requirement:

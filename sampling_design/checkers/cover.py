@@ -9,7 +9,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from .grammar import Family, GapRange, Graph, Jitter, Laps, LostSamples, SpacedWindows
+from .grammar import Family, GapRange, Graph, Jitter, LostSamples, SpacedWindows, Times
 from .outcome import Refused
 
 Word = tuple[Fraction, ...]
@@ -73,25 +73,25 @@ def spaced_windows(family: SpacedWindows, graph: Graph) -> None:
     gaps(graph, spacing, most)
 
 
-def phases(lap: Laps, word: Word, u: int) -> list[int]:
-    """Which samples of the nominal lap may come next at a node."""
-    need(bool(word) or not u, u, "the word does not begin with a sample of the lap")
-    return [(int(word[0]) + 1) % lap.gaps.size] if u else list(range(lap.gaps.size))
+def phases(nominal: Times, word: Word, u: int) -> list[int]:
+    """Which samples of the nominal period may come next at a node."""
+    need(bool(word) or not u, u, "the word does not begin with a sample of the period")
+    return [(int(word[0]) + 1) % nominal.gaps.size] if u else list(range(nominal.gaps.size))
 
 
-def patterns(lap: Laps) -> list[tuple[bool, ...]]:
-    """What each sample of the nominal lap measures."""
-    return [tuple(map(bool, row)) for row in lap.seen]
+def patterns(nominal: Times) -> list[tuple[bool, ...]]:
+    """What each sample of the nominal period measures."""
+    return [tuple(map(bool, row)) for row in nominal.seen]
 
 
 def lost_samples(family: LostSamples, graph: Graph) -> None:
     """Words are the phase and which of the last samples were lost (1), newest first; less than that may be said."""
-    lap, words = family.nominal, [exact(word) for word in graph.words]
-    lengths, reach, seen = [Fraction(g) for g in lap.gaps], [Fraction(r) for r in lap.reach], patterns(lap)
-    lost = tuple([False] * lap.seen.shape[1])
+    nominal, words = family.nominal, [exact(word) for word in graph.words]
+    lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
+    lost = tuple([False] * nominal.seen.shape[1])
     for u, word in enumerate(words):
         bits, moves = word[1:], dict[tuple[int, bool], list[tuple[Fraction, Fraction]]]()
-        for j in phases(lap, word, u):
+        for j in phases(nominal, word, u):
             moves[j, False] = []
             if sum(bits[: family.of - 1]) < family.most:
                 moves[j, True] = []
@@ -101,23 +101,23 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
             j = int(phase)
             fits = j == phase and (j, bit) in moves and (bit or edge.outputs == seen[j])
             fits = fits and implied(tuple(claimed), (Fraction(bit), *bits))
-            need(fits, u, f"the edge to node {edge.target} is no sample of the lap, taken or lost, that may follow")
+            need(fits, u, f"the edge to node {edge.target} is no sample of the period, taken or lost, that may follow")
             moves[j, bit].append((Fraction(edge.low), Fraction(edge.high)))
         for (j, bit), parts in moves.items():
             low, high = (lengths[j], lengths[j]) if u else (Fraction(0), reach[j])
-            need(covers(parts, low, high), u, f"sample {j} of the lap, {'lost' if bit else 'taken'}")
+            need(covers(parts, low, high), u, f"sample {j} of the period, {'lost' if bit else 'taken'}")
 
 
 def jitter(family: Jitter, graph: Graph) -> None:
     """Words are the phase and the ends of the last deviation from the nominal time."""
-    lap, radius, words = family.nominal, Fraction(family.radius), [exact(word) for word in graph.words]
-    lengths, reach, seen = [Fraction(g) for g in lap.gaps], [Fraction(r) for r in lap.reach], patterns(lap)
+    nominal, radius, words = family.nominal, Fraction(family.radius), [exact(word) for word in graph.words]
+    lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
     for u, word in enumerate(words):
-        need(len(word) == 3 or not u, u, "the word is no sample of the lap and the ends of its deviation")
-        cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(lap, word, u)}
+        need(len(word) == 3 or not u, u, "the word is no sample of the period and the ends of its deviation")
+        cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(nominal, word, u)}
         for edge in graph.leaving(u):
             phase, a, b = (words[edge.target] + (Fraction(-1),) * 3)[:3]
-            j, what = int(phase), f"the edge to node {edge.target} is no sample of the lap that may follow"
+            j, what = int(phase), f"the edge to node {edge.target} is no sample of the period that may follow"
             need(j == phase and j in cells and a <= b and edge.outputs == seen[j], u, what)
             low, high = (
                 (lengths[j] + a - word[2], lengths[j] + b - word[1]) if u else (Fraction(0), reach[j] + radius + b)
@@ -126,7 +126,7 @@ def jitter(family: Jitter, graph: Graph) -> None:
             need(wide, u, f"the edge to node {edge.target} leaves out gaps of that deviation")
             cells[j].append((a, b))
         for j, parts in cells.items():
-            need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the lap")
+            need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the period")
 
 
 COVERED: dict[type[Family], Callable[[Any, Graph], None]] = {

@@ -128,7 +128,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Laps:
+class Times:
     """When and what a schedule measures: gaps before each sample, the first time, measured outputs (samples, p)."""
 
     periodic: bool
@@ -144,7 +144,7 @@ class Laps:
 
     @property
     def times(self) -> Array:
-        """Of the first lap."""
+        """Of the first period."""
         return self.first + np.concatenate([[0.0], np.cumsum(self.gaps[1:])]) if self.periodic else self.stated
 
     @property
@@ -188,7 +188,7 @@ class SpacedWindows(Family):
 class LostSamples(Family):
     """At most `most` of any `of` samples in a row are lost."""
 
-    nominal: Laps
+    nominal: Times
     most: int
     of: int
 
@@ -197,7 +197,7 @@ class LostSamples(Family):
 class Jitter(Family):
     """Every sample at most `radius` early or late."""
 
-    nominal: Laps
+    nominal: Times
     radius: float
 
 
@@ -235,7 +235,7 @@ class Sampled:
 
     plant: Plant
     weights: Weights
-    laps: Laps
+    schedule: Times
     witness: Witness | None
 
 
@@ -319,7 +319,7 @@ def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectabilit
         return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
     weights = weights_of(read, plant)
     if claim == "assumption-7":
-        return Sampled(plant, weights, laps_of(read["times"], plant), witness_of(read["witness"], plant.n))
+        return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))
     return of_family(read, plant, weights)
 
 
@@ -360,17 +360,17 @@ def witness_of(read: Tree | None, n: int) -> Witness | None:
     return Witness(**{**read, "direction": np.array(read["direction"])})
 
 
-def laps_of(value: object, plant: Plant, place: str = "times") -> Laps:
+def times_of(value: object, plant: Plant, place: str = "times") -> Times:
     """One schedule of a certificate: in the plant's unit, one column per output."""
     mask = or_nothing(list_of(list_of(bit, len(plant.C))))
     shapes = {
         "periodic": table({"kind": text, "gaps": list_of(positive), "first": nonnegative, "outputs": mask}),
         "finite": table({"kind": text, "times": list_of(nonnegative), "outputs": mask}),
     }
-    return laps(_of_kind(value, place, shapes, "a schedule"), plant, place)
+    return times_read(_of_kind(value, place, shapes, "a schedule"), plant, place)
 
 
-def laps(read: Tree, plant: Plant, place: str) -> Laps:
+def times_read(read: Tree, plant: Plant, place: str) -> Times:
     """The schedule in a table that was read, its times judged."""
     periodic = read["kind"] == "periodic"
     stated = np.array(read["gaps" if periodic else "times"], dtype=np.float64)
@@ -385,7 +385,7 @@ def laps(read: Tree, plant: Plant, place: str) -> Laps:
     if seen.shape != (gaps.size, len(plant.C)) or not seen.any(axis=1).all():
         rows = f"{gaps.size} rows of {len(plant.C)} numbers"
         raise refuse(f"{place}.outputs", f"must have {rows} 0 or 1, each row with a 1")
-    return Laps(periodic, gaps, float(first), seen, stated)
+    return Times(periodic, gaps, float(first), seen, stated)
 
 
 # --- families --------------------------------------------------------------------------------------------------------
@@ -411,14 +411,14 @@ def family_of(value: object, plant: Plant) -> Family:
     return FAMILIES[kind].build(read, plant)
 
 
-def nominal_of(read: Tree, plant: Plant) -> Laps:
+def nominal_of(read: Tree, plant: Plant) -> Times:
     """The nominal schedule of a family: periodic, with gaps, and columns that are the plant's outputs."""
     place = "times.schedule"
     if read["kind"] != "periodic" or "gaps" not in read:
         raise refuse(place, "must be periodic and have `gaps`")
     if read.get("output_names") is not None:
         raise refuse(f"{place}.output_names", "must be left out: the columns are the plant's outputs, without names")
-    found = laps(read, plant, place)
+    found = times_read(read, plant, place)
     room = 1e-9 * found.period
     if ("times" in read) != ("period" in read):
         raise refuse(place, "must have `times` and `period` together, or neither")

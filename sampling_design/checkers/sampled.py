@@ -9,7 +9,7 @@ It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the co
 import numpy as np
 
 from .frame import Frame, Index, largest, least, size, turned
-from .grammar import Laps, Sampled, Witness
+from .grammar import Sampled, Times, Witness
 from .numbers import EPS, Problem, problem
 from .outcome import Refused, Undecided
 from .strict import Array, Mask
@@ -20,7 +20,7 @@ REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
 MAX_OPEN = 100_000  # open cells or steps at once
-LAPS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
+PERIODS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
 SUSPECTS = 200  # windows at once in which a violation is looked for: those of the largest Y
 INFLATION = 1e-2  # noise added per gap, where the target is I, to find the family B_i; then less and less
 
@@ -45,22 +45,30 @@ def prove(c: Sampled, work: Work | None = None) -> tuple[str, float]:
     for k in (0, 1):  # a target that lies below the other is proven with it
         if len(stated) == 2 and least(stated[1 - k][0] - stated[k][0]) >= 0:
             stated.pop(k)
-    slack = min(Windows(numbers, c.laps, target, name, work).prove() for target, name in stated)
+    slack = min(Windows(numbers, c.schedule, target, name, work).prove() for target, name in stated)
     name = "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts"
-    Windows(numbers, c.laps, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name, work).prove(samples=True)
+    Windows(numbers, c.schedule, (1 - RESOLUTION) * numbers.P2 / w.lam_samples, name, work).prove(samples=True)
     if c.witness is not None:
-        Windows(numbers, c.laps, numbers.P2, "witness", work).attained(c.witness)
+        Windows(numbers, c.schedule, numbers.P2, "witness", work).attained(c.witness)
     return inequality, slack
 
 
 class Windows(Frame):
     """Proof of Y <= I along one schedule, for one target."""
 
-    def __init__(self, numbers: Problem, laps: Laps, target: Array, inequality: str, work: Work | None = None) -> None:
-        super().__init__(numbers, target, inequality, laps.seen, work)
-        self.laps, self.N, self.gaps, self.times, self.reach = laps, laps.gaps.size, laps.gaps, laps.times, laps.reach
+    def __init__(
+        self, numbers: Problem, schedule: Times, target: Array, inequality: str, work: Work | None = None
+    ) -> None:
+        super().__init__(numbers, target, inequality, schedule.seen, work)
+        self.schedule, self.N, self.gaps, self.times, self.reach = (
+            schedule,
+            schedule.gaps.size,
+            schedule.gaps,
+            schedule.times,
+            schedule.reach,
+        )
         self.longer = self.gaps * (1 + 4 * EPS)  # a difference of two times is rounded
-        self.lap, self.reached = self.flow(self.gaps), 0.0
+        self.once, self.reached = self.flow(self.gaps), 0.0
 
     def stretch(self, U: Array, duration: Array) -> Mask:
         """For each U: is F U F' + W <= I proven all along `duration`? Halves the time steps that are not yet."""
@@ -88,7 +96,7 @@ class Windows(Frame):
 
     def prove(self, samples: bool = False) -> float:
         """Prove Y <= I from all real starts (or from sample starts only) to all later times; return the slack."""
-        laps, Y, E = self.laps, self.start[None], self.start_band[None]
+        schedule, Y, E = self.schedule, self.start[None], self.start_band[None]
         last = np.array([self.reach.argmax()])
         if not (before := self.stretch(Y, self.reach[last])[0]):
             self.violated(Y, E, self.reach[last], self.times[last] - self.reach[last], np.zeros(1))
@@ -96,12 +104,13 @@ class Windows(Frame):
         low, high = (self.reach[index] * ((np.arange(index.size) % CELLS + k) / CELLS) for k in (0, 1))
         if samples:
             index = np.append(np.arange(self.N), 0)
-            low = high = np.append(self.gaps, laps.first)
+            low = high = np.append(self.gaps, schedule.first)
         for _ in range(ROUNDS if before else 0):
             left = ~self.windows(index, high, low, family)
             if not left.any():
                 return float(self.one - self.reached)
-            if samples or index.size > MAX_OPEN or (family is None and laps.periodic):  # without B_i no lap closes
+            # without B_i no period closes
+            if samples or index.size > MAX_OPEN or (family is None and schedule.periodic):
                 break
             index, low, high = np.tile(index[left], 2), low[left], high[left]
             low, high = np.append(low, (low + high) / 2), np.append((low + high) / 2, high)
@@ -115,12 +124,12 @@ class Windows(Frame):
         rest = self.curvature(other, high - low)[:, None, None] * self.I
         U, at, good, alive = np.stack([Y + rest, other + rest]), index, high >= low, np.arange(m)
         start, since = self.times[index] - high, high.copy()
-        for _ in range((LAPS if family is not None else LAPS // 10) * self.N):
+        for _ in range((PERIODS if family is not None else PERIODS // 10) * self.N):
             self.spend(3 * at.size)
             K = self.gain(Y, at)
             U, (Y, left, lost), before = self.after(U, at, K)[0], self.after(Y, at, K), Y
             E = self.band_after(E, before, at, K, left, lost)
-            going = np.ones(at.size, bool) if self.laps.periodic else at + 1 < self.N
+            going = np.ones(at.size, bool) if self.schedule.periodic else at + 1 < self.N
             if family is not None:
                 going &= least(family[at] - U).min(axis=0) < 0
             Y, E, U, alive, since = Y[going], E[going], U[:, going], alive[going], since[going]
@@ -135,7 +144,7 @@ class Windows(Frame):
             if not closed.any():
                 return good
             at, alive, since = at[closed], alive[closed], since[closed] + self.gaps[at[closed]]
-            flows = self.lap[at]
+            flows = self.once[at]
             U, (Y, lost) = self.along(U[:, closed], flows)[0], self.along(Y[closed], flows)
             E = flows.F @ E[closed] @ turned(flows.F) + 2 * lost
         good[alive] = False
@@ -155,7 +164,7 @@ class Windows(Frame):
         if not np.any(sure > 1):
             return
         row, column = divmod(int(np.argmax(sure)), 33)
-        begin = float(start[row] + (self.laps.period if start[row] < 0 and self.laps.periodic else 0.0))
+        begin = float(start[row] + (self.schedule.period if start[row] < 0 and self.schedule.periodic else 0.0))
         time = float(begin + since[row] + duration[row] * column / 32)
         amount, where = float(1 / sure.max() - 1), f"at time {time:.6g} in the window from {begin:.6g}"
         reason = f"{self.inequality} fails by {-amount:.3g} {where}"
@@ -164,37 +173,42 @@ class Windows(Frame):
     def family(self) -> Array | None:
         """B_i after each sample, which the recursion maps below itself and which stays below I; None if not found."""
         N, after, worst, inflation = self.N, (np.arange(self.N) + 1) % self.N, np.float64(3.0), 10 * INFLATION
-        lap = self.lap
+        once = self.once
         while inflation > 1e-12:
             inflation *= min(0.1, 0.3 / worst)
             Z, Y = np.zeros((N, self.n, self.n)), self.start
-            for _ in range(LAPS if self.laps.periodic else 1):
+            for _ in range(PERIODS if self.schedule.periodic else 1):
                 before = Y
                 self.spend(N * 8)
                 for i in range(N):
-                    moved = lap.F[i] @ Y @ lap.F[i].T + lap.W[i] + inflation * self.I
+                    moved = once.F[i] @ Y @ once.F[i].T + once.W[i] + inflation * self.I
                     Z[i] = Y = self.after(moved, i, self.gain(moved, i))[0]
-                if np.linalg.norm(Y - before) <= inflation / 2:  # then one lap maps Z below itself
+                if np.linalg.norm(Y - before) <= inflation / 2:  # then one period maps Z below itself
                     break
-            worst = max(largest(Z).max(), largest(self.along(Z, lap[after])[0]).max())
+            worst = max(largest(Z).max(), largest(self.along(Z, once[after])[0]).max())
             for scale in (1 / worst) ** np.array([0.95, 0.8, 0.5, 0.2, 0.0]) if worst < 1 else ():
                 B = scale * Z
-                moved = self.along(B, lap[after])[0]
+                moved = self.along(B, once[after])[0]
                 below = least(B[after] - self.after(moved, after, self.gain(moved, after))[0]) >= 0
                 closed = below & self.stretch(B, self.longer[after])
-                if closed[: None if self.laps.periodic else -1].all():
+                if closed[: None if self.schedule.periodic else -1].all():
                     return np.asarray(B)
         return None
 
     def attained(self, witness: Witness) -> None:
         """Replay the witness: x'P2x / x'Pi(t)x at its start, time and direction must reach the stated ratio."""
-        laps, x = self.laps, self.L.T @ (witness.direction / self.problem.units)
+        schedule, x = self.schedule, self.L.T @ (witness.direction / self.problem.units)
         now, t, stated = witness.start, witness.t, witness.ratio
-        if not now <= t < (100 * LAPS * laps.period if laps.periodic else self.times[-1] * (1 + 1e-9)):
+        if not now <= t < (100 * PERIODS * schedule.period if schedule.periodic else self.times[-1] * (1 + 1e-9)):
             raise Refused("witness", "the witness must have 0 <= start <= t within the schedule")
-        first = int(now / laps.period) if laps.periodic else 0
-        turns = np.arange(first, int(t / laps.period) + 2) if laps.periodic else np.zeros(1)
-        times, Y, E, near = (self.times + laps.period * turns[:, None]).ravel(), self.start, self.start_band, 1e-9 * t
+        first = int(now / schedule.period) if schedule.periodic else 0
+        turns = np.arange(first, int(t / schedule.period) + 2) if schedule.periodic else np.zeros(1)
+        times, Y, E, near = (
+            (self.times + schedule.period * turns[:, None]).ravel(),
+            self.start,
+            self.start_band,
+            1e-9 * t,
+        )
         for k in np.flatnonzero((times > now + near) & (times < t - near)):
             self.spend(4)
             Y, E = self.later(Y, E, times[k] - now)

@@ -64,7 +64,7 @@ def unfolded(problem: DesignProblem, part: DesignProblem, times: Array, chosen: 
 
 def _folded(spans: Array, period: float, count: int) -> Array:
     """Every interval in every part, as disjoint sorted intervals of [0, period)."""
-    pieces = [(a - lap * period, b - lap * period) for a, b in spans for lap in range(count + 1)]
+    pieces = [(a - cycle * period, b - cycle * period) for a, b in spans for cycle in range(count + 1)]
     inside = sorted((max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period)
     joined: list[list[float]] = []
     for a, b in inside:

@@ -151,24 +151,24 @@ def _bounds(design: ScheduleDesign, every_period: bool, deadline: float) -> Arra
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
-    laps = 1 if every_period else _laps(design)
+    periods = 1 if every_period else _periods(design)
     plant = designed_plant(design.split, requirement)
     known: dict[float | None, float] = {}
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
     for key in set(keys):
-        fixed = (requirement.fixed + schedule.period * np.arange(laps)[:, None]).ravel()
-        asked = repeated(requirement, laps).replace(fixed=fixed if key is None else fixed[fixed != key])
+        fixed = (requirement.fixed + schedule.period * np.arange(periods)[:, None]).ravel()
+        asked = repeated(requirement, periods).replace(fixed=fixed if key is None else fixed[fixed != key])
         try:
-            sized = bounded(plant, asked, laps * len(schedule) - 1, deadline)
-            whole = pose(plant, asked, laps * len(schedule), check=False)
-            roomy = key is None and laps == 1 and whole.always_has_room  # else fewer may see more than the design
+            sized = bounded(plant, asked, periods * len(schedule) - 1, deadline)
+            whole = pose(plant, asked, periods * len(schedule), check=False)
+            roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
             known[key] = min(sized.bound.value, design.upper_bound) if roomy else sized.bound.value
         except InfeasibleRequirementError:  # too few measurements for the states, or none left
             known[key] = 0.0
     return np.array([known[key] for key in keys])
 
 
-def _laps(design: ScheduleDesign) -> int:
+def _periods(design: ScheduleDesign) -> int:
     """Periods that a window can touch, plus one."""
     assert design.schedule is not None
     return int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1
@@ -178,11 +178,11 @@ def _without(design: ScheduleDesign, i: int, every_period: bool) -> PeriodicSche
     """The schedule without sample i of each period, or of one period in as many as a window can touch, plus one."""
     schedule = design.schedule
     assert schedule is not None
-    laps = 1 if every_period else _laps(design)
-    times = (schedule.times + schedule.period * np.arange(laps)[:, None]).ravel()
+    periods = 1 if every_period else _periods(design)
+    times = (schedule.times + schedule.period * np.arange(periods)[:, None]).ravel()
     if times.size == 1:
         return None
     keep = np.arange(times.size) != i
-    mask = None if schedule.outputs is None else np.tile(schedule.outputs, (laps, 1))[keep]
+    mask = None if schedule.outputs is None else np.tile(schedule.outputs, (periods, 1))[keep]
     details = Details(time_unit=schedule.time_unit, output_names=schedule.output_names)
-    return PeriodicSchedule.from_times(times[keep], laps * schedule.period, mask, **details)
+    return PeriodicSchedule.from_times(times[keep], periods * schedule.period, mask, **details)

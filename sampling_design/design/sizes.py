@@ -14,7 +14,7 @@ MOST_MEMORY = 4.0e9
 """Bytes that one array of a design may take."""
 
 _LARGEST, _SMALLEST = 1e120, 1e-120  # entries between them have squares and products of squares that are numbers
-_LIKELY_LAPS = 1e6  # periods that a window may hold: their times still differ by more than rounding
+_LIKELY_PERIODS = 1e6  # periods that a window may hold: their times still differ by more than rounding
 _BYTES = 8.0
 
 
@@ -40,7 +40,7 @@ def _check_numbers(problem: DesignProblem) -> None:
     window, plant = problem.window, problem.plant
     for name, value in (("window", window), ("period", problem.period), ("spacing", problem.spacing)):
         ratio = value / window
-        if not (_SMALLEST < value < _LARGEST and 1 / _LIKELY_LAPS**2 < ratio < _LIKELY_LAPS**2):
+        if not (_SMALLEST < value < _LARGEST and 1 / _LIKELY_PERIODS**2 < ratio < _LIKELY_PERIODS**2):
             raise ArgumentError(
                 f"`{name}` {value:g} beside a window of {window:g} is out of all proportion: times differ by less than "
                 "rounding. Give window, period and spacing of comparable size."
@@ -63,10 +63,10 @@ def _check_numbers(problem: DesignProblem) -> None:
 def _sizes(problem: DesignProblem) -> list[tuple[float, str]]:
     """The largest arrays of a design in bytes, and what asks for them."""
     k, n, p = float(problem.samples), float(problem.plant.n_states), float(problem.plant.n_outputs)
-    laps = np.ceil(problem.window / problem.period) + 2
+    periods = np.ceil(problem.window / problem.period) + 2
     return [
         (3 * k * k * _BYTES, f"`samples` {problem.samples:g}"),
-        (k * laps * n * n * _BYTES * 4, f"a window that holds {k * laps:.3g} samples"),
-        (2 * k * k * laps * n * p * _BYTES, f"{2 * k:g} windows with {k * laps:.3g} samples each"),
-        (32 * 960 * laps * n * p * _BYTES, f"a window of {laps:.3g} periods"),
+        (k * periods * n * n * _BYTES * 4, f"a window that holds {k * periods:.3g} samples"),
+        (2 * k * k * periods * n * p * _BYTES, f"{2 * k:g} windows with {k * periods:.3g} samples each"),
+        (32 * 960 * periods * n * p * _BYTES, f"a window of {periods:.3g} periods"),
     ]

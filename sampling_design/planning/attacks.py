@@ -60,12 +60,12 @@ class HiddenMotion:
 def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
     """Largest |output| (T+1, p) by steps back from the end, folded into one period; the end itself only if asked."""
     T, p = len(outputs), outputs.shape[1]
-    laps = -(-T // steps)
-    back = np.zeros((laps * steps, p))
+    periods = -(-T // steps)
+    back = np.zeros((periods * steps, p))
     back[:T] = np.abs(outputs[::-1])
     if not at_sample:
         back[0] = 0.0
-    return np.asarray(back.reshape(laps, steps, p).max(axis=0))
+    return np.asarray(back.reshape(periods, steps, p).max(axis=0))
 
 
 class AttackPool:

@@ -73,8 +73,8 @@ class Oracle:
         """The window of samples of an endless schedule up to a step, and the step at which it starts."""
         steps = self.problem.steps
         at = np.flatnonzero(chosen.any(axis=1))
-        laps = back // steps + 1
-        knots = np.concatenate([at + lap * steps for lap in range(-laps, 1)])
+        periods = back // steps + 1
+        knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
         return RasterWindow(self.motion, knots, chosen[knots % steps])
 

@@ -39,7 +39,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None) -> Axes | style.
 
 def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:
     draw_schedule(schedule, ax)
-    for lap in (0.0, schedule.period):
+    for cycle in (0.0, schedule.period):
         for start, stop in result.requirement.forbidden:
-            ax.axvspan(lap + start, lap + stop, color=style.ALLOWED, alpha=0.35, linewidth=0)
+            ax.axvspan(cycle + start, cycle + stop, color=style.ALLOWED, alpha=0.35, linewidth=0)
     return ax

@@ -68,8 +68,8 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     goal = [goal for goal in result.goals if goal.guaranteed][k]
     assert result.accuracy is not None
     profile, period = result.accuracy.profile, result.schedule.period
-    for lap in (-period, 0.0):
-        ax.stairs(profile.upper[k], profile.edges + lap, baseline=None, color=style.PROVEN, label="guaranteed")
+    for cycle in (-period, 0.0):
+        ax.stairs(profile.upper[k], profile.edges + cycle, baseline=None, color=style.PROVEN, label="guaranteed")
     ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
     if result.bound.ratio is not None:
         level = result.bound.ratio.level * goal.tolerance

@@ -41,7 +41,7 @@ CELL_LOSS = 8e-3
 CONTRACTED = 1e-3
 """Periods are added until the filter's error forgets all but this share of its past."""
 
-LAPS = 4000
+PERIODS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ class SampleChain:
         for j in range(count):
             mu, cost = np.eye(n), np.zeros(n)
             at = j
-            for step in range(LAPS * count):
+            for step in range(PERIODS * count):
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
                 mu = mu - sample.H.T @ gains
@@ -248,16 +248,16 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
 def _covariances(F: Array, W: Array, rows: list[Array]) -> list[Array]:
     """The filter's covariance before each sample, in its periodic limit."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
-    lap = maps[0]
+    period = maps[0]
     for following in maps[1:]:
-        lap = lap.then(following)
-    several = lap
+        period = period.then(following)
+    several = period
     for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
         several = several.then(several)
     known = np.diag(several.G)
     start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
     walk = RANDOM_WALK * several(start)
-    P = [limit(CovarianceMap(lap.F, lap.G, lap.Q + walk))]
+    P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
     for following in maps[:-1]:
         P.append(following(P[-1]))
     return P

@@ -223,17 +223,17 @@ class _Curves:
     def _endless(self, information: list[Array]) -> list[Array]:
         lengths = np.diff(self.question.nodes, append=self.question.end)
         maps = [CovarianceMap(f, G, w) for (f, w), G in zip(self._flows(lengths), information, strict=True)]
-        lap = maps[0]
+        period = maps[0]
         for following in maps[1:]:
-            lap = lap.then(following)
-        P = limit(lap)
-        closed = lap.F @ np.linalg.inv(np.eye(len(P)) + P @ lap.G)
+            period = period.then(following)
+        P = limit(period)
+        closed = period.F @ np.linalg.inv(np.eye(len(P)) + P @ period.G)
         if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) > 1 + UNSTABLE:
-            several = lap
+            several = period
             for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
                 several = several.then(several)
             walk = WALK * several(np.eye(len(P)) * DIFFUSE)
-            P = limit(CovarianceMap(lap.F, lap.G, lap.Q + walk))
+            P = limit(CovarianceMap(period.F, period.G, period.Q + walk))
         after = []
         for step, G in zip(maps, information, strict=True):
             after.append(updated(P, G))

@@ -53,12 +53,12 @@ def updated(P: Array, G: Array) -> Array:
     return symmetrise(root @ np.linalg.solve(inner, root.T))
 
 
-def limit(lap: CovarianceMap) -> Array:
+def limit(period: CovarianceMap) -> Array:
     """Return the limit of repeated periods from P = 0, the least covariance that reproduces itself."""
     for _ in range(DOUBLINGS):
-        twice = lap.then(lap)
-        settled = np.all(np.abs(twice.Q - lap.Q) <= SETTLED * np.sqrt(np.outer(np.diag(twice.Q), np.diag(twice.Q))))
-        lap = twice
+        twice = period.then(period)
+        settled = np.all(np.abs(twice.Q - period.Q) <= SETTLED * np.sqrt(np.outer(np.diag(twice.Q), np.diag(twice.Q))))
+        period = twice
         if settled:
             break
-    return lap.Q
+    return period.Q

@@ -148,7 +148,7 @@ class ChainSearch:
         return gains, adversary
 
     def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
-        """Keep a strike, and what it is at the samples of the last lap on its way."""
+        """Keep a strike, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
         for k in range(max(int(self.chain.start is None), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])

@@ -158,9 +158,9 @@ def _hidden(
     """Combinations of the columns of X that no sample shows."""
     flows = plant.transition(np.append(times - times[0], period)) * d / d[:, None]
     shrunk = np.exp(-value.real * np.append(times - times[0], period))
-    lap = np.vstack([C[seen] @ flow @ X * s for seen, flow, s in zip(outputs, flows[:-1], shrunk[:-1], strict=True)])
+    cycle = np.vstack([C[seen] @ flow @ X * s for seen, flow, s in zip(outputs, flows[:-1], shrunk[:-1], strict=True)])
     M = X.conj().T @ flows[-1] @ X * shrunk[-1]
-    rows = [lap]
+    rows = [cycle]
     for _ in range(X.shape[1] - 1):
         rows.append(rows[-1] @ M)
     _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)

@@ -140,8 +140,8 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     node may start anywhere in that set.
     """
     v, x, moved = witness.simulate()
-    lap = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
-    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[lap]))
+    period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
+    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[period]))
     begun = 0.0
     if initial is not None and witness.last + 1 == len(v):
         begun = initial.excess(witness.states[0])
@@ -150,7 +150,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
-    noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[lap], np.inf)
+    noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
     return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit), begun)

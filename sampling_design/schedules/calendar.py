@@ -315,12 +315,12 @@ def _repeating(
 ) -> list[tuple[CalendarEntry, str]]:
     """Each sample of the period with its rule; with a span, only those that begin in it, repeated until its end."""
     unit = SECONDS[schedule.time_unit or ""]
-    lap = calendar(schedule, zero, raster=grain)
+    cycle = calendar(schedule, zero, raster=grain)
     if span is None:
-        return [(entry, rule) for entry in lap]
+        return [(entry, rule) for entry in cycle]
     # UNTIL is inclusive and whole seconds, the span half-open
     last = _date(zero, _checks.positive("span", span) * unit) - timedelta(seconds=1)
-    return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in lap if entry.time < span]
+    return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in cycle if entry.time < span]
 
 
 def repeats_by_rule(schedule: PeriodicSchedule) -> bool:

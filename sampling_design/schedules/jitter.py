@@ -190,24 +190,24 @@ class Jitter(SamplingFamily, kind="jitter"):
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
         """Yield two periods with every deviation none or the largest."""
-        lap = period_of(self.schedule)
+        cycle = period_of(self.schedule)
         for _ in range(4 * RANDOM_WORDS):
-            yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(lap)) * self.radius)
+            yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(cycle)) * self.radius)
 
     def variation(self, start: PeriodicSchedule) -> Variation | None:
         """Return two periods with other deviations, near those of `start`."""
-        lap = period_of(self.schedule)
-        if len(start) == len(lap) or not self.radius:
+        cycle = period_of(self.schedule)
+        if len(start) == len(cycle) or not self.radius:
             return None
-        origin = np.array(start.times) - np.append(lap.times, lap.times + lap.period)
+        origin = np.array(start.times) - np.append(cycle.times, cycle.times + cycle.period)
         return Variation(origin, self.radius, self._shifted)
 
     def _shifted(self, shifts: Array) -> PeriodicSchedule:
         """Two periods with these deviations."""
-        lap = period_of(self.schedule)
-        times = np.maximum(np.append(lap.times, lap.times + lap.period) + shifts, 0.0)
-        mask = None if lap.outputs is None else np.tile(lap.outputs, (2, 1))
-        return PeriodicSchedule.from_times(times, 2 * lap.period, mask, time_unit=lap.time_unit)
+        cycle = period_of(self.schedule)
+        times = np.maximum(np.append(cycle.times, cycle.times + cycle.period) + shifts, 0.0)
+        mask = None if cycle.outputs is None else np.tile(cycle.outputs, (2, 1))
+        return PeriodicSchedule.from_times(times, 2 * cycle.period, mask, time_unit=cycle.time_unit)
 
     def narrowed(self, fraction: float) -> Self:
         """Return the family of `fraction` times the radius."""
@@ -228,9 +228,9 @@ class Jitter(SamplingFamily, kind="jitter"):
 def _first(schedule: AnySchedule, count: int) -> Schedule:
     """The first `count` samples, or fewer if a finite schedule has fewer."""
     if isinstance(schedule, PeriodicSchedule):
-        laps = -(-count // len(schedule))
-        times = (schedule.times + schedule.period * np.arange(laps)[:, None]).ravel()[:count]
-        mask = None if schedule.outputs is None else np.tile(schedule.outputs, (laps, 1))[:count]
+        cycles = -(-count // len(schedule))
+        times = (schedule.times + schedule.period * np.arange(cycles)[:, None]).ravel()[:count]
+        mask = None if schedule.outputs is None else np.tile(schedule.outputs, (cycles, 1))[:count]
         return Schedule(times, mask, **schedule._details())
     mask = None if schedule.outputs is None else schedule.outputs[:count]
     return Schedule(schedule.times[:count], mask, **schedule._details())

@@ -34,7 +34,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 LONGEST_PATTERN = 12
 QUICK_PATTERN = 6
 """Nominal samples of a pattern of losses that is suspect, and in a quick look."""
-_MOST_LAPS = 10_000  # periods after which two periods must have met, else their ratio counts as irrational
+_MOST_PERIODS = 10_000  # periods after which two periods must have met, else their ratio counts as irrational
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,7 +117,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
             return self._judge(mine, schedule, cyclic=False)
         if not isinstance(mine, PeriodicSchedule):
             return False
-        ratio = Fraction(schedule.period / mine.period).limit_denominator(_MOST_LAPS)
+        ratio = Fraction(schedule.period / mine.period).limit_denominator(_MOST_PERIODS)
         off = abs(schedule.period * ratio.denominator - mine.period * ratio.numerator)
         if ratio.numerator == 0 or off > 4 * ROUNDING * mine.period * ratio.numerator:
             return False

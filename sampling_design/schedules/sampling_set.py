@@ -145,8 +145,8 @@ class SamplingSet(Record):
         """How many K_i differ: every one of a finite schedule; one period (and perhaps K_1) of a periodic one."""
         if not isinstance(self.schedule, PeriodicSchedule):
             return len(self.schedule)
-        lap = _least_period(self.schedule)
-        return lap if self.first == self.schedule.gaps[0] else lap + 1
+        cycle = _least_period(self.schedule)
+        return cycle if self.first == self.schedule.gaps[0] else cycle + 1
 
     def kappa(self, T: float) -> int:
         """Return the largest number of samples in any closed window of length `T` [time].

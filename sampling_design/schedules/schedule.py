@@ -253,18 +253,18 @@ class PeriodicSchedule(_Sampled):
 
     def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
         """Return the samples in [start, stop] (never before `first`); `closed` as for `Schedule.between`."""
-        lap, period = self.times, self.period
+        cycle, period = self.times, self.period
         if not np.isfinite(stop):
             raise ArgumentError(f"`stop` must be finite, got {stop!r}: a periodic schedule has no end.")
-        low = max(0, int(np.floor((max(start, 0.0) - lap[-1]) / period)) - 1)
-        high = max(low, int(np.ceil((stop - lap[0]) / period)) + 1)
+        low = max(0, int(np.floor((max(start, 0.0) - cycle[-1]) / period)) - 1)
+        high = max(low, int(np.ceil((stop - cycle[0]) / period)) + 1)
         if (high - low + 1) * len(self) > MOST_TIMES:
             size = (high - low + 1.0) * len(self)
             raise ArgumentError(
                 f"`stop` asks for {size:.3g} samples, which take {8 * size / 2**30:.3g} GiB: at most {MOST_TIMES} are "
                 "listed at once."
             )
-        times = (lap + period * np.arange(low, high + 1)[:, None]).ravel()
+        times = (cycle + period * np.arange(low, high + 1)[:, None]).ravel()
         keep = _inside(times, start, stop, closed)
         mask = None if self.outputs is None else np.tile(self.outputs, (high - low + 1, 1))[keep]
         return Schedule(times[keep], mask, **self._details())

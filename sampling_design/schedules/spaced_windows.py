@@ -143,8 +143,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             return False
         T, k = self.window, self.count
         if isinstance(schedule, PeriodicSchedule):
-            lap = float(schedule.times[-1])
-            times = schedule.between(0.0, lap + k * schedule.period).times
+            cycle = float(schedule.times[-1])
+            times = schedule.between(0.0, cycle + k * schedule.period).times
             last = len(schedule) - 1
         else:
             times = schedule.times

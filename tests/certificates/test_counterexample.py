@@ -124,13 +124,13 @@ def test_narrowed_families_lie_inside():
 
 @pytest.mark.parametrize("longest", [3.1e11, 3e11])
 def test_gaps_of_ten_thousand_years_are_decided_at_once(longest):
-    """Twenty million turns fit into every word: a few hundred laps are tried, and the search says so."""
+    """Twenty million turns fit into every word: a few hundred periods are tried, and the search says so."""
     tide = Plant([[0.0, 1.4e-4, 0.0], [-1.4e-4, 0.0, 0.0], [0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0]])
     begun = time.process_time()
     found, near = sd.find_counterexample(tide, GapRange(3e11, longest), 1e-12, quick=True)
     assert time.process_time() - begun < 10
     assert found is None or found.verify()
-    assert "laps at which modes alias were tried" in near.searched
+    assert "periods at which modes alias were tried" in near.searched
 
 
 def test_a_search_ends_within_its_budget_and_says_so():

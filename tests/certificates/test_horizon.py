@@ -112,7 +112,7 @@ def test_contraction_needs_a_periodic_schedule_and_a_known_cost():
         error_map(made_for(), 0.0, 1.0, "sharp")
 
 
-def test_contraction_over_windows_that_do_not_divide_the_lap():
+def test_contraction_over_windows_that_do_not_divide_the_period():
     made = made_for(schedule=PeriodicSchedule([0.5, 0.7]))
     assert 0 < spectral_radius(made, 1.0) < 1
     assert spectral_radius(made, 3.6) < spectral_radius(made, 1.2)

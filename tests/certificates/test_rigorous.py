@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design.certificates.rigorous.ball_problem import BallLaps, BallWeights, ScheduleFrame, Unproven, noise
+from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, Unproven, noise
 from sampling_design.certificates.rigorous.ball_proof import BallWindows, settled
 from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
 from sampling_design.certificates.rigorous.refutation import refute
@@ -302,12 +302,12 @@ def test_chosen_weights_are_proven():
         (lambda data: targets(data | {"lam": np.inf}), "lam must be positive and finite, got inf"),
         (lambda data: BallWeights(data | {"Qv": [[-1.0]]}), "Qv is not positive definite"),
         (
-            lambda data: BallLaps(data["times"] | {"first": 5.0}, 1),
+            lambda data: BallTimes(data["times"] | {"first": 5.0}, 1),
             "times must increase strictly, the first within the period",
         ),
         (lambda data: targets(data | {"P2": None}), "the data are no certificate"),
         (
-            lambda data: ScheduleFrame(BallWeights(data), BallLaps(data["times"], 1), -BallWeights(data).P2, "0 < -1"),
+            lambda data: ScheduleFrame(BallWeights(data), BallTimes(data["times"], 1), -BallWeights(data).P2, "0 < -1"),
             "the left side is not",
         ),
         (
@@ -365,7 +365,7 @@ def test_a_recursion_that_grows_has_no_family():
     ).to_dict()
     with balls.precision():
         weights = BallWeights(made_up)
-        frame = ScheduleFrame(weights, BallLaps(made_up["times"], 1), weights.P2, "aliased")
+        frame = ScheduleFrame(weights, BallTimes(made_up["times"], 1), weights.P2, "aliased")
         flows = BallWindows(frame, Clock(60.0)).flows
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
             settled(frame, flows, 1e-2, Clock(60.0))
@@ -377,7 +377,7 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
         weights = BallWeights(data)
 
         def make():
-            return ScheduleFrame(weights, BallLaps(data["times"], 1), weights.P2, "out of reach")
+            return ScheduleFrame(weights, BallTimes(data["times"], 1), weights.P2, "out of reach")
 
         with pytest.raises(OutOfTime, match="the budget ran out"):
             refute(make, Clock(-1.0))

@@ -153,14 +153,14 @@ def test_single_values():
 
 def test_what_floats_can_not_decide_says_so():
     made = grammar.certificate(json.loads(text()))
-    numbers, seen = problem(made.plant, made.weights), made.laps.seen
+    numbers, seen = problem(made.plant, made.weights), made.schedule.seen
     with pytest.raises(Undecided, match="its left side is nearly singular"):
         Frame(numbers, -np.eye(2), "x", seen)
     with pytest.raises(Undecided, match="its coordinates are too ill-conditioned for doubles"):
         Frame(numbers, np.array([[1.0, 1.0], [1.0, 1 + 4e-16]]), "x", seen)
     with pytest.raises(Undecided, match="R and Qv are nearly singular"):
         Frame(dataclasses.replace(numbers, V=-np.eye(1)), np.eye(2), "x", seen)
-    windows = sampled.Windows(numbers, made.laps, numbers.P2, "x")
+    windows = sampled.Windows(numbers, made.schedule, numbers.P2, "x")
     with pytest.raises(Undecided, match="the information along the witness is beyond doubles"):
         windows.ratio(np.eye(2), 2 * np.eye(2), np.ones(2))
     windows.start_band = 0.1 * np.eye(2)

@@ -15,7 +15,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
-MOST_LAPS = 64
+MOST_PERIODS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
 
 
@@ -84,7 +84,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
         raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
     period, first = schedule.period, schedule.first
     ratio = length / period
-    whole = next((k for k in range(1, MOST_LAPS) if abs(k * ratio - round(k * ratio)) < 1e-9), MOST_LAPS)
+    whole = next((k for k in range(1, MOST_PERIODS) if abs(k * ratio - round(k * ratio)) < 1e-9), MOST_PERIODS)
     worst = 0.0
     for offset in schedule.times - schedule.times[0]:
         product = np.eye(certificate.plant.n_states)

@@ -193,10 +193,10 @@ class _Breaker:
 
     def loss_level(self, family: LostSamples) -> int:
         """As much memory as the unknowns allow."""
-        n, lap = self.plant.n_states, len(self.certificate.schedule)
+        n, period = self.plant.n_states, len(self.certificate.schedule)
         for level in reversed(range(family.levels_of_memory)):
             words = sum(_choose(family.most + level, k) for k in range(family.most + 1))
-            if words * lap <= MOST_NODES and words * lap * n * (n + 1) // 2 <= MOST_UNKNOWNS:
+            if words * period <= MOST_NODES and words * period * n * (n + 1) // 2 <= MOST_UNKNOWNS:
                 return level
         return 0
 

@@ -120,13 +120,13 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
 
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
     """The periodic solution by composing periods, twice as many in each step."""
-    lap = _lap(problem, flows)
-    Y = _apply(lap, np.eye(problem.size))  # from 0 a growing mode without disturbance would stay there
+    cycle = _one_period(problem, flows)
+    Y = _apply(cycle, np.eye(problem.size))  # from 0 a growing mode without disturbance would stay there
     for _ in range(MAX_DOUBLINGS):
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # an unseen mode grows beyond all bounds, which ends the loop
-            following, longer = _apply(lap, Y), _then(lap, lap)
+            following, longer = _apply(cycle, Y), _then(cycle, cycle)
         if not np.isfinite(following).all() or not all(np.all(np.isfinite(part)) for part in longer):
             break
         if _settled(Y, following, STEADY_RTOL):
@@ -134,7 +134,7 @@ def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
             if _settled(following, around[-1], REPEATED_RTOL):
                 return around
             break
-        Y, lap = following, longer
+        Y, cycle = following, longer
     raise SolverError(
         "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
@@ -147,7 +147,7 @@ def _settled(Y: Array, following: Array, rtol: float) -> bool:
     return bool(np.all(np.abs(following - Y) <= rtol * size * size[:, None]))
 
 
-def _lap(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Array, Array, Array]:
     """One period as the map Y -> F Y (I + H Y)^-1 F' + W: W is where Y = 0 comes to, F its closed loop.
 
     Sample by sample, each output's information counted against what the disturbance has added by then: an output that
@@ -177,8 +177,8 @@ def _then(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array])
     return F, W, H
 
 
-def _apply(lap: tuple[Array, Array, Array], Y: Array) -> Array:
-    F, W, H = lap
+def _apply(cycle: tuple[Array, Array, Array], Y: Array) -> Array:
+    F, W, H = cycle
     return symmetrise(F @ np.linalg.solve(np.eye(Y.shape[0]) + Y @ H, Y) @ F.T + W)
 
 
@@ -301,11 +301,11 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak, work: Work | Non
     if values.max() <= best.value:
         return best
     index, remaining = problem.sample_starts()
-    laps = 1
+    periods = 1
     found = best
-    while found.value < (1 - ATTAINED_RTOL) * values.max() and laps * problem.count <= LONGEST_RUN:
-        laps *= 4
-        found = sweep(problem, index[:1], remaining[:1], last_step=laps * problem.count, work=work)[0]
+    while found.value < (1 - ATTAINED_RTOL) * values.max() and periods * problem.count <= LONGEST_RUN:
+        periods *= 4
+        found = sweep(problem, index[:1], remaining[:1], last_step=periods * problem.count, work=work)[0]
         if work is not None and work.over:
             break
     return max(found, best, key=_value)
@@ -330,8 +330,8 @@ def refine(
 
 def located(problem: WindowProblem, start: float, t: float) -> Peak:
     """Return the window that starts at `start`, at time `t`, as a peak without value."""
-    laps = 1 if problem.period is None else int(t / problem.period) + 2
-    times = (problem.times + (problem.period or 0.0) * np.arange(laps)[:, None]).ravel()
+    periods = 1 if problem.period is None else int(t / problem.period) + 2
+    times = (problem.times + (problem.period or 0.0) * np.arange(periods)[:, None]).ravel()
     first = int(np.searchsorted(times, start * (1 + 1e-12), side="right"))
     index = first % problem.count
     remaining = float(min(times[first] - start, problem.reach[index]))
@@ -348,11 +348,11 @@ def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:
     before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
     F, W = problem.flow([before])
     Y, elapsed, at = push(np.eye(problem.size), F[0], W[0]), before, peak.index
-    lap_F, lap_W = problem.flow(problem.gaps)
+    gap_F, gap_W = problem.flow(problem.gaps)
     for step in range(peak.step + 1):
         Y = update(Y, problem.rows[at])
         at = (at + 1) % problem.count
         duration = problem.gaps[at] * (peak.fraction if step == peak.step else 1.0)
-        last = problem.flow([duration]) if step == peak.step else (lap_F[at : at + 1], lap_W[at : at + 1])
+        last = problem.flow([duration]) if step == peak.step else (gap_F[at : at + 1], gap_W[at : at + 1])
         Y, elapsed = push(Y, last[0][0], last[1][0]), elapsed + duration
     return Y, start + float(elapsed), start

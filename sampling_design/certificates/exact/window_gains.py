@@ -116,8 +116,8 @@ class WindowSet:
         Y, _, valid = self._paths(half.T @ half, gains=False)
         tops = []
         if self.steady is not None:
-            lap = self.long_run(P).reshape(-1, *P.shape)
-            tops.append(_tops(L.T @ lap @ L, np.ones(len(lap), dtype=bool))[0].max())
+            cycle = self.long_run(P).reshape(-1, *P.shape)
+            tops.append(_tops(L.T @ cycle @ L, np.ones(len(cycle), dtype=bool))[0].max())
         logs, _ = _tops(L.T @ Y @ L, valid)
         top = logs.max(axis=0)
         total = np.sum(np.exp(SHARPNESS * np.minimum(logs - top, 0.0)), axis=0, where=logs > top - ACTIVE)
@@ -130,14 +130,16 @@ class WindowSet:
         Y, Phi, valid = self._paths(X)
         if self.steady is not None:
             follower = (np.arange(self.problem.count) + 1) % self.problem.count
-            lap = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
-            lap = lap.reshape(-1, *X.shape)
+            cycle = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
+            cycle = cycle.reshape(-1, *X.shape)
         else:
-            lap = np.zeros((0, *X.shape))
+            cycle = np.zeros((0, *X.shape))
         values, gradients = _smooth_max(L, half, X, Y, Phi, valid)
-        if not len(lap):
+        if not len(cycle):
             return values, gradients
-        last, slope = _smooth_max(L, half, X, lap[:, None], np.zeros_like(lap[:, None]), np.ones((len(lap), 1), bool))
+        last, slope = _smooth_max(
+            L, half, X, cycle[:, None], np.zeros_like(cycle[:, None]), np.ones((len(cycle), 1), bool)
+        )
         return np.append(values, last), np.concatenate([gradients, slope])
 
 

@@ -26,8 +26,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-MOST_LAPS = 240
-"""Laps of aliasing that are tried, of all pairs of eigenvalues together: beyond that, evenly chosen ones."""
+MOST_PERIODS = 240
+"""Periods of aliasing that are tried, of all pairs of eigenvalues together: beyond that, evenly chosen ones."""
 MOST_SECONDS = 20.0
 """Of one search, by default."""
 DESCENTS = 4
@@ -169,7 +169,7 @@ def find_counterexample(
     quick: bool = False,
     budget: float = MOST_SECONDS,
 ) -> tuple[Counterexample | None, Nearest]:
-    """Search a periodic schedule of `family` whose lap is not detectable at rate `eta`.
+    """Search a periodic schedule of `family` whose period is not detectable at rate `eta`.
 
     Parameters
     ----------
@@ -193,15 +193,15 @@ def find_counterexample(
     Notes
     -----
     *Method.* Two eigenvalues of equal real part alias over a period of 2 pi k/|Im(lambda_i - lambda_j)|: for every such
-    lap that words of up to four gaps can have (240 of them, evenly chosen, where there are more), the word of equal
+    period that words of up to four gaps can have (240 of them, evenly chosen, where there are more), the word of equal
     gaps, some random ones, and the least margin over gaps of that sum. For lost samples, every pattern of losses of up
     to twelve nominal samples.
     """
     eta, ends = positive("eta", eta), time.perf_counter() + positive("budget", budget)
     near = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
     rng = np.random.default_rng(0) if rng is None else rng
-    laps, left = _aliasing_laps(plant, eta, family)
-    searched = [f"{len(laps)} of {len(laps) + left:.4g} laps at which modes alias were tried"] if left else []
+    periods, left = _aliasing_periods(plant, eta, family)
+    searched = [f"{len(periods)} of {len(periods) + left:.4g} periods at which modes alias were tried"] if left else []
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))
     tried: list[tuple[float, PeriodicSchedule]] = []
 
@@ -212,7 +212,7 @@ def find_counterexample(
     def late() -> bool:
         return time.perf_counter() > ends
 
-    for schedule in _suspects(family, sorted({*laps, *(h for h in near if h)}), rng, quick):
+    for schedule in _suspects(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
         made, margin = refused(schedule)
         if made is not None:
             return made, Nearest(margin, schedule, "; ".join(searched))
@@ -264,17 +264,17 @@ def refute(
 
 
 def _suspects(
-    family: SamplingFamily, laps: list[float], rng: np.random.Generator, quick: bool
+    family: SamplingFamily, periods: list[float], rng: np.random.Generator, quick: bool
 ) -> Iterator[PeriodicSchedule]:
     """Periodic members worth a look: the nominal one, and those that the family suspects."""
     yield period_of(family.nominal)
-    yield from family.suspects(laps, rng, quick)
+    yield from family.suspects(periods, rng, quick)
 
 
-def _aliasing_laps(plant: Plant, eta: float, family: SamplingFamily) -> tuple[list[float], float]:
-    """Laps 2 pi k/|Im(a - b)| that words of the family can have, over the eigenvalues that do not fade at rate eta.
+def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple[list[float], float]:
+    """Periods 2 pi k/|Im(a - b)| that words of the family can have, over the eigenvalues that do not fade at rate eta.
 
-    At most `MOST_LAPS`, evenly chosen on a logarithmic scale where there are more; and how many were left out.
+    At most `MOST_PERIODS`, evenly chosen on a logarithmic scale where there are more; and how many were left out.
     """
     values = np.array([c.value for block in period_modes(plant, float(eta)).blocks for c in block.clusters])
     if values.size < 2:
@@ -286,15 +286,15 @@ def _aliasing_laps(plant: Plant, eta: float, family: SamplingFamily) -> tuple[li
     speeds = speeds[np.diff(speeds, prepend=0.0) > TIED_RTOL * speeds]
     shortest, longest = family.min_gap, LONGEST_WORD * family.d_max
     found, left = [], 0.0
-    most = max(MOST_LAPS // max(speeds.size, 1), 4)
-    for lap in 2 * np.pi / speeds[speeds > 0]:
-        low, high = max(np.ceil(shortest / lap - 1e-9), 1.0), np.floor(longest / lap + 1e-9)
+    most = max(MOST_PERIODS // max(speeds.size, 1), 4)
+    for cycle in 2 * np.pi / speeds[speeds > 0]:
+        low, high = max(np.ceil(shortest / cycle - 1e-9), 1.0), np.floor(longest / cycle + 1e-9)
         if high - low < most:
             turns = np.arange(low, high + 1)
         else:
             turns = np.unique(np.rint(np.geomspace(low, high, most)))
             left += float(high - low + 1 - turns.size)
-        found += [float(lap * k) for k in turns]
+        found += [float(cycle * k) for k in turns]
     return found, left
 
 

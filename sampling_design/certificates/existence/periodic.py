@@ -31,7 +31,7 @@ ALIAS_TOLERANCE = 1e-6
 """Two eigenvalues alias when (a - b) P/(2 pi i) is this near a whole number."""
 NEARLY = 1e-2
 """Eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1."""
-MOST_LAPS, FEWEST_LAPS, MOST_UPDATES = 400, 40, 8000
+MOST_PERIODS, FEWEST_PERIODS, MOST_UPDATES = 400, 40, 8000
 """Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of periods."""
 SETTLING, SETTLED = 10, 1e-4
 """Y has settled if it changes by less than this part of itself over so many periods, in every direction (linear growth:
@@ -171,7 +171,7 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
 
 
 def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> float:
-    """How far the modes that a lap does not tell apart turn within it, if a longer lap does tell them apart; else 0."""
+    """How far the modes that a period does not tell apart turn within it, if a longer one tells them apart; else 0."""
     main = found.eigenvalue or 0j
     turns = [abs(main - other) * schedule.period for other in found.partners]
     if not turns or not 0 < max(turns) <= NEARLY:
@@ -292,7 +292,7 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
         if not np.isfinite(flows).all():
             return False
         Y = last = np.eye(plant.n_states)
-        for lap in range(max(FEWEST_LAPS, min(MOST_LAPS, MOST_UPDATES // len(schedule)))):
+        for cycle in range(max(FEWEST_PERIODS, min(MOST_PERIODS, MOST_UPDATES // len(schedule)))):
             for i, F in enumerate(flows):
                 rows = C if schedule.outputs is None else C[schedule.outputs[i]]
                 S = rows @ Y @ rows.T + np.eye(len(rows))
@@ -301,7 +301,7 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
                 Y = F @ (keep @ Y @ keep.T + K @ K.T) @ F.T + np.eye(len(Y)) / len(flows)
                 if not np.isfinite(Y).all() or np.max(np.abs(Y)) > HUGE:
                     return False
-            if lap % SETTLING == SETTLING - 1:
+            if cycle % SETTLING == SETTLING - 1:
                 # relative in every direction: what grows slowly may hide beside what is large
                 gain = np.linalg.eigvals(np.linalg.solve(last, Y - last))
                 if np.max(np.abs(gain)) <= SETTLED:
@@ -320,8 +320,8 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
     if not turned:
         apart = max(abs(v - main) for v in partners)
-        lap = f"the samples of a period of {short(schedule.period)} do not tell them apart"
-        return f"the eigenvalue {name} lies within {short(apart)} of {others}: {lap}"
+        why = f"the samples of a period of {short(schedule.period)} do not tell them apart"
+        return f"the eigenvalue {name} lies within {short(apart)} of {others}: {why}"
     turns = _turns(main - turned[0], schedule.period)
     every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))

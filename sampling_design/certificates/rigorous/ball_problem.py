@@ -127,7 +127,7 @@ def positive(name: str, value: float) -> float:
     return number
 
 
-class BallLaps:
+class BallTimes:
     """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
 
     def __init__(self, times: Tree, p: int) -> None:
@@ -153,7 +153,7 @@ class BallLaps:
             raise Unproven(REFUTED, "times", "times must increase strictly, the first within the period")
 
     def after(self, i: int) -> int:
-        """The sample after sample i of the lap."""
+        """The sample after sample i of the period."""
         return (i + 1) % self.N
 
 
@@ -210,6 +210,6 @@ class BallFrame:
 class ScheduleFrame(BallFrame):
     """The same, with the schedule that it runs along."""
 
-    def __init__(self, weights: BallWeights, laps: BallLaps, target: Matrix, inequality: str) -> None:
-        super().__init__(weights, laps.seen, target, inequality)
-        self.laps = laps
+    def __init__(self, weights: BallWeights, schedule: BallTimes, target: Matrix, inequality: str) -> None:
+        super().__init__(weights, schedule.seen, target, inequality)
+        self.schedule = schedule

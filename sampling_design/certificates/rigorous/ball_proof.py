@@ -1,4 +1,4 @@
-"""Proof of Y <= I over all real window starts, all later times and all laps, in ball arithmetic.
+"""Proof of Y <= I over all real window starts, all later times and all periods, in ball arithmetic.
 
 1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`_ball_flow`).
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
@@ -27,12 +27,12 @@ CELLS = 4
 """Start cells per gap at first."""
 HALVINGS = 40
 """Most halvings of a start cell."""
-LAPS = 1000
-"""Laps along one window, or until a float recursion has settled."""
+PERIODS = 1000
+"""Periods along one window, or until a float recursion has settled."""
 JUMP = 10
-"""After so many laps the float recursion jumps to where its present gains would settle: a lap may gain little."""
+"""After so many periods the float recursion jumps to where its present gains would settle: a period may gain little."""
 DOUBLINGS = 40
-"""The jump is as long as 2^DOUBLINGS laps."""
+"""The jump is as long as 2^DOUBLINGS periods."""
 INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10)
 """Noise added at every sample, where the target is I, to find the family: as much as the target bears."""
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
@@ -42,18 +42,18 @@ POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 def settled(
     frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float, clock: Clock
 ) -> tuple[list[Array], float]:
-    """Return Y after each sample of the last lap with inflated noise, in floats, and its largest eigenvalue on the lap.
+    """Return Y after each sample of the last period with inflated noise, in floats, and its largest eigenvalue there.
 
     Raises
     ------
     ArithmeticError
         If it leaves I behind by far, or does not settle.
     """
-    laps, Y, I = frame.laps, floats(frame.start), np.eye(frame.n)
-    kept: list[Array] = [I] * laps.N
-    for lap in range(1, LAPS + 1 if laps.periodic else 2):
+    schedule, Y, I = frame.schedule, floats(frame.start), np.eye(frame.n)
+    kept: list[Array] = [I] * schedule.N
+    for turn in range(1, PERIODS + 1 if schedule.periodic else 2):
         before, worst, whole = Y, 0.0, I
-        clock.check(60.0 * laps.N)
+        clock.check(60.0 * schedule.N)
         for i, (F, W) in enumerate(flows):
             Y = F @ Y @ F.T + W
             worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
@@ -62,17 +62,17 @@ def settled(
             whole = left @ F @ whole
             kept[i] = Y = left @ Y @ left.T + K @ frame.float_noises[i] @ K.T + inflation * I
             worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
-        if np.abs(Y - before).max() <= 1e-2 * inflation or not laps.periodic:
+        if np.abs(Y - before).max() <= 1e-2 * inflation or not schedule.periodic:
             return kept, worst
         if not worst < 1e6:
             break
-        if lap % JUMP == 0:
+        if turn % JUMP == 0:
             Y = _rest(whole, before, Y)
     raise ArithmeticError("the recursion does not settle")
 
 
 def _rest(whole: Array, before: Array, after: Array) -> Array:
-    """Where laps Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
+    """Where periods Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
     if not np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1:
         return after
     found = after - whole @ before @ whole.T
@@ -85,9 +85,9 @@ class BallWindows:
     """The proof for one target: a family that catches the windows, then every cell of window starts."""
 
     def __init__(self, frame: ScheduleFrame, clock: Clock) -> None:
-        self.frame, self.laps, self.clock, self.reached = frame, frame.laps, clock, 0.0
-        self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.laps.gaps)]
-        self.longest = reduce(lambda a, b: a.max(b), self.laps.reach)
+        self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
+        self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.schedule.gaps)]
+        self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
         self.family: list[Matrix] | None = None
         self.float_family: list[Array] = []
 
@@ -112,13 +112,13 @@ class BallWindows:
 
     def invariant(self, B: list[Matrix], guess: list[Array]) -> bool:
         """Whether the family is proven; keep it if so."""
-        frame, laps, reached = self.frame, self.laps, self.reached
-        for i in range(laps.N if laps.periodic else laps.N - 1):
-            after = laps.after(i)
+        frame, schedule, reached = self.frame, self.schedule, self.reached
+        for i in range(schedule.N if schedule.periodic else schedule.N - 1):
+            after = schedule.after(i)
             F, W = self.flows[after]
             K = frame.gain(F @ guess[i] @ F.T + W, after)
-            left = frame.with_gain(frame.flow.step(B[i], laps.gaps[after]), after, K)
-            if not (definite(B[after] - left) and self.below_one(B[i], laps.gaps[after])):
+            left = frame.with_gain(frame.flow.step(B[i], schedule.gaps[after]), after, K)
+            if not (definite(B[after] - left) and self.below_one(B[i], schedule.gaps[after])):
                 self.reached = reached
                 return False
         self.family, self.float_family = B, guess
@@ -126,7 +126,7 @@ class BallWindows:
 
     def caught(self, ends: list[Matrix], i: int) -> bool:
         """Whether the window need not be followed beyond sample i."""
-        if not self.laps.periodic and i + 1 == self.laps.N:
+        if not self.schedule.periodic and i + 1 == self.schedule.N:
             return True
         if self.family is None:
             return False
@@ -136,16 +136,16 @@ class BallWindows:
 
     def follow(self, ends: list[Matrix], i: int) -> bool:
         """Whether all windows between `ends`, which hold Y just before sample i, stay below I."""
-        frame, laps = self.frame, self.laps
-        for _ in range(LAPS * laps.N):
+        frame, schedule = self.frame, self.schedule
+        for _ in range(PERIODS * schedule.N):
             K = frame.gain(np.mean([floats(Y) for Y in ends], axis=0), i)
             ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
             if self.caught(ends, i):
                 return True
-            i = laps.after(i)
-            if not all(self.below_one(Y, laps.gaps[i]) for Y in ends):
+            i = schedule.after(i)
+            if not all(self.below_one(Y, schedule.gaps[i]) for Y in ends):
                 return False
-            ends = [frame.flow.step(Y, laps.gaps[i]) for Y in ends]
+            ends = [frame.flow.step(Y, schedule.gaps[i]) for Y in ends]
         return False
 
     def cell(self, low: Ball, high: Ball) -> list[Matrix]:
@@ -159,13 +159,13 @@ class BallWindows:
 
     def everywhere(self, failed: Callable[[int], None]) -> bool:
         """Prove every real start; `failed(depth)` hears of each cell that is halved."""
-        laps = self.laps
+        schedule = self.schedule
         if not self.below_one(self.frame.start, self.longest):
             return False
         pending = [
-            (i, laps.reach[i] * k / CELLS, laps.reach[i] * (k + 1) / CELLS, 0)
-            for i in range(laps.N)
-            for k in range(CELLS if laps.reach[i] > 0 else 1)
+            (i, schedule.reach[i] * k / CELLS, schedule.reach[i] * (k + 1) / CELLS, 0)
+            for i in range(schedule.N)
+            for k in range(CELLS if schedule.reach[i] > 0 else 1)
         ]
         while pending:
             i, low, high, depth = pending.pop()
@@ -180,7 +180,7 @@ class BallWindows:
 
     def at_samples(self) -> bool:
         """Prove the starts just after samples, and at time 0."""
-        laps = self.laps
-        starts = [(i, laps.gaps[i]) for i in range(laps.N)] + [(0, laps.first)]
+        schedule = self.schedule
+        starts = [(i, schedule.gaps[i]) for i in range(schedule.N)] + [(0, schedule.first)]
         whole = self.below_one(self.frame.start, self.longest)
         return whole and all(self.follow([self.frame.flow.step(self.frame.start, r)], i) for i, r in starts)

@@ -17,7 +17,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
     REFUTED,
     UNDECIDED,
-    BallLaps,
+    BallTimes,
     BallWeights,
     Decision,
     ScheduleFrame,
@@ -189,13 +189,13 @@ def assumption_7(data: Tree, clock: Clock) -> Decision:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated = targets(data)
     with reading():
-        BallLaps(data["times"], BallWeights(data).p)
+        BallTimes(data["times"], BallWeights(data).p)
     slack = 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
 
         def make(k: int = k, inequality: str = inequality) -> ScheduleFrame:
             weights = BallWeights(data)
-            return ScheduleFrame(weights, BallLaps(data["times"], weights.p), targets(data)[k].target, inequality)
+            return ScheduleFrame(weights, BallTimes(data["times"], weights.p), targets(data)[k].target, inequality)
 
         slack = min(slack, prove(make, samples_only, clock))
     if stated and data["witness"] is not None:
@@ -207,13 +207,13 @@ def assumption_7(data: Tree, clock: Clock) -> Decision:
 def attained(data: Tree) -> None:
     """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     weights = BallWeights(data)
-    laps = BallLaps(data["times"], weights.p)
-    frame = ScheduleFrame(weights, laps, weights.P2, "witness")
+    schedule = BallTimes(data["times"], weights.p)
+    frame = ScheduleFrame(weights, schedule, weights.P2, "witness")
     with reading():
         seen = data["witness"]
         start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
         x = frame.L.transpose() * matrix(np.reshape(seen["direction"], (weights.n, 1)))
-    if not 0 <= start <= t < float("inf") or not (laps.periodic or t <= float(laps.times[-1]) * (1 + NEAR)):
+    if not 0 <= start <= t < float("inf") or not (schedule.periodic or t <= float(schedule.times[-1]) * (1 + NEAR)):
         raise Unproven(REFUTED, "witness", "the witness must have 0 <= start <= t within the schedule")
     Y = flown(frame, start, t)
     ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
@@ -225,17 +225,17 @@ def attained(data: Tree) -> None:
 
 def flown(frame: ScheduleFrame, start: float, t: float) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
-    laps, Y, now = frame.laps, frame.start, ball(start)
-    near, lap = NEAR * max(t, 1e-300), 0 * laps.period
-    if laps.periodic:
-        lap = laps.period * int((start - float(laps.times[-1])) // float(laps.period))
-    while float(lap) <= t:
-        for i, at in enumerate(laps.times):
-            if start + near < float(at + lap) < t - near and float(lap) >= 0:
-                Y, now = lowered(frame.sampled(lowered(frame.flow.step(Y, at + lap - now)), i)), at + lap
-        if not laps.periodic:
+    schedule, Y, now = frame.schedule, frame.start, ball(start)
+    near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
+    if schedule.periodic:
+        turn = schedule.period * int((start - float(schedule.times[-1])) // float(schedule.period))
+    while float(turn) <= t:
+        for i, at in enumerate(schedule.times):
+            if start + near < float(at + turn) < t - near and float(turn) >= 0:
+                Y, now = lowered(frame.sampled(lowered(frame.flow.step(Y, at + turn - now)), i)), at + turn
+        if not schedule.periodic:
             break
-        lap += laps.period
+        turn += schedule.period
     return lowered(frame.flow.step(Y, ball(t) - now))
 
 
@@ -251,12 +251,12 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
             halved.append(depth)
             refute(make, clock)
 
-    catches = windows.family is not None or not frame.laps.periodic
+    catches = windows.family is not None or not frame.schedule.periodic
     if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
         return 1.0 - windows.reached
     if not halved:
         refute(make, clock, samples_only)
-    why = "it is tight or nearly so" if catches else "no bound that holds over all laps was found"
+    why = "it is tight or nearly so" if catches else "no bound that holds over all periods was found"
     raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
 
 

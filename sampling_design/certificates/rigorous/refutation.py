@@ -19,12 +19,12 @@ Array = npt.NDArray[np.float64]
 
 PARTS = 8
 """Parts of a gap in the first grid of starts and of times."""
-LAPS = 100
-"""Most laps followed in the first grid."""
+PERIODS = 100
+"""Most periods followed in the first grid."""
 POLISHES = 4
 """How many of the grid's best points are polished."""
 SETTLED = 1e-12
-"""Relative change over a lap below which a window is not followed any further."""
+"""Relative change over a period below which a window is not followed any further."""
 BITS = (160, 400)
 """Precisions of the decision, one after the other."""
 DOUBT = 1e-6
@@ -46,9 +46,9 @@ class RefutationSearch:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
     def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: Clock) -> None:
-        self.frame, self.laps, self.samples_only, self.clock = frame, frame.laps, samples_only, clock
-        self.gaps = [float(gap) for gap in self.laps.gaps]
-        self.reach = [float(gap) for gap in self.laps.reach]
+        self.frame, self.schedule, self.samples_only, self.clock = frame, frame.schedule, samples_only, clock
+        self.gaps = [float(gap) for gap in self.schedule.gaps]
+        self.reach = [float(gap) for gap in self.schedule.reach]
 
     def step(self, Y: Array, duration: float) -> Array:
         """Y `duration` later."""
@@ -65,11 +65,11 @@ class RefutationSearch:
     def grid(self) -> list[WindowPoint]:
         """Best points of a grid, the best first: one for each cell of starts and gap in which it is looked at."""
         parts, start = np.arange(PARTS + 1) / PARTS, floats(self.frame.start)
-        pairs = [[self.frame.flow.over(gap * float(part)) for part in parts] for gap in self.laps.gaps]
+        pairs = [[self.frame.flow.over(gap * float(part)) for part in parts] for gap in self.schedule.gaps]
         flows = [(np.array([floats(F) for F, _ in row]), np.array([floats(W) for _, W in row])) for row in pairs]
         found = []
-        for i in range(self.laps.N):
-            ends = {self.gaps[i], float(self.laps.first) if i == 0 else self.gaps[i]}
+        for i in range(self.schedule.N):
+            ends = {self.gaps[i], float(self.schedule.first) if i == 0 else self.gaps[i]}
             r = np.array(sorted(ends)) if self.samples_only else parts * self.reach[i]
             Y = np.array([self.step(start, float(x)) for x in r])
             found.append(self._best(Y, i, r, 0, np.zeros(1)))
@@ -77,15 +77,15 @@ class RefutationSearch:
         return sorted(found, key=lambda point: (-round(point.value, 12), point.k))
 
     def _followed(self, Y: Array, i: int, r: Array, flows: list[tuple[Array, Array]]) -> list[WindowPoint]:
-        """Best points along the windows that start r before sample i, until a lap changes nothing."""
-        laps, found, before, parts = self.laps, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
-        for k in range(1, LAPS * laps.N + 1):
-            at = (i + k - 1) % laps.N
+        """Best points along the windows that start r before sample i, until a period changes nothing."""
+        schedule, found, before, parts = self.schedule, [], np.zeros_like(Y), np.arange(PARTS + 1) / PARTS
+        for k in range(1, PERIODS * schedule.N + 1):
+            at = (i + k - 1) % schedule.N
             self.clock.check(100 + r.size * PARTS * self.frame.n)
-            Y, after = self.sampled(Y, at), laps.after(at)
-            if not laps.periodic and at + 1 == laps.N:
+            Y, after = self.sampled(Y, at), schedule.after(at)
+            if not schedule.periodic and at + 1 == schedule.N:
                 break
-            if k % laps.N == 0:
+            if k % schedule.N == 0:
                 if np.abs(Y - before).max() <= SETTLED * np.abs(Y).max():
                     break
                 before = Y
@@ -105,16 +105,16 @@ class RefutationSearch:
         self.clock.check(40.0 * (k + 1))
         Y = self.step(floats(self.frame.start), r)
         for j in range(k):
-            Y = self.sampled(Y, (i + j) % self.laps.N)
+            Y = self.sampled(Y, (i + j) % self.schedule.N)
             last = j + 1 == k
-            Y = self.step(Y, s if last else self.gaps[(i + j + 1) % self.laps.N])
+            Y = self.step(Y, s if last else self.gaps[(i + j + 1) % self.schedule.N])
         return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
 
     def polished(self, point: WindowPoint) -> WindowPoint:
         """The point moved to the nearest local maximum over r and s."""
         from scipy.optimize import minimize
 
-        tops = np.array([self.reach[point.i], self.gaps[(point.i + point.k) % self.laps.N]])
+        tops = np.array([self.reach[point.i], self.gaps[(point.i + point.k) % self.schedule.N]])
         free = np.array([not self.samples_only and tops[0] > 0, point.k > 0])
         if not free.any():
             return point
@@ -141,13 +141,13 @@ class RefutationSearch:
 
 def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
     """Whether Y <= I certainly fails at a point: a lower bound of Y is carried along, for the recursion is monotone."""
-    laps = frame.laps
-    Y = frame.flow.step(frame.start, ball(point.r).min(laps.reach[point.i]))
+    schedule = frame.schedule
+    Y = frame.flow.step(frame.start, ball(point.r).min(schedule.reach[point.i]))
     for j in range(point.k):
-        i = (point.i + j) % laps.N
-        after = laps.after(i)
+        i = (point.i + j) % schedule.N
+        after = schedule.after(i)
         Y = lowered(frame.sampled(lowered(Y), i))
-        Y = frame.flow.step(Y, ball(point.s).min(laps.gaps[after]) if j + 1 == point.k else laps.gaps[after])
+        Y = frame.flow.step(Y, ball(point.s).min(schedule.gaps[after]) if j + 1 == point.k else schedule.gaps[after])
     return definite(frame.identity - Y) is False
 
 
@@ -165,11 +165,11 @@ def refute(make: Callable[[], ScheduleFrame], clock: Clock, samples_only: bool =
 
 def _refutation(frame: ScheduleFrame, point: WindowPoint) -> Unproven:
     """The exception that names the window, the time and by how much."""
-    laps = frame.laps
-    times, gaps = [float(t) for t in laps.times], [float(gap) for gap in laps.gaps]
+    schedule = frame.schedule
+    times, gaps = [float(t) for t in schedule.times], [float(gap) for gap in schedule.gaps]
     start = times[point.i] - point.r
-    start += float(laps.period) if start < 0 and laps.periodic else 0.0
-    late = point.r + point.s + sum(gaps[(point.i + j) % laps.N] for j in range(1, point.k))
+    start += float(schedule.period) if start < 0 and schedule.periodic else 0.0
+    late = point.r + point.s + sum(gaps[(point.i + j) % schedule.N] for j in range(1, point.k))
     amount = 1 / point.value - 1
     reason = f"{frame.inequality} fails by {-amount:.3g} at time {start + late:.6g} in the window from {start:.6g}"
     return Unproven(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)

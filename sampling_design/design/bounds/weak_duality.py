@@ -110,11 +110,11 @@ def _held(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Ar
     count = int(np.ceil(problem.window / problem.period - 1e-9))
     base = np.mod(inside[:, None] - starts[None, :], problem.period)
     r = base[..., None] + problem.period * np.arange(count)
-    piece, window, lap = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
+    piece, window, cycle = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
     Y = np.zeros((at.size, n, n))
     for low in range(0, piece.size, 20000):
         i, m = piece[low : low + 20000], window[low : low + 20000]
-        E = expm_batch(problem.rows.A, r[i, m, lap[low : low + 20000]] - (inside[i] - at[i]))
+        E = expm_batch(problem.rows.A, r[i, m, cycle[low : low + 20000]] - (inside[i] - at[i]))
         np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
     return Y
 
@@ -126,8 +126,8 @@ def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> A
     base = np.where(base <= tiny, base + period, base)
     count = int(np.ceil(problem.window / period - 1e-9))
     r = base[..., None] + period * np.arange(count)
-    i, m, lap = np.nonzero(r <= problem.window + tiny)
-    E = expm_batch(problem.rows.A, r[i, m, lap])
+    i, m, cycle = np.nonzero(r <= problem.window + tiny)
+    E = expm_batch(problem.rows.A, r[i, m, cycle])
     Y = np.zeros((times.size, *Z.shape[1:]))
     np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
     return _forms(problem.rows.C, Y)

@@ -117,7 +117,7 @@ def _ends(problem: DesignProblem, zones: Array) -> Array:
     if problem.is_shift_invariant:
         return np.zeros(0)
     inside = np.stack([problem.intervals[:, 0], problem.intervals[:, 1] - _JUST_BESIDE * problem.period])
-    ends = np.concatenate([inside.ravel() + lap * problem.period for lap in (0, 1)])
+    ends = np.concatenate([inside.ravel() + cycle * problem.period for cycle in (0, 1)])
     return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
 
 
@@ -186,9 +186,9 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
     edges = piece_edges(P, np.concatenate([jump_times(problem, starts), np.mod(marks, P), problem.breakpoints]))
     mask = problem.mask((edges[:-1] + edges[1:]) / 2)
     roof = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
-    laps = np.arange(-1, int(np.ceil(arc.stop / P)) + 1)
-    line = np.append((edges[:-1] + P * laps[:, None]).ravel(), P * (laps[-1] + 1))
-    roof = np.tile(roof, laps.size)
+    periods = np.arange(-1, int(np.ceil(arc.stop / P)) + 1)
+    line = np.append((edges[:-1] + P * periods[:, None]).ravel(), P * (periods[-1] + 1))
+    roof = np.tile(roof, periods.size)
     # open comparison: a piece that only touches a zone holds none of its times, and may lie beyond a jump
     layers = [cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof, -np.inf)) for a, b in zone]
     return rooted(best_layers(layers, arc, 2 * P))

@@ -90,7 +90,7 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
 def _allowed(problem: DesignProblem, low: Array, high: Array) -> tuple[Array, Array]:
     """The ends of zones moved inwards to times at which some output may be measured."""
     tiny = TINY * problem.period
-    spans = np.concatenate([problem.intervals + lap * problem.period for lap in (-1, 0, 1, 2)])
+    spans = np.concatenate([problem.intervals + cycle * problem.period for cycle in (-1, 0, 1, 2)])
     after = np.minimum(np.searchsorted(spans[:, 1], low - tiny), len(spans) - 1)
     before = np.maximum(np.searchsorted(spans[:, 0], high + tiny, side="right") - 1, 0)
     return np.maximum(low, spans[after, 0]), np.minimum(high, spans[before, 1])

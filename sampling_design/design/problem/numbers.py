@@ -142,8 +142,8 @@ class DesignProblem:
         """Earliest admissible times in [start, stop], at least `gap` apart: first time and number, per interval."""
         tiny = SLACK * self.period
         t = start
-        for lap in range(int(np.floor(start / self.period)), int(np.floor(stop / self.period)) + 1):
-            for a, b in self.intervals + lap * self.period:
+        for cycle in range(int(np.floor(start / self.period)), int(np.floor(stop / self.period)) + 1):
+            for a, b in self.intervals + cycle * self.period:
                 t = max(t, float(a))
                 if t >= b - tiny or t > stop + tiny:
                     continue

@@ -68,26 +68,26 @@ def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
     return Resolved(r, used, count)
 
 
-def repeated(requirement: Requirement, laps: int) -> Requirement:
-    """Return the same constraints on times, over `laps` periods as one; `requirement` is resolved."""
+def repeated(requirement: Requirement, periods: int) -> Requirement:
+    """Return the same constraints on times, over `periods` periods as one; `requirement` is resolved."""
     period = _known(requirement.period)
 
     def tiled(spans: Array) -> Array:
-        return np.asarray((spans[None] + period * np.arange(laps)[:, None, None]).reshape(-1, 2))
+        return np.asarray((spans[None] + period * np.arange(periods)[:, None, None]).reshape(-1, 2))
 
     outputs = {
         name: {"available": None if a.available is None else tiled(a.available), "cost": a.cost}
         for name, a in requirement.outputs.items()
     }
-    fixed = (requirement.fixed + period * np.arange(laps)[:, None]).ravel()
+    fixed = (requirement.fixed + period * np.arange(periods)[:, None]).ravel()
     changes: dict[str, Any] = {
-        "period": laps * period,
+        "period": periods * period,
         "forbidden": tiled(requirement.forbidden),
         "fixed": fixed,
         "outputs": outputs,
     }
     if requirement.cost_limit is not None:
-        changes["cost_limit"] = laps * requirement.cost_limit
+        changes["cost_limit"] = periods * requirement.cost_limit
     return requirement.replace(**changes)
 
 

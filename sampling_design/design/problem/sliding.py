@@ -29,10 +29,10 @@ class SlidingSums:
         ratio = rows.window / period
         self.repeats = bool(abs(ratio - round(ratio)) <= _WHOLE * max(ratio, 1.0))
         self.length = rows.window - (0.0 if self.repeats else 2 * _WHOLE * period)
-        laps = np.arange(-1, int(np.ceil(rows.window / period - 1e-9)) + 2)
-        self.apart = 2 * period * (laps.size + 1)  # more than any row of times spans
-        self.s = (times[:, None, :] + period * laps[:, None]).reshape(times.shape[0], -1)
-        measured = np.tile(mask, (1, laps.size, 1))
+        periods = np.arange(-1, int(np.ceil(rows.window / period - 1e-9)) + 2)
+        self.apart = 2 * period * (periods.size + 1)  # more than any row of times spans
+        self.s = (times[:, None, :] + period * periods[:, None]).reshape(times.shape[0], -1)
+        measured = np.tile(mask, (1, periods.size, 1))
         self.block = np.ceil(self.s / self.length)
         c = rows.C * measured[..., None]
         self.tail = self._tails(np.swapaxes(c, -1, -2) @ c)

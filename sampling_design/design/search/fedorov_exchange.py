@@ -89,7 +89,7 @@ def repaired(problem: DesignProblem, times: Array) -> Array | None:
 def _pushed(problem: DesignProblem, turn: Array, gap: float) -> Array | None:
     """Forward pass: each time at least `gap` after the last, in an allowed interval, fixed times untouched."""
     period = problem.period
-    fixed = np.concatenate([problem.fixed + lap * period for lap in range(3)])
+    fixed = np.concatenate([problem.fixed + cycle * period for cycle in range(3)])
     fixed = fixed[(fixed >= turn[0] - gap) & (fixed < turn[0] + period + gap)]
     result: list[float] = []
     for wish in turn:
@@ -117,12 +117,12 @@ def _pushed(problem: DesignProblem, turn: Array, gap: float) -> Array | None:
 
 def next_open(problem: DesignProblem, t: float) -> float:
     """The first allowed time at or after t."""
-    lap = np.floor(t / problem.period)
-    inside = t - lap * problem.period
+    cycle = np.floor(t / problem.period)
+    inside = t - cycle * problem.period
     for a, b in problem.intervals:
         if inside < b - 1e-12 * problem.period:
-            return float(max(t, lap * problem.period + a))
-    return float((lap + 1) * problem.period + problem.intervals[0, 0])
+            return float(max(t, cycle * problem.period + a))
+    return float((cycle + 1) * problem.period + problem.intervals[0, 0])
 
 
 def candidates(problem: DesignProblem, others: Array, count: int) -> Array:

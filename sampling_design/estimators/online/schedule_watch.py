@@ -78,19 +78,19 @@ class ScheduleWatch:
     def _planned(self, k: int) -> float:
         """Planned time of sample k, counted from 0."""
         assert self.nominal is not None
-        laps, place = divmod(k, len(self.nominal))
+        periods, place = divmod(k, len(self.nominal))
         period = self.nominal.period if isinstance(self.nominal, PeriodicSchedule) else 0.0
-        return float(self.nominal.times[place]) + laps * period
+        return float(self.nominal.times[place]) + periods * period
 
     def _first_from(self, t: float) -> int:
         """Number of the first sample planned at t or later."""
         assert self.nominal is not None
-        lap, laps = self.nominal.times, 0
+        cycle, periods = self.nominal.times, 0
         if isinstance(self.nominal, PeriodicSchedule):
             period = self.nominal.period
-            laps = max(0, int(np.floor((t - float(lap[0])) / period)))
-            t = t - laps * period
-        return laps * len(self.nominal) + int(np.searchsorted(lap, t))
+            periods = max(0, int(np.floor((t - float(cycle[0])) / period)))
+            t = t - periods * period
+        return periods * len(self.nominal) + int(np.searchsorted(cycle, t))
 
     def _nearest(self, t: float) -> int | None:
         """Number of the sample planned nearest to t; None if there is none."""

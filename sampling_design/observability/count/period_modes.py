@@ -70,8 +70,8 @@ class PeriodModes:
         for block in self.blocks:
             growth = float(np.max(block.mean.real * tau))
             here = self._rows(block, tau, schedule)
-            laps = [self._rows(block, tau + k * period, schedule) for k in range(len(block.N))]
-            size = np.sqrt(np.sum(np.abs(np.concatenate(laps)) ** 2, axis=0))
+            periods = [self._rows(block, tau + k * period, schedule) for k in range(len(block.N))]
+            size = np.sqrt(np.sum(np.abs(np.concatenate(periods)) ** 2, axis=0))
             ladders.append(_ladder(block, period))
             if block.N.any():  # one scale for a block whose columns drive each other, beside its ladder
                 size = np.broadcast_to(np.max(size * ladders[-1], axis=1, keepdims=True), size.shape)
@@ -135,11 +135,11 @@ def _ladder(block: ModeBlock, period: float) -> Array:
     return np.asarray(np.power(1 / coupling if coupling > 0 else 1.0, steps), dtype=np.float64)
 
 
-def _less(lap: Complex, own: complex, other: complex) -> Complex:
-    """(e^{own} lap - e^{other} I), divided by the larger of the two, without an overflow."""
+def _less(cycle: Complex, own: complex, other: complex) -> Complex:
+    """(e^{own} period - e^{other} I), divided by the larger of the two, without an overflow."""
     top = max(own.real, other.real)
-    flow = np.exp(own - top) * lap
-    return np.asarray((flow - np.exp(other - top) * np.eye(len(lap))) / max(float(np.linalg.norm(flow)), 1.0))
+    flow = np.exp(own - top) * cycle
+    return np.asarray((flow - np.exp(other - top) * np.eye(len(cycle))) / max(float(np.linalg.norm(flow)), 1.0))
 
 
 @lru_cache(maxsize=32)

@@ -82,11 +82,11 @@ def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[F
     """The times of the pieces without rounding: times of one period plus whole periods."""
     if not isinstance(schedule, PeriodicSchedule):
         return [Fraction(t) for t in pieces.times.tolist()]
-    lap, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
+    cycle, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
     found: list[Fraction] = []
     for t in pieces.times.tolist():
         k = max(0, round((t - schedule.times[0]) / schedule.period) - 1)
-        near = [own + period * m for m in range(k, k + 3) for own in lap]
+        near = [own + period * m for m in range(k, k + 3) for own in cycle]
         found.append(min(near, key=lambda x: abs(x - Fraction(t))))
     return found
 

@@ -171,20 +171,20 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(plant, requirement, terms, goals)
     return PlanProblem(
-        plant,
-        requirement,
-        goals,
-        step,
-        allowed,
-        np.array([t.price for t in terms]),
-        requirement.visit_price,
-        max(1, spacing),
-        np.array(in_step, dtype=np.intp),
-        np.array(used, dtype=np.intp),
-        np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms]),
-        np.array([np.inf if t.noise_std is None else t.noise_std for t in terms]),
-        np.inf if requirement.samples is None else float(requirement.samples),
-        np.inf if requirement.cost_limit is None else requirement.cost_limit,
+        plant=plant,
+        requirement=requirement,
+        goals=goals,
+        step=step,
+        allowed=allowed,
+        price=np.array([t.price for t in terms]),
+        visit=requirement.visit_price,
+        spacing=max(1, spacing),
+        sensor_spacing=np.array(in_step, dtype=np.intp),
+        longest_use=np.array(used, dtype=np.intp),
+        v_bound=np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms]),
+        v_std=np.array([np.inf if t.noise_std is None else t.noise_std for t in terms]),
+        most_samples=np.inf if requirement.samples is None else float(requirement.samples),
+        most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
 
 

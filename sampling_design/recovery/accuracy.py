@@ -395,19 +395,19 @@ def _record(
     if finder is not None:
         proof = tuple(_proof(j, atoms) for j, atoms in enumerate(finder.atoms))
     return Accuracy(
-        question,
-        rows,
-        freeze(lower),
-        freeze(upper),
-        freeze(worst),
-        freeze(offsets),
-        freeze(known_from),
-        closed,
-        freeze(at_samples[:, question.samples]),
-        AccuracyProfile(freeze(edges), freeze(below), freeze(above), freeze(times[question.samples])),
-        tuple(witnesses),
-        known.modes,
-        proof,
+        question=question,
+        rows=rows,
+        lower=freeze(lower),
+        upper=freeze(upper),
+        worst=freeze(worst),
+        offset=freeze(offsets),
+        known_from=freeze(known_from),
+        closed=closed,
+        at_samples=freeze(at_samples[:, question.samples]),
+        profile=AccuracyProfile(freeze(edges), freeze(below), freeze(above), freeze(times[question.samples])),
+        witnesses=tuple(witnesses),
+        unknown=known.modes,
+        proof=proof,
     )
 
 

@@ -60,7 +60,19 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
     gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
-    return SampleChain(plant, bounds, D, L, A, G, tuple(samples), gaps, start, last, initial.exact)
+    return SampleChain(
+        plant=plant,
+        bounds=bounds,
+        D=D,
+        L=L,
+        A=A,
+        G=G,
+        samples=tuple(samples),
+        gaps=gaps,
+        start=start,
+        last=last,
+        known=initial.exact,
+    )
 
 
 def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance: Array) -> Array:

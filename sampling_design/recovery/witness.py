@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,14 @@ CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
 
 Array = npt.NDArray[np.float64]
+
+
+class WitnessRun(NamedTuple):
+    """v (K, p) = -C x at the samples (NaN where not measured), x (n,) at the end, and w (M, q)."""
+
+    v: Array
+    x: Array
+    w: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,8 +72,8 @@ class AccuracyWitness(Record):
     outputs: npt.NDArray[np.bool_]
     value: float
 
-    def simulate(self) -> tuple[Array, Array, Array]:
-        """Return v (K, p) = -C x at the samples (NaN where not measured), x (n,) at the end, and w (M, q).
+    def simulate(self) -> WitnessRun:
+        """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
 
         Every gap is flown anew from the state at its first sample. What rounding leaves open at its end is closed by a
         change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
@@ -92,7 +101,7 @@ class AccuracyWitness(Record):
                 change = np.linalg.lstsq(flat / terms.clip(1e-300)[:, None], (z[k + 1] - x) / terms.clip(1e-300))[0]
                 left = np.abs(z[k + 1] - x - flat @ change)
                 w[a:b] += change.reshape(-1, q) if np.all(left <= CLOSED * terms) else np.nan
-        return np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size
+        return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
 
     def _scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
@@ -193,13 +202,15 @@ def physical(row: Array, opened: Open, strike: Strike, offset: int) -> AccuracyW
         w.append(u[::-1] * scale)
     outputs = np.array([np.isin(np.arange(chain.plant.n_outputs), chain.samples[j].outputs) for j in nodes])
     return AccuracyWitness(
-        chain.plant,
-        freeze(row),
-        freeze(np.concatenate(edges)),
-        freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
-        freeze(samples),
-        strike.sample,
-        freeze(sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])),
-        outputs,
-        float(abs(reached) + opened.below[offset]),
+        plant=chain.plant,
+        row=freeze(row),
+        edges=freeze(np.concatenate(edges)),
+        w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
+        samples=freeze(samples),
+        last=strike.sample,
+        states=freeze(
+            sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])
+        ),
+        outputs=outputs,
+        value=float(abs(reached) + opened.below[offset]),
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from sampling_design.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from xarray import Dataset
 
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
@@ -85,6 +86,45 @@ class Table(Record):
             raise MissingExtraError("pandas", "dataframes") from None
         columns = self._columns()
         return pandas.DataFrame(columns).set_index(next(iter(columns)))
+
+
+class Variable(NamedTuple):
+    """An array with a name for each of its axes, and the unit of its entries ("" where there is none or several)."""
+
+    axes: tuple[str, ...]
+    values: npt.ArrayLike
+    unit: str = ""
+
+
+class Gridded(Record):
+    """Base of the records that hold curves: over time, over a period, or over the positions of a window."""
+
+    def _variables(self) -> dict[str, Variable]:
+        """The arrays by their names; one that is named like its only axis is that axis's coordinate."""
+        raise NotImplementedError
+
+    def to_xarray(self) -> Dataset:
+        """Return the curves as an xarray Dataset (extra `xarray`): axes by name, units as attributes, physical units.
+
+        Raises
+        ------
+        MissingExtraError
+            If xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise MissingExtraError("xarray", "xarray") from None
+        made = {
+            name: (list(v.axes), np.asarray(v.values), {"units": v.unit} if v.unit else {})
+            for name, v in self._variables().items()
+        }
+        axes = {name for name, v in self._variables().items() if v.axes == (name,)}
+        return xarray.Dataset(
+            {name: value for name, value in made.items() if name not in axes},
+            {name: value for name, value in made.items() if name in axes},
+            {"record": type(self).__name__},
+        )
 
 
 def draw(record: object, ax: object = None) -> Any:

@@ -7,7 +7,7 @@ import pandas
 import pytest
 
 import sampling_design as sd
-from sampling_design._record import Table
+from sampling_design._record import Gridded, Table
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
 
 OSCILLATOR = sd.library.oscillator()
@@ -72,6 +72,26 @@ def test_a_frame_is_read_like_its_file(tmp_path):
             np.testing.assert_array_equal(getattr(found, key), getattr(told, key))
 
 
+def test_a_frame_is_estimated_from_like_its_file(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(READINGS)
+    frame = pandas.read_csv(path)
+    for make in (
+        lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, **BOUNDS),
+        lambda: sd.KalmanFilter(OSCILLATOR, **BOUNDS),
+    ):
+        told = make().run(sd.read_measurements(path, OSCILLATOR))
+        for given in (frame, frame.set_index("time")):
+            found = make().run(given)
+            np.testing.assert_array_equal(found.times, told.times)
+            np.testing.assert_array_equal(found.x, told.x)
+    told, found = (sd.KalmanFilter(OSCILLATOR).smooth(r) for r in (sd.read_measurements(path, OSCILLATOR), frame))
+    np.testing.assert_array_equal(found.x, told.x)
+    estimator = sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0)
+    with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
+        estimator.run(frame.drop(columns="position"))
+
+
 def test_dates_of_a_frame_count_from_the_first(tmp_path):
     dates = pandas.date_range("2026-01-05T08:00", periods=3, freq="90s", name="date", tz="UTC")
     frame = pandas.DataFrame({"position": [1.0, 2.0, 3.0], "force_per_mass": 0.0}, index=dates)
@@ -91,3 +111,47 @@ def test_without_pandas_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingExtraError, match="dataframes"):
         estimates().to_frame()
+
+
+CURVES = {
+    "EstimateRecord": estimates,
+    "WindowSigma": MAKERS["WindowSigma"],
+    "Accuracy": lambda: sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.2),
+}
+
+
+def test_every_record_with_curves_is_in_this_list():
+    assert callable(sd.accuracy)  # a room opens on first use
+    assert {c.__name__ for c in Gridded.__subclasses__()} == set(CURVES)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_curves_become_a_dataset_with_axes_and_units(kind):
+    record = CURVES[kind]()
+    data = record.to_xarray()
+    assert data.attrs["record"] == kind
+    for name, variable in record._variables().items():
+        shown = data[name]
+        assert shown.dims == variable.axes
+        assert shown.attrs.get("units", "") == variable.unit
+        np.testing.assert_array_equal(shown.values, np.asarray(variable.values))
+
+
+def test_curves_are_read_by_name():
+    record = estimates()
+    data, name = record.to_xarray(), OSCILLATOR.states.names[1]
+    assert data.x.sel(time=2.3, state=name) == record.x[1, 1]
+    assert data.time.attrs["units"] == "s"
+    assert data.covariance.sel(time=2.3, state=name, other_state=name) == record.covariance[1, 1, 1]
+    bounds = CURVES["Accuracy"]()
+    curve = bounds.to_xarray().sel(row=OSCILLATOR.states.names[0])
+    assert float(curve.lower.max()) <= bounds.upper[0]
+    assert bool((curve.lower <= curve.upper).all())
+    sigma = MAKERS["WindowSigma"]()
+    assert float(sigma.to_xarray().proven.min()) == sigma.lower
+
+
+def test_without_xarray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingExtraError, match="xarray"):
+        estimates().to_xarray()

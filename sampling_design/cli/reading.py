@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
     from sampling_design.certificates.exact.certificate import SampledCertificate
     from sampling_design.design.problem.requirement import Requirement
-    from sampling_design.estimators.measurements import Measurements
+    from sampling_design.estimators.records.measurements import Measurements
     from sampling_design.plants.plant import Plant
     from sampling_design.schedules.family import AnySchedule
 

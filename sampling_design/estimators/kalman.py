@@ -167,8 +167,8 @@ class KalmanFilter(OpenLoopEstimator):
 
         Parameters
         ----------
-        record : Measurements or iterable of (t, y, u)
-            In order of time, from the filter's prior on.
+        record : Measurements, pandas DataFrame or iterable of (t, y, u)
+            As for `run`. In order of time, from the filter's prior on.
 
         Returns
         -------
@@ -179,7 +179,7 @@ class KalmanFilter(OpenLoopEstimator):
         fresh = copy(self)
         fresh.memory = np.inf
         fresh.state = State(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
-        for item in listed(record):
+        for item in listed(record, self.plant):
             fresh.update(*triple(item))
         nodes = fresh.state.nodes
         if len(nodes) == 1:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design.estimators.measurements import Measurements
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
+from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
 
 

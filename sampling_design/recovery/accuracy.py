@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Gridded, Plain, Variable, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
@@ -72,7 +72,7 @@ class AccuracyProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Accuracy(Record):
+class Accuracy(Gridded):
     """The least guaranteed error of each wanted row, bracketed, at the worst time of a schedule.
 
         lower <= sup over t of rho(c; t) <= upper
@@ -211,6 +211,19 @@ class Accuracy(Record):
             f"{short(low, 4)} (brackets within {100 * width:.2g} %)."
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )
+
+    def _variables(self) -> dict[str, Variable]:
+        profile, time = self.profile, self.plant.time_unit
+        return {
+            "row": Variable(("row",), np.array(self.rows.names, dtype=str)),
+            "unit": Variable(("row",), np.array(self.rows.units, dtype=str)),
+            "start": Variable(("cell",), profile.edges[:-1], time),
+            "stop": Variable(("cell",), profile.edges[1:], time),
+            "lower": Variable(("row", "cell"), profile.lower),
+            "upper": Variable(("row", "cell"), profile.upper),
+            "sample": Variable(("sample",), profile.samples, time),
+            "worst": Variable(("row",), self.worst, time),
+        }
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; what is infinite becomes None."""

@@ -12,7 +12,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.measurements import Measurements
+from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import Inputs

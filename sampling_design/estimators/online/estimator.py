@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, Table, short
+from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.interval import Interval
@@ -269,7 +269,7 @@ def _finite(value: float) -> float | None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EstimateRecord(Table):
+class EstimateRecord(Table, Gridded):
     """Estimates in order of time, as arrays.
 
     Attributes
@@ -351,6 +351,25 @@ class EstimateRecord(Table):
             "on_schedule": self.on_schedule.tolist(),
             "notes": list(self.notes),
             "contradictions": [_plain(each) for each in self.first_contradictions],
+        }
+
+    def _variables(self) -> dict[str, Variable]:
+        states, time = self.plant.states.names, self.plant.time_unit
+        n = range(len(states))
+        variance = self.covariance if len(self.times) else np.zeros((0, len(n), len(n)))
+        return {
+            "time": Variable(("time",), self.times, time),
+            "state": Variable(("state",), np.array(states, dtype=str)),
+            "other_state": Variable(("other_state",), np.array(states, dtype=str)),
+            "unit": Variable(("state",), np.array(self.plant.states.units, dtype=str)),
+            "x": Variable(("time", "state"), self.x),
+            "radii": Variable(("time", "state"), self.radii),
+            "covariance": Variable(("time", "state", "other_state"), variance),
+            "radius": Variable(("time",), self.radius),
+            "cost": Variable(("time",), self.cost),
+            "status": Variable(("time",), np.array(self.status, dtype=str)),
+            "certified": Variable(("time",), self.certified),
+            "on_schedule": Variable(("time",), self.on_schedule),
         }
 
     def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:

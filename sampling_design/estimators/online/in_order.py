@@ -18,6 +18,7 @@ from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample
 from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.records.measurements import DataFrame, Measured, read_measurements
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -179,7 +180,9 @@ class OnlineEstimator(ABC):
 
         Parameters
         ----------
-        record : Measurements or iterable of (t, y, u)
+        record : Measurements, pandas DataFrame or iterable of (t, y, u)
+            A frame has the columns of a measurement file, `time` or `date` also as its index; dates count from the
+            first (`read_measurements` takes another origin).
         progress : callable, optional
             Called with a fraction in [0, 1] and a message after each hundredth of the record.
 
@@ -187,7 +190,7 @@ class OnlineEstimator(ABC):
         -------
         EstimateRecord
         """
-        samples = listed(record)
+        samples = listed(record, self.plant)
         every = max(1, len(samples) // 100)
         found = []
         for k, estimate in enumerate(self.stream(samples)):
@@ -197,17 +200,23 @@ class OnlineEstimator(ABC):
         return EstimateRecord.collect(self.plant, found)
 
 
-def listed(record: object) -> list[object]:
-    """The samples of a record, whatever it is made of.
+def listed(record: object, plant: Measured) -> list[object]:
+    """The samples of a record, whatever it is made of; a frame is read like a file of measurements of `plant`.
 
     Raises
     ------
     ArgumentError
         If it cannot be gone through.
+    FileFormatError
+        If it is a frame that holds no measurements of this plant.
     """
+    if isinstance(record, DataFrame):
+        return list(read_measurements(record, plant))
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):
         return list(record)
-    raise ArgumentError(f"`record` must be Measurements or a list of (t, y, u), got {_checks.described(record)}.")
+    raise ArgumentError(
+        f"`record` must be Measurements, a DataFrame or a list of (t, y, u), got {_checks.described(record)}."
+    )
 
 
 def triple(item: object) -> Sample:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, Table, short
+from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
@@ -86,7 +86,7 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowSigma(Table):
+class WindowSigma(Table, Gridded):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
     Attributes
@@ -136,6 +136,18 @@ class WindowSigma(Table):
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("the plant's matrices and the sample times are exact",),
         )
+
+    def _variables(self) -> dict[str, Variable]:
+        profile, time = self.profile, self.time_unit
+        return {
+            "window_end": Variable(("point",), profile.t, time),
+            "sigma": Variable(("point",), profile.sigma),
+            "piece_of": Variable(("point",), profile.piece),
+            "piece": Variable(("piece",), np.unique(profile.piece)),
+            "start": Variable(("piece",), profile.start, time),
+            "stop": Variable(("piece",), profile.stop, time),
+            "proven": Variable(("piece",), profile.lower),
+        }
 
     def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
         profile = self.profile

@@ -7,7 +7,7 @@ import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -19,7 +19,6 @@ from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.plants.plant import Plant, Signals
 
 Array = npt.NDArray[np.float64]
@@ -154,7 +153,7 @@ def read_measurements(
     rows = _files.csv_rows(lines, where)
     header = rows[0][1]
     stamp = _check_header(where, header, plant)
-    clock = _Clock(where, plant, None if origin is None else _date(where, 0, origin))
+    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin))
     table = _MeasurementTable(where, plant)
     for k, cells in rows[1:]:
         if len(cells) != len(header):
@@ -187,7 +186,7 @@ class _Clock:
         self.where, self.unit, self.zero = where, SECONDS[plant.time_unit], zero
 
     def date(self, line: int, cell: str) -> float:
-        date = _date(self.where, line, cell)
+        date = date_of(self.where, line, cell)
         self.zero = date if self.zero is None else self.zero
         return (date - self.zero).total_seconds() / self.unit
 
@@ -252,7 +251,7 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
     return value
 
 
-def _date(where: str, line: int, cell: str) -> datetime:
+def date_of(where: str, line: int, cell: str) -> datetime:
     try:
         date = datetime.fromisoformat(cell)
     except ValueError:
@@ -292,52 +291,19 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     plant = measurements.plant
     header = ["time", *plant.outputs.names, *plant.inputs.names]
     body = [
-        [repr(float(t)), *(_cell(v) for v in y), *(_cell(v) for v in u)]
+        [repr(float(t)), *(cell_of(v) for v in y), *(cell_of(v) for v in u)]
         for t, y, u in zip(measurements.times, measurements.y, measurements.u, strict=True)
     ]
-    return _write_csv(path, header, body)
+    return write_csv(path, header, body)
 
 
-@door
-def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, origin: str | None = None) -> Path:
-    """Write estimates as CSV: time, status, certified, cost, then per state its value and its radius.
-
-    Parameters
-    ----------
-    record : EstimateRecord
-    path : path
-    origin : str, optional
-        Date (ISO 8601) of time 0, as `Measurements.origin`: then a column `date` comes first, to the microsecond.
-
-    Returns
-    -------
-    Path
-        The file, written whole or not at all. A radius or cost that is not known is an empty cell.
-    """
-    zero = _date("`origin`", 0, origin) if origin else None
-    header = [*(["date"] if zero else []), "time", "status", "certified", "cost"]
-    header += [column for name in record.plant.states.names for column in (name, f"{name}_radius")]
-    body = []
-    for k in range(len(record)):
-        pairs = [v for pair in zip(record.x[k], record.radii[k], strict=True) for v in pair]
-        head = [repr(float(record.times[k])), record.status[k], str(int(record.certified[k])), _cell(record.cost[k])]
-        dated = [_dated(zero, float(record.times[k]), record.plant.time_unit)] if zero else []
-        body.append([*dated, *head, *(_cell(v) for v in pairs)])
-    return _write_csv(path, header, body)
-
-
-def _dated(zero: datetime, t: float, unit: str) -> str:
-    try:
-        return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
-    except OverflowError:
-        raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None
-
-
-def _cell(value: float) -> str:
+def cell_of(value: float) -> str:
+    """A number as a file holds it; an empty cell where it is not known."""
     return repr(float(value)) if np.isfinite(value) else ""
 
 
-def _write_csv(path: str | os.PathLike[str], header: list[str], body: list[list[str]]) -> Path:
+def write_csv(path: str | os.PathLike[str], header: list[str], body: list[list[str]]) -> Path:
+    """Write a header and rows, whole or not at all; return the path."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *body])
     return _files.write_text(path, text.getvalue())

@@ -1,0 +1,1 @@
+"""What was measured: records of samples, their files and frames."""

@@ -104,7 +104,7 @@ class Gridded(Record):
         raise NotImplementedError
 
     def to_xarray(self) -> Dataset:
-        """Return the curves as an xarray Dataset (extra `xarray`): axes by name, units as attributes, physical units.
+        """Return the curves as an xarray Dataset (extra `datasets`): axes by name, units as attributes, physical units.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class Gridded(Record):
         try:
             import xarray
         except ImportError:
-            raise MissingExtraError("xarray", "xarray") from None
+            raise MissingExtraError("xarray", "datasets") from None
         made = {
             name: (list(v.axes), np.asarray(v.values), {"units": v.unit} if v.unit else {})
             for name, v in self._variables().items()

@@ -153,5 +153,5 @@ def test_curves_are_read_by_name():
 
 def test_without_xarray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(MissingExtraError, match="xarray"):
+    with pytest.raises(MissingExtraError, match="datasets"):
         estimates().to_xarray()

@@ -34,7 +34,7 @@ def test_the_oldest_versions_are_those_that_are_promised():
     extras = project["optional-dependencies"]
     promised = [
         *project["dependencies"],
-        *(r for name in ("nonlinear", "rigorous", "distributed", "dataframes", "xarray") for r in extras[name]),
+        *(r for name in ("nonlinear", "rigorous", "distributed", "dataframes", "datasets") for r in extras[name]),
     ]
     lines = [line for line in (PACKAGE.parent / "tests" / "oldest.txt").read_text().splitlines() if line[0] != "#"]
     oldest = dict(line.split("==") for line in lines)

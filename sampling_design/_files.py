@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sampling_design.checkers import strict
 from sampling_design.checkers.strict import Tree
-from sampling_design.errors import FileFormatError
+from sampling_design.errors import ArgumentError, FileFormatError
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -177,3 +177,18 @@ def _small(text: str) -> None:
 
 def _unreasonable(where: str) -> FileFormatError:
     return FileFormatError(f"{where}: is nested too deeply, or holds a number of thousands of digits.", where)
+
+
+def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
+    """Refuse plain data whose types are not exactly those of its grammar (no booleans or texts as numbers).
+
+    Raises
+    ------
+    ArgumentError
+        With the sentence of the strict reader.
+    """
+    try:
+        read(data, "")
+    except strict.BadFile as error:
+        sentence = f"{error}."
+        raise ArgumentError(sentence) from None

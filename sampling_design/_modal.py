@@ -226,7 +226,11 @@ def _conjugate_pairs(values: Complex) -> Complex:
 
 
 def _clusterings(values: Complex, radius: float) -> Iterator[npt.NDArray[np.intp]]:
-    """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster."""
+    """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster.
+
+    Which eigenvalues are one is not asked here (`plants/grouping.py` does): blocks are coarsened until their basis is
+    well conditioned, whatever their eigenvalues.
+    """
     distance = np.abs(values[:, None] - values[None, :])
     while True:
         near = distance <= radius

@@ -17,7 +17,7 @@ from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._units import check_time_unit
 from sampling_design.checkers.grammar import PLANT
-from sampling_design.checkers.strict import MOST_BYTES, BadFile, Tree
+from sampling_design.checkers.strict import MOST_BYTES, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 
@@ -133,11 +133,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
 
 def _exactly(data: Mapping[str, Any]) -> None:
     """Refuse numbers that are booleans or texts, and whatever else the plant's grammar does not allow."""
-    try:
-        PLANT({key: value for key, value in data.items() if key != "time_unit"}, "")
-    except BadFile as error:
-        sentence = f"{error}."
-        raise ArgumentError(sentence) from None
+    _files.exactly(PLANT, {key: value for key, value in data.items() if key != "time_unit"})
 
 
 def _located(where: str, error: ArgumentError) -> FileFormatError:

@@ -137,7 +137,10 @@ def radius(values: Complex) -> float:
 
 
 def _spanning_tree(values: Complex) -> list[tuple[int, int, float]]:
-    """Edges (i, j, length) of the minimal spanning tree of points in the plane, shortest first (Prim)."""
+    """Edges (i, j, length) of the minimal spanning tree of points in the plane, shortest first (Prim).
+
+    Equal points are joined by edges of length 0, which a sparse graph of scipy takes for none.
+    """
     distance = np.abs(values[:, None] - values[None, :])
     reach, origin = distance[0].copy(), np.zeros(values.size, dtype=int)
     outside = np.arange(values.size) > 0

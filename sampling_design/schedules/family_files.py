@@ -8,12 +8,13 @@ from typing import Any
 
 from sampling_design import _checks
 from sampling_design._door import door
+from sampling_design._files import exactly
 from sampling_design._record import Plain
 from sampling_design.checkers import grammar
 from sampling_design.checkers.strict import anything
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.files import exactly, schedule_from_dict
+from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.gap_range import GapRange  # noqa: F401  # a family is known once its file is loaded
 from sampling_design.schedules.jitter import Jitter  # noqa: F401
 from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import _checks
+from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._files import csv_rows, decimal, from_json, read_text, to_json, write_text
 from sampling_design._record import Plain
 from sampling_design._units import check_time_unit
 from sampling_design.checkers import grammar
-from sampling_design.checkers.strict import BadFile, Reader
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
@@ -79,7 +78,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
         _checks.known_keys("a finite schedule", data, ("kind", "times", "outputs", *_DETAILS))
         if "times" not in data:
             raise ArgumentError("a finite schedule needs `times`.")
-        exactly(grammar.FINITE, data)
+        _files.exactly(grammar.FINITE, data)
         return Schedule(data["times"], outputs, **details)
     if kind != "periodic":
         raise ArgumentError(f'`kind` of a schedule must be "finite" or "periodic", got {kind!r}.')
@@ -87,7 +86,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     _checks.known_keys("a periodic schedule", data, known)
     if ("times" in data) != ("period" in data):
         raise ArgumentError("a periodic schedule needs `times` and `period` together, got only one of them.")
-    exactly(grammar.PERIODIC, data)
+    _files.exactly(grammar.PERIODIC, data)
     if "gaps" not in data:
         if "times" not in data:
             raise ArgumentError("a periodic schedule needs `gaps`, or `times` and `period`.")
@@ -104,21 +103,6 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
         raise ArgumentError("`gaps` and `times` of a periodic schedule contradict each other. Give one of them.")
     by_times._own(gaps=by_gaps.gaps)
     return by_times
-
-
-def exactly(read: Reader, data: Mapping[str, object]) -> None:
-    """Refuse plain data whose types are not exactly those of its grammar (no booleans or texts as numbers).
-
-    Raises
-    ------
-    ArgumentError
-        With the sentence of the strict reader.
-    """
-    try:
-        read(data, "")
-    except BadFile as error:
-        sentence = f"{error}."
-        raise ArgumentError(sentence) from None
 
 
 @door

@@ -53,7 +53,7 @@ def public_results() -> dict[str, ast.expr | None]:
             if isinstance(node, ast.FunctionDef) and "door" in map(ast.unparse, node.decorator_list):
                 results[node.name] = node.returns
             if isinstance(node, ast.ClassDef) and (
-                {"Record", "Table", "Gridded"} & {*bases} or node.name in sampling_design.__all__
+                {"Record", "Table", "Gridded", "SigmaBracket"} & {*bases} or node.name in sampling_design.__all__
             ):
                 for member in node.body:
                     if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):

@@ -58,6 +58,8 @@ class Peak:
 def update(Y: Array, rows: Array) -> Array:
     """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd whatever the rounding.
 
+    What is found with it is proven elsewhere, with a bound of all rounding (`checkers`) or in balls (`rigorous`).
+
     The rows' noise is independent, so that they count one after the other: nothing is solved, and outputs of any sizes
     may stand side by side.
     """

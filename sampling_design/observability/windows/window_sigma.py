@@ -14,6 +14,7 @@ from sampling_design._record import Gridded, Plain, Record, Table, Variable, sho
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.plants.plant import Plant
@@ -21,6 +22,12 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
+
+
+_REASONS = {
+    "budget": "the budget ran out before the bracket closed; more time narrows it",
+    "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,7 +93,7 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowSigma(Table, Gridded):
+class WindowSigma(SigmaBracket, Table, Gridded):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
     Attributes
@@ -179,22 +186,14 @@ class WindowSigma(Table, Gridded):
             "claim": self.claim.to_dict(),
         }
 
-    @property
-    def _grounds(self) -> str:
-        return "proven in ball arithmetic" if self.rigorous else "proven"
-
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [
-            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
-            ("sigma at most", f"{short(self.upper)} (attained)"),
+        return self._between(
             ("worst window ends", f"{self.witness.position} {self.time_unit}"),
             ("samples in it", str(self.witness.samples.size)),
             ("window", f"{short(self.window)} {self.time_unit}"),
             ("status", self.status),
-        ]
-        if self.scaled is not None:
-            rows.append(("sigma, scaled", f"{short(self.scaled.lower)} to {short(self.scaled.upper)}"))
-        return rows
+            scaled=self.scaled,
+        )
 
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""
@@ -202,7 +201,7 @@ class WindowSigma(Table, Gridded):
             f"The worst window ends {self.witness.position} {self.time_unit} with {self.witness.samples.size} samples"
         )
         if self.status == "no states":
-            return "The plant has no states: there is nothing to see, and sigma is infinite."
+            return NO_STATES
         if self.status == "too few samples":
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
             return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
@@ -210,13 +209,7 @@ class WindowSigma(Table, Gridded):
             return f"{where}; it does not see the state {short(self.witness.direction)}: sigma is zero to rounding."
         length = f"{short(self.window)} {self.time_unit}"
         proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
-        if self.closed:
-            return f"{proven} and {short(self.upper)} is attained. {where}."
-        reason = {
-            "budget": "the budget ran out before the bracket closed; more time would narrow it",
-            "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
-        }[self.status]
-        return f"{proven}; {short(self.upper)} is attained, and {reason}."
+        return self._concluded(proven, where, _REASONS)
 
 
 @door

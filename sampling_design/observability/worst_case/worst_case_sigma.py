@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
@@ -51,7 +52,7 @@ class WorstCaseProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WorstCaseSigma(Record):
+class WorstCaseSigma(SigmaBracket):
     """Bounds on the least sigma over all schedules with k samples, epsilon apart, in a window of length T.
 
     Attributes
@@ -132,30 +133,22 @@ class WorstCaseSigma(Record):
             "scaled": None if self.scaled is None else self.scaled.to_dict(),
         }
 
-    @property
-    def _grounds(self) -> str:
-        return "proven in ball arithmetic" if self.rigorous else "proven"
-
     def _rows(self) -> list[tuple[str, str]]:
         f, unit = self.family, self.time_unit
-        rows = [
-            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
-            ("sigma at most", f"{short(self.upper)} (attained)"),
+        return self._between(
             ("worst times", f"{short(self.witness)} {unit}"),
             ("worst state", short(self.direction)),
             ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
             ("status", self.status),
             ("method", f"{self.method}, {self.cells} cells" if self.cells else self.method),
-        ]
-        if self.scaled is not None:
-            rows.append(("sigma, scaled", f"{short(self.scaled.lower)} to {short(self.scaled.upper)}"))
-        return rows
+            scaled=self.scaled,
+        )
 
     def explain(self) -> str:
         """Say what was proven for the family, which schedule is worst, and why a bracket did not close."""
         f, unit = self.family, self.time_unit
         if self.status == "no states":
-            return "The plant has no states: there is nothing to see, and sigma is infinite."
+            return NO_STATES
         many = f"{f.count} samples, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}"
         if self.status == "too few samples":
             return f"{many}, are fewer measurements than the {self.direction.size} states: sigma is 0."
@@ -163,9 +156,7 @@ class WorstCaseSigma(Record):
         if self.status == "below rounding":
             return f"{where}; they do not see the state {short(self.direction)}: sigma is zero to rounding."
         proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
-        if self.closed:
-            return f"{proven} and {short(self.upper)} is attained. {where}."
-        return f"{proven}; {short(self.upper)} is attained, and {_REASONS[self.status]}. {where}."
+        return self._concluded(proven, where, _REASONS)
 
 
 @door

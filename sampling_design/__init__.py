@@ -29,6 +29,7 @@ _FRONT_DOOR = {
     "observability.worst_case.worst_case_sigma": ("worst_case_sigma",),
     "recovery.accuracy": ("accuracy",),
     "recovery.deviation": ("standard_deviation",),
+    "recovery.limit": ("limit",),
     "recovery.interval": ("interval",),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),

@@ -36,6 +36,9 @@ FILLED = 24
 ATTACKS = 8
 """Attacks for the profile of one row."""
 
+TOLERANCE = 1e-7
+"""Asked of the solver: what both sides prove is second order in it."""
+
 LONGEST = 4096
 """Samples back beyond which the past is not followed."""
 
@@ -126,7 +129,9 @@ class ChainSearch:
         """The window of `count` samples that ends with sample j."""
         key = (j, count, from_zero, rough)
         if key not in self._windows:
-            self._windows[key] = ConeWindow(self._coarse if rough else self.chain, *self.past(j, count, from_zero))
+            self._windows[key] = ConeWindow(
+                self._coarse if rough else self.chain, *self.past(j, count, from_zero), tolerance=TOLERANCE
+            )
         return self._windows[key]
 
     def gains(self, j: int, mu: Array) -> Gains:

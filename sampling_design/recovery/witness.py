@@ -79,7 +79,7 @@ class AccuracyWitness(Record):
         change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
         the samples is exactly `states`, its w is `w` but for that change. NaN in w says that no change closes it.
         """
-        plant, scale, size = self.plant, self._scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
+        plant, scale, size = self.plant, self.scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
         size = np.where(size > 0, size, 1.0)
         A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]
         n, q = G.shape
@@ -103,7 +103,7 @@ class AccuracyWitness(Record):
                 w[a:b] += change.reshape(-1, q) if np.all(left <= CLOSED * terms) else np.nan
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
 
-    def _scales(self) -> Array:
+    def scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
         balance = balanced_schur(self.plant.A).d
         G = self.plant.G * np.max(np.abs(self.w), axis=0, initial=0.0) / balance[:, None]

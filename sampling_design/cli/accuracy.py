@@ -28,32 +28,85 @@ def accuracy(
     ] = None,
     of: Annotated[str, typer.Option(help="Names of states or outputs, with commas between. Default: all states.")] = "",
     rtol: Annotated[float, typer.Option(help="Relative width of the brackets.")] = 0.01,
+    initial_error: Annotated[
+        str | None,
+        typer.Option("--initial-error", help=f"Bound on the error at the start of a schedule that ends. {NUMBERS}"),
+    ] = None,
+    tolerance: Annotated[
+        str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
+    ] = None,
+    w_intensity: Annotated[
+        str | None,
+        typer.Option(
+            "--w-intensity", help="Intensity of white w [its unit squared times time]: standard deviations beside."
+        ),
+    ] = None,
+    v_deviation: Annotated[
+        str | None,
+        typer.Option("--v-deviation", help="Standard deviation of the noise of a sample, with --w-intensity."),
+    ] = None,
+    shadow: Annotated[
+        str, typer.Option("--shadow", help="Two states, FIRST,SECOND: the exact set of their errors, drawn with -o.")
+    ] = "",
 ) -> None:
-    """Bracket the least error that any estimator can guarantee on an endless schedule, at its worst time.
+    """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.
 
     Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
-    if not isinstance(schedule, sd.PeriodicSchedule):
-        raise ArgumentError(
-            f"`SCHEDULE` {schedule_file} ends: accuracy is bracketed on a schedule that repeats (period=...)."
-        )
     names = [name.strip() for name in of.split(",") if name.strip()]
-    bounds = (_numbers("--w-bound", w_bound), _numbers("--v-bound", v_bound))
+    pair = _pair(shadow)
+    wanted = _wanted(_numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy"):
         found = sd.accuracy(
-            plant, schedule, w_bound=bounds[0], v_bound=bounds[1], of=names if names else None, rtol=rtol
+            plant,
+            schedule,
+            w_bound=_numbers("--w-bound", w_bound),
+            v_bound=_numbers("--v-bound", v_bound),
+            of=names if names else None,
+            rtol=rtol,
+            initial_error=_numbers("--initial-error", initial_error),
+            w_intensity=_numbers("--w-intensity", w_intensity),
+            v_deviation=_numbers("--v-deviation", v_deviation),
         )
-    folder = settings.folder()
+        cast = None if pair is None else sd.shadow(found, *pair)
+    folder, data = settings.folder(), found.to_dict()
+    if cast is not None:
+        data["shadow"] = cast.to_dict()
     if folder is not None:
-        settings.write_json(folder / "accuracy.json", found.to_dict())
-        settings.wrote(save_picture(found, folder / "accuracy.png"))
-    settings.show(found.to_dict(), record_table(found), found.explain())
+        settings.write_json(folder / "accuracy.json", data)
+        settings.wrote(save_picture(found, folder / "accuracy.png", tolerance=wanted))
+        if cast is not None:
+            settings.wrote(save_picture(cast, folder / "shadow.png"))
+    missed = [] if wanted is None else [k for k, most in enumerate(wanted) if not found.upper[k] <= most]
+    text = found.explain() + ("" if cast is None else f" {cast.explain()}")
+    for k in missed:
+        impossible = found.lower[k] > (wanted or [])[k]
+        text += f" {found.rows.names[k]} {'cannot keep' if impossible else 'is not proven to keep'} its tolerance."
+    settings.show(data, record_table(found), text)
     if not np.all(found.closed):
         raise typer.Exit(3)
-    if np.isinf(found.upper).any():
+    if missed or np.isinf(found.upper).any():
         raise typer.Exit(1)
+
+
+def _pair(text: str) -> tuple[str, str] | None:
+    """Two names."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if names and len(names) != 2:
+        raise ArgumentError(f"`--shadow` must be two names with a comma between, got {text!r}.")
+    return (names[0], names[1]) if names else None
+
+
+def _wanted(value: float | list[float] | None, rows: int) -> list[float] | None:
+    """A tolerance for each row."""
+    if value is None:
+        return None
+    each = value if isinstance(value, list) else [value] * rows
+    if len(each) != rows:
+        raise ArgumentError(f"`--tolerance` must be one number or one for each of {rows} rows, got {len(each)}.")
+    return each
 
 
 def _numbers(name: str, text: str | None) -> float | list[float] | None:

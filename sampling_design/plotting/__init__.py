@@ -23,6 +23,7 @@ _PICTURES = {
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
     "Accuracy": ("accuracy", "draw_accuracy"),
+    "Shadow": ("accuracy", "draw_shadow"),
     "WorstCaseSigma": ("explorations", "draw_worst_case"),
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),

@@ -1,4 +1,4 @@
-"""How well anybody can know: both bounds of every row over one period of the schedule."""
+"""How well anybody can know: both bounds of every row over time, and the exact set of two of them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from matplotlib.axes import Axes
 from sampling_design._record import short
 from sampling_design.plotting import style
 from sampling_design.recovery.accuracy import Accuracy
+from sampling_design.recovery.shadow import Shadow
 
 
-def draw_accuracy(result: Accuracy, ax: Axes | Sequence[Axes] | None = None) -> list[Axes]:
-    """Draw the bracket of each row over a period, one axes below the other; samples are ticks on the time axis."""
+def draw_accuracy(
+    result: Accuracy, ax: Axes | Sequence[Axes] | None = None, *, tolerance: Sequence[float] | None = None
+) -> list[Axes]:
+    """Draw the bracket of each row over time, one axes below the other; samples are grey lines.
+
+    `tolerance` is a wanted error for each row; standard deviations are dashed where the record has them.
+    """
     count = len(result.rows)
     axes = list(np.ravel(np.asarray(ax, dtype=object))) if ax is not None else _stack(count)
     profile = result.profile
@@ -22,31 +28,53 @@ def draw_accuracy(result: Accuracy, ax: Axes | Sequence[Axes] | None = None) -> 
         one.set_ylabel(f"error of\n{label}")
         for t in profile.samples:
             one.axvline(t, color=style.ALLOWED, linewidth=0.8, zorder=0)
+        if tolerance is not None:
+            one.axhline(tolerance[k], color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")
         if not np.isfinite(result.upper[k]):
             one.text(0.5, 0.5, "unknown for ever", transform=one.transAxes, ha="center", color=style.FAILED)
             continue
+        lower, upper = (np.where(np.isfinite(side), side, np.nan) for side in (profile.lower[k], profile.upper[k]))
         one.fill_between(
             profile.edges,
-            np.append(profile.lower[k], profile.lower[k, -1]),
-            np.append(profile.upper[k], profile.upper[k, -1]),
+            np.append(lower, lower[-1]),
+            np.append(upper, upper[-1]),
             step="post",
             color=style.PROVEN,
             alpha=0.3,
             linewidth=0,
         )
-        one.stairs(
-            profile.upper[k], profile.edges, baseline=None, color=style.PROVEN, label="guaranteed by an estimator"
-        )
-        one.plot(
-            profile.edges[:-1], profile.lower[k], color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less"
-        )
+        one.stairs(upper, profile.edges, baseline=None, color=style.PROVEN, label="guaranteed by an estimator")
+        one.plot(profile.edges[:-1], lower, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
+        late = result.known_from[k]
+        if late > profile.edges[0]:
+            one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
+            one.annotate(
+                "unknown", (profile.edges[0], 0.0), xytext=(4, 4), textcoords="offset points", fontsize="small"
+            )
+        if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
+            curve = result.deviation.profile[k]
+            one.plot(
+                result.deviation.times,
+                np.where(np.isfinite(curve), curve, np.nan),
+                color=style.MEASURED,
+                linewidth=1.0,
+                linestyle="--",
+                label="standard deviation",
+            )
         one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
         one.set_ylim(bottom=0.0)
         one.set_title(f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} at the worst time", loc="left")
-    axes[-1].set_xlabel(style.time_label(result.plant.time_unit, "time in the period, samples grey"))
+    axes[-1].set_xlabel(
+        style.time_label(
+            result.plant.time_unit,
+            "time in the period, samples grey" if result.question.initial is None else "time, samples grey",
+        )
+    )
     finite = [one for k, one in enumerate(axes[:count]) if np.isfinite(result.upper[k])]
     if finite:
-        finite[0].legend(loc="lower right", fontsize="small", frameon=False)
+        finite[0].legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize="small", frameon=False, borderaxespad=0.2
+        )
     return axes
 
 
@@ -55,3 +83,30 @@ def _stack(count: int) -> list[Axes]:
     figure = first.figure
     first.remove()
     return list(np.ravel(figure.subplots(count, 1, sharex=True)))
+
+
+def draw_shadow(result: Shadow, ax: Axes | None = None) -> Axes:
+    """Draw both polygons of the exact set, and beside it the ellipse of a quadratic cost."""
+    one = ax if ax is not None else style.new_axes(None, height=4.5)
+    turn = np.linspace(0.0, 2 * np.pi, 241)
+    around = np.linalg.cholesky(result.ellipse) @ np.stack([np.cos(turn), np.sin(turn)])
+    one.plot(*around, color=style.MEASURED, linewidth=1.2, label="ellipse of a quadratic cost")
+    for corners, colour, label, fill in (
+        (result.outer, style.PROVEN, "nothing outside is possible", 0.25),
+        (result.inner, style.ATTAINED, "all inside is possible", 0.0),
+    ):
+        closed = np.vstack([corners, corners[:1]])
+        if fill:
+            one.fill(*closed.T, color=colour, alpha=fill, linewidth=0)
+        one.plot(*closed.T, color=colour, linewidth=1.2, label=label)
+    names = [f"{n} [{u}]" if u else n for n, u in zip(result.names, result.units, strict=True)]
+    one.set_xlabel(f"error of {names[0]}")
+    one.set_ylabel(f"error of {names[1]}")
+    _, outer, ellipse = result.areas()
+    one.set_title(
+        f"at {short(result.t, 4)} {result.time_unit}; the ellipse has {short(ellipse / outer, 3)} times the area",
+        loc="left",
+    )
+    one.margins(0.12)
+    one.legend(loc="best", fontsize="small", frameon=True, framealpha=0.9)
+    return one

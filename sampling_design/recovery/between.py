@@ -59,9 +59,9 @@ class Open:
         return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
 
 
-def open_row(chain: SampleChain, j: int, row: Array) -> Open:
-    """Return one row (n,) of x after sample j, over the whole gap."""
-    length, A = chain.length(j), chain.A
+def open_row(chain: SampleChain, j: int, row: Array, until: float | None = None) -> Open:
+    """Return one row (n,) of x after sample j, over the whole gap or until some time after it."""
+    length, A = chain.length(j) if until is None else until, chain.A
     size = float(np.linalg.norm(A, 2))
     number = int(np.clip(np.ceil(size * length / FINENESS), *GRID)) if length else 1
     d = np.linspace(0.0, length, number + 1)

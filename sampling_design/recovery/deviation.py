@@ -18,7 +18,7 @@ from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.finite import DIFFUSE
 from sampling_design.recovery.question import Question
-from sampling_design.recovery.riccati import CovarianceMap, limit, updated
+from sampling_design.recovery.riccati import CovarianceMap, strong, updated
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.start import SEMIDEFINITE
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -28,9 +28,6 @@ Intensity: TypeAlias = npt.ArrayLike | None
 
 POINTS = 64
 """Offsets in each gap at which the profile stands."""
-
-UNSTABLE = 1e-9
-"""A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""
 
 WALK = 1e-12
 """Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
@@ -226,14 +223,7 @@ class _Curves:
         period = maps[0]
         for following in maps[1:]:
             period = period.then(following)
-        P = limit(period)
-        closed = period.F @ np.linalg.inv(np.eye(len(P)) + P @ period.G)
-        if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) > 1 + UNSTABLE:
-            several = period
-            for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
-                several = several.then(several)
-            walk = WALK * several(np.eye(len(P)) * DIFFUSE)
-            P = limit(CovarianceMap(period.F, period.G, period.Q + walk))
+        P = strong(period, np.eye(len(self.A)) * DIFFUSE, WALK)
         after = []
         for step, G in zip(maps, information, strict=True):
             after.append(updated(P, G))

@@ -20,6 +20,9 @@ SETTLED = 1e-14
 
 DOUBLINGS = 60
 
+UNSTABLE = 1e-9
+"""A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""
+
 
 @dataclass(frozen=True, eq=False)
 class CovarianceMap:
@@ -44,6 +47,22 @@ class CovarianceMap:
         Q = later.Q + later.F @ (root @ solved) @ later.F.T
         mid = later.G - later.G @ root @ solved @ later.G
         return CovarianceMap(F, symmetrise(self.G + self.F.T @ mid @ self.F), symmetrise(Q))
+
+
+def strong(lap: CovarianceMap, start: Array, share: float) -> Array:
+    """Return the limit of repeated periods from any P > 0: that from 0 unless it lets an error grow.
+
+    A mode that grows and that no noise reaches stays unseen from P = 0; a random walk of so small a `share` of what
+    periods from `start` leave wakes it.
+    """
+    P = limit(lap)
+    closed = lap.F @ np.linalg.inv(np.eye(len(P)) + P @ lap.G)
+    if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) <= 1 + UNSTABLE:
+        return P
+    several = lap
+    for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
+        several = several.then(several)
+    return limit(CovarianceMap(lap.F, lap.G, lap.Q + share * several(start)))
 
 
 def updated(P: Array, G: Array) -> Array:

@@ -33,8 +33,11 @@ PROFILE = 1.05
 FILLED = 24
 """Offsets solved for the profile of one row, though two for each gap at least."""
 
-ATTACKS = 8
-"""Attacks for the profile of one row."""
+ATTACKS = (8, 32)
+"""Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
+
+SMALL = 5000
+"""Cells times entries of w in a small program."""
 
 TOLERANCE = 1e-7
 """Asked of the solver: what both sides prove is second order in it."""
@@ -210,6 +213,10 @@ class ChainSearch:
     def _reached(self, found: RowSearch, j: int) -> float:
         return float(np.max(self.attained(found, j)[np.isfinite(found.nodes[j])], initial=0.0))
 
+    def open_until(self, j: int, row: Array, d: float) -> Open:
+        """One row from sample j to d after it."""
+        return open_row(self.chain, j, row, d)
+
     def attained(self, found: RowSearch, j: int) -> Array:
         """What strikes attain against a row at the offsets of gap j."""
         opened = found.opened[j]
@@ -320,11 +327,15 @@ class ChainSearch:
                 self._node(found, j, offset)
             else:
                 self._combined(found, j, offset)
-        for _ in range(ATTACKS):
+        small = (
+            self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
+        )
+        for _ in range(ATTACKS[small]):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
             if ratio <= PROFILE:
                 break
-            deep, self.deep = self.deep, min(self.deep, 2 * self.back)
+            deep = self.deep
+            self.deep = deep if small else min(deep, 2 * self.back)
             self._attack(found, j, offset, rough=True)
             self.deep = deep
 

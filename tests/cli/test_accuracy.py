@@ -42,9 +42,28 @@ def test_a_missing_bound_and_a_wrong_number_are_one_sentence(shell, schedule):
     assert "`--w-bound` must be numbers with commas between" in wrong.err
 
 
-def test_a_schedule_that_ends_is_refused(shell, tmp_path):
+def test_a_schedule_that_ends_has_a_start(shell, tmp_path):
     path = tmp_path / "finite.json"
     sd.write_schedule(sd.Schedule([0.7, 1.6], time_unit="s"), path)
-    result = shell("accuracy", OSCILLATOR, path, "--w", "0.02", "--v", "0.4")
-    assert result.code == 2
-    assert "ends: accuracy is bracketed on a schedule that repeats" in result.err
+    result = shell("accuracy", OSCILLATOR, path, "--w", "0.02", "--v", "0.4", "--initial-error", "0.5,0.5")
+    assert result.code == 0
+    assert "from 0.7 to 1.6 s" in result.out
+
+
+def test_tolerance_deviation_and_shadow(shell, schedule, tmp_path):
+    result = shell(
+        *("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--rtol", "0.05", "-o", tmp_path / "out"),
+        *("--tolerance", "0.7,0.1", "--w-intensity", "1e-4", "--v-deviation", "0.2", "--shadow", "position,velocity"),
+    )
+    assert result.code == 1
+    assert "velocity cannot keep its tolerance" in result.out
+    assert "deviation of position" in result.out
+    assert (tmp_path / "out" / "shadow.png").read_bytes().startswith(b"\x89PNG")
+    one = shell("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--shadow", "position")
+    assert one.code == 2
+    assert "`--shadow` must be two names" in one.err
+    three = shell(
+        "accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--tolerance", "1,2,3", "--rtol", "0.5"
+    )
+    assert three.code == 2
+    assert "`--tolerance` must be one number or one for each of 2 rows" in three.err

@@ -30,6 +30,7 @@ _FRONT_DOOR = {
     "recovery.accuracy": ("accuracy",),
     "recovery.deviation": ("standard_deviation",),
     "recovery.limit": ("limit",),
+    "recovery.recursion": ("PeriodicGains",),
     "recovery.shadow": ("shadow",),
     "recovery.interval": ("interval",),
     "certificates.exact.certificate": ("Certificate",),

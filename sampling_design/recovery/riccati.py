@@ -49,20 +49,20 @@ class CovarianceMap:
         return CovarianceMap(F, symmetrise(self.G + self.F.T @ mid @ self.F), symmetrise(Q))
 
 
-def strong(lap: CovarianceMap, start: Array, share: float) -> Array:
+def strong(period: CovarianceMap, start: Array, share: float) -> Array:
     """Return the limit of repeated periods from any P > 0: that from 0 unless it lets an error grow.
 
     A mode that grows and that no noise reaches stays unseen from P = 0; a random walk of so small a `share` of what
     periods from `start` leave wakes it.
     """
-    P = limit(lap)
-    closed = lap.F @ np.linalg.inv(np.eye(len(P)) + P @ lap.G)
+    P = limit(period)
+    closed = period.F @ np.linalg.inv(np.eye(len(P)) + P @ period.G)
     if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) <= 1 + UNSTABLE:
         return P
-    several = lap
+    several = period
     for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
         several = several.then(several)
-    return limit(CovarianceMap(lap.F, lap.G, lap.Q + share * several(start)))
+    return limit(CovarianceMap(period.F, period.G, period.Q + share * several(start)))
 
 
 def updated(P: Array, G: Array) -> Array:

@@ -258,10 +258,10 @@ def _ellipsoid(
             CovarianceMap(f / np.sqrt(k), G / k, w)
             for f, w, G, k in zip(F[:-1], W[:-1], information, kept, strict=True)
         ]
-        lap = maps[0]
+        period = maps[0]
         for following in maps[1:]:
-            lap = lap.then(following)
-        X = strong(lap, np.eye(n) * DIFFUSE, WALK)
+            period = period.then(following)
+        X = strong(period, np.eye(n) * DIFFUSE, WALK)
     else:
         S = initial.S * chain.D
         known = S.T @ S / (1.0 if initial.ball else max(len(S), 1)) + np.eye(n) / DIFFUSE

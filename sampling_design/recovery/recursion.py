@@ -244,19 +244,19 @@ def _phase(search: ChainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase
     parts = [_on_innovations(search, j, column, one) for column, one in zip(mu.T, made, strict=True)]
     shift = np.zeros(len(sample.H)) if bounds.v_centre is None else bounds.v_centre[j, sample.outputs] / sample.size
     return _Phase(
-        sample.outputs,
-        freeze(flow[:, : n + m]),
-        freeze(np.hstack([plant.C, plant.D])[sample.outputs] / sample.size[:, None]),
-        sample.size,
-        freeze(flow[:, n + m]),
-        freeze(shift),
-        freeze(chain.D[:, None] * (chain.L[j] @ sample.K)),
-        freeze([weights for weights, _ in parts]),
-        freeze([one.value for one in made]),
-        freeze(np.abs(mu).T @ chain.reach[j]),
-        freeze(np.array([rest for _, rest in parts]).T),
-        freeze(mu),
-        freeze((np.eye(n) - sample.K @ sample.H) @ before.F),
+        seen=sample.outputs,
+        F=freeze(flow[:, : n + m]),
+        C=freeze(np.hstack([plant.C, plant.D])[sample.outputs] / sample.size[:, None]),
+        size=sample.size,
+        drift=freeze(flow[:, n + m]),
+        shift=freeze(shift),
+        K=freeze(chain.D[:, None] * (chain.L[j] @ sample.K)),
+        weights=freeze([weights for weights, _ in parts]),
+        radii=freeze([one.value for one in made]),
+        early=freeze(np.abs(mu).T @ chain.reach[j]),
+        rests=freeze(np.array([rest for _, rest in parts]).T),
+        mu=freeze(mu),
+        passed=freeze((np.eye(n) - sample.K @ sample.H) @ before.F),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,14 @@ SHARES = np.geomspace(1e-2, 0.9, 9)
 WALK = 1e-12
 
 
+class ShadowAreas(NamedTuple):
+    """Areas of the polygon that is possible, of the one outside which nothing is, and of the ellipse."""
+
+    inner: float
+    outer: float
+    ellipse: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Shadow(Record):
     """What data that read zero leave possible of two rows at one time: a convex set about 0, inner <= set <= outer.
@@ -59,10 +68,10 @@ class Shadow(Record):
     inner: Array
     ellipse: Array
 
-    def areas(self) -> tuple[float, float, float]:
+    def areas(self) -> ShadowAreas:
         """Areas of inner polygon, outer polygon and ellipse."""
         ellipse = float(np.pi * np.sqrt(max(np.linalg.det(self.ellipse), 0.0)))
-        return _area(self.inner), _area(self.outer), ellipse
+        return ShadowAreas(_area(self.inner), _area(self.outer), ellipse)
 
     def _rows(self) -> list[tuple[str, str]]:
         inner, outer, ellipse = self.areas()

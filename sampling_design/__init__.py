@@ -31,7 +31,6 @@ _FRONT_DOOR = {
     "recovery.deviation": ("standard_deviation",),
     "recovery.limit": ("limit",),
     "recovery.recursion": ("PeriodicGains",),
-    "recovery.shadow": ("shadow",),
     "recovery.interval": ("interval",),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),

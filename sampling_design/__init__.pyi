@@ -89,7 +89,6 @@ from sampling_design.recovery.deviation import standard_deviation as standard_de
 from sampling_design.recovery.interval import interval as interval
 from sampling_design.recovery.limit import limit as limit
 from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains
-from sampling_design.recovery.shadow import shadow as shadow
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.files import read_schedule as read_schedule

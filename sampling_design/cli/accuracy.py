@@ -12,6 +12,8 @@ from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, save_picture
 from sampling_design.errors import ArgumentError
+from sampling_design.recovery.accuracy import Accuracy
+from sampling_design.recovery.shadow import Shadow
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
 
@@ -70,7 +72,12 @@ def accuracy(
             w_intensity=_numbers("--w-intensity", w_intensity),
             v_deviation=_numbers("--v-deviation", v_deviation),
         )
-        cast = None if pair is None else sd.shadow(found, *pair)
+        cast = None if pair is None else found.shadow(*pair)
+    _told(settings, found, cast, wanted)
+
+
+def _told(settings: Settings, found: Accuracy, cast: Shadow | None, wanted: list[float] | None) -> None:
+    """Write, draw and print; the exit code."""
     folder, data = settings.folder(), found.to_dict()
     if cast is not None:
         data["shadow"] = cast.to_dict()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,9 @@ from sampling_design.recovery.start import InitialError
 from sampling_design.recovery.unknown import Known
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+if TYPE_CHECKING:
+    from sampling_design.recovery.shadow import Shadow
 
 Array = npt.NDArray[np.float64]
 
@@ -137,6 +141,12 @@ class Accuracy(Gridded):
     def bounds(self) -> SignalBounds:
         """Bounds on w and v; one row of v for each sample, and an empty one for a start that is no sample."""
         return self.question.bounds
+
+    def shadow(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
+        """Return the exact set of what data may leave possible of two rows at one time (`recovery.shadow`)."""
+        from sampling_design.recovery.shadow import shadow
+
+        return shadow(self, first, second, t, directions)
 
     def verify(self) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver."""

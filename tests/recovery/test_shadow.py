@@ -17,7 +17,7 @@ def found():
 
 
 def test_the_polygons_close_and_hold_what_the_oracle_attains(found):
-    shadow = sd.shadow(found, "position", "velocity", t=float(SCHEDULE.times[0]))
+    shadow = found.shadow("position", "velocity", t=float(SCHEDULE.times[0]))
     inner, outer, ellipse = shadow.areas()
     assert 0.97 * outer <= inner <= outer < ellipse
     gaps = np.tile([0.6, 1.4, 1.0], 4)
@@ -33,12 +33,12 @@ def test_the_polygons_close_and_hold_what_the_oracle_attains(found):
 
 def test_the_ellipse_holds_the_set_at_every_time(found):
     for t in (0.7, 1.0, 1.9, 2.7):
-        shadow = sd.shadow(found, "position", "velocity", t=max(t, float(SCHEDULE.times[0])), directions=6)
+        shadow = found.shadow("position", "velocity", t=max(t, float(SCHEDULE.times[0])), directions=6)
         assert np.all(np.einsum("ki,ij,kj->k", shadow.inner, np.linalg.inv(shadow.ellipse), shadow.inner) <= 1 + 1e-9)
 
 
 def test_it_speaks_and_is_drawn(found):
-    shadow = sd.shadow(found, "position", "velocity", directions=5)
+    shadow = found.shadow("position", "velocity", directions=5)
     assert shadow.t == found.worst[0]
     assert "nobody can place position and velocity better" in shadow.explain()
     assert "area of the ellipse" in str(shadow)
@@ -48,7 +48,7 @@ def test_it_speaks_and_is_drawn(found):
 
 def test_a_known_start_has_a_shadow_too():
     finite = sd.accuracy(PLANT, sd.Schedule([1.0, 2.0, 2.6]), w_bound=0.02, v_bound=0.1, initial_error=0.3, end=3.0)
-    shadow = sd.shadow(finite, "position", "velocity", t=2.8)
+    shadow = finite.shadow("position", "velocity", t=2.8)
     inner, outer, ellipse = shadow.areas()
     assert 0.9 * outer <= inner <= outer < ellipse
 
@@ -64,14 +64,14 @@ def test_a_known_start_has_a_shadow_too():
 )
 def test_bad_input_is_refused(found, change, match):
     with pytest.raises(ArgumentError, match=match):
-        sd.shadow(found, **({"first": "position", "second": "velocity"} | change))
+        found.shadow(**({"first": "position", "second": "velocity"} | change))
 
 
 def test_rows_that_are_not_known_have_none():
     plant = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], states=["seen", "unseen"])
     found = sd.accuracy(plant, SCHEDULE, w_bound=0.02, v_bound=0.1)
     with pytest.raises(ArgumentError, match="`first` and `second` must be known"):
-        sd.shadow(found, "seen", "unseen")
+        found.shadow("seen", "unseen")
     early = sd.accuracy(PLANT, sd.Schedule([1.0, 2.0, 2.6]), w_bound=0.02, v_bound=0.1)
     with pytest.raises(ArgumentError, match="`t` must be a time at which both rows are known"):
-        sd.shadow(early, "position", "velocity", t=1.5)
+        early.shadow("position", "velocity", t=1.5)

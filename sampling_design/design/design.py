@@ -17,14 +17,15 @@ from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
-from sampling_design.design.folding import folded, unfolded
+from sampling_design.design.folding import folded, parts, unfolded
+from sampling_design.design.problem.canonical import Canonical, canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
 from sampling_design.design.search.costs import affordable, relax_costly
-from sampling_design.design.search.fedorov_exchange import even, is_admissible
-from sampling_design.design.search.local_search import FoundSchedule, search
+from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
+from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
 from sampling_design.evidence import SolverRecord
@@ -200,21 +201,31 @@ def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> Sched
 
 @dataclass(frozen=True, eq=False)
 class Sized:
-    """One count of samples: its problem, the relaxation to round, and the smaller of the bounds."""
+    """One count of samples: its problem, the relaxation to round, and the smaller of the bounds.
 
-    problem: DesignProblem
+    The relaxation and `inner`, the bound as it was found, are in canonical units; `bound` is that of the problem.
+    """
+
+    canon: Canonical
     relaxation: Relaxation
+    inner: UpperBound
     bound: UpperBound
     solver: tuple[SolverRecord, ...]
+
+    @property
+    def problem(self) -> DesignProblem:
+        """The problem as it was posed."""
+        return self.canon.outside
 
 
 def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: float = np.inf) -> Sized:
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
-    problem = pose(plant, requirement, samples)
+    canon = canonical(pose(plant, requirement, samples))
     left = deadline - time.perf_counter()
     seconds = max(left / 3, 0.0) if np.isfinite(left) else None
-    placed = (relax_costly if problem.is_costly else relax_placed)(problem, seconds=seconds)
-    return Sized(problem, placed, first_bound(problem, placed, deadline), (placed.record,))
+    placed = (relax_costly if canon.inside.is_costly else relax_placed)(canon.inside, seconds=seconds)
+    inner = first_bound(canon.inside, placed, deadline)
+    return Sized(canon, placed, inner, inner.brought_back(canon), (placed.record,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +264,8 @@ class _Run:
             low, high = done / len(counts), (done + 1) / len(counts)
             self.say(low, f"bounding {samples} samples per period")
             if best is not None and sized is not None and time.perf_counter() > self.began + self.seconds:
-                problem = pose(self.designed, self.requirement, samples)
-                bounds[samples] = quick_bound(problem, sized.relaxation)
+                canon = canonical(pose(self.designed, self.requirement, samples))
+                bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
                 continue
             sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
             bounds[samples] = sized.bound
@@ -289,18 +300,21 @@ class _Run:
         def cutting(fraction: float, message: str) -> None:
             self.say(middle + fraction * (near - middle), message)
 
-        deadline, enough = self.began + self.seconds, sized.bound.value * (1 - _ENOUGH)
+        deadline, enough = self.began + self.seconds, sized.inner.value * (1 - _ENOUGH)
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
-        found = search(sized.problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
-        chosen = sized.problem.mask(found.times)
-        if sized.problem.is_costly:
-            found, chosen = affordable(sized.problem, found, sized.relaxation, deadline)
+        problem = sized.canon.inside
+        found = search(problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
+        chosen = problem.mask(found.times)
+        if problem.is_costly:
+            found, chosen = affordable(problem, found, sized.relaxation, deadline)
         tied = self.tied(sized, rng, found.sigma, deadline)
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
-        bound = narrowed(sized.problem, sized.bound, reached, self.branches, deadline, cutting)
+        bound = narrowed(problem, sized.inner, reached, self.branches, deadline, cutting)
+        bound = sized.bound if bound is sized.inner else bound.brought_back(sized.canon)
         time_left = time.perf_counter() <= deadline
         self.say(near, "proving sigma over all window positions")
-        candidates = [*_candidates(sized.problem, found, chosen), *((times, mask) for times, mask, _ in tied)]
+        times = _brought_back(sized.canon, found.times)
+        candidates = [*_candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
         proven = [self.proven(sized.problem, times, mask) for times, mask in candidates]
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         sigma = stated(proof, self.requirement)
@@ -316,7 +330,7 @@ class _Run:
             zero_count=self.zero_count,
             window=proof,
             bound=bound,
-            history=tuple(asdict(trial) for trial in found.trials),
+            history=tuple(asdict(trial.in_units(sized.canon.size)) for trial in found.trials),
             solver=sized.solver,
             status=_status(sigma.lower, bound.value, found.complete and time_left),
             notes=(self.used["notice"],) if "notice" in self.used else (),
@@ -326,20 +340,21 @@ class _Run:
         self, sized: Sized, rng: np.random.Generator, reached: float, deadline: float
     ) -> list[tuple[Array, Mask, float]]:
         """Times that repeat within the period, what they measure and their sigma, where that could be better."""
-        part = folded(sized.problem)
-        if part is None or time.perf_counter() > deadline or reached >= sized.bound.value * (1 - _ENOUGH):
+        part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)
+        if part is None or time.perf_counter() > deadline or reached >= enough:
             return []
         left = deadline - time.perf_counter()
         seconds = max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None
         placed = (relax_costly if part.is_costly else relax_placed)(part, seconds=seconds)
         try:
-            found = search(part, placed, rng, self.starts, deadline, enough=sized.bound.value * (1 - _ENOUGH))
+            found = search(part, placed, rng, self.starts, deadline, enough=enough)
             chosen = part.mask(found.times)
             if part.is_costly:
                 found, chosen = affordable(part, found, placed, deadline)
         except (InfeasibleRequirementError, SolverError):  # none of these repeats, or none was found
             return []
-        times, chosen = unfolded(sized.problem, part, found.times, chosen)
+        count = parts(sized.canon.inside)
+        times, chosen = unfolded(sized.problem, count, found.times * sized.canon.time, chosen)
         return [(times, chosen, found.sigma)] if is_admissible(sized.problem, times) else []
 
     def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:
@@ -414,17 +429,26 @@ def _status(sigma: float, bound: float, finished: bool) -> str:
     return "complete" if sigma > 0 or bound == 0 else "blind"
 
 
-def _candidates(problem: DesignProblem, found: FoundSchedule, chosen: Mask) -> list[tuple[Array, Mask]]:
+def _brought_back(canon: Canonical, found: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Times found in canonical units as those of the problem itself, pushed apart where rounding asks for it."""
+    times = canon.times(found)
+    if is_admissible(canon.outside, times):
+        return times
+    again = repaired(canon.outside, times)
+    return times if again is None else again
+
+
+def _candidates(problem: DesignProblem, times: Array, chosen: Mask) -> list[tuple[Array, Mask]]:
     """What to prove: the best found, and even spacing where samples may enter at the instant at which others leave.
 
     Even spacing is best there if its times are exact to the last bit; the search does not count on that.
     """
-    candidates = [(found.times, chosen)]
+    candidates = [(times, chosen)]
     ratio = problem.window * problem.samples / problem.period
     exact = abs(ratio - round(ratio)) < 1e-9 and problem.window % problem.period > 0
     if exact and problem.is_shift_invariant and not problem.is_costly:
-        times = even(problem, 0.0)
-        candidates += [] if times is None else [(times, problem.mask(times))]
+        spread = even(problem, 0.0)
+        candidates += [] if spread is None else [(spread, problem.mask(spread))]
     return candidates
 
 

@@ -52,9 +52,8 @@ def folded(problem: DesignProblem) -> DesignProblem | None:
     return part if obstacle(part) is None else None
 
 
-def unfolded(problem: DesignProblem, part: DesignProblem, times: Array, chosen: Mask) -> tuple[Array, Mask]:
-    """The times of one part and what they measure, repeated over the whole period, fixed times to the last bit."""
-    count = round(problem.period / part.period)
+def unfolded(problem: DesignProblem, count: int, times: Array, chosen: Mask) -> tuple[Array, Mask]:
+    """The times of one of `count` parts and what they measure, over the whole period, fixed times to the last bit."""
     whole = (times + problem.period * (np.arange(count) / count)[:, None]).ravel()
     for t in problem.fixed:
         whole[np.argmin(np.abs(whole - t))] = t

@@ -126,13 +126,13 @@ class ScheduleDesign(Record):
             assumptions=("the plant's matrices are exact", f"sigma in {self.coordinates} coordinates"),
         )
 
-    def verify(self, rtol: float = 0.001) -> bool:
+    def verify(self, rtol: float | None = None) -> bool:
         """Work out sigma and the bound anew from the data alone, and whether the schedule is admissible.
 
         Parameters
         ----------
-        rtol : float
-            As for `window_sigma`.
+        rtol : float, optional
+            As for `window_sigma`. Default: that with which sigma was proven.
 
         Returns
         -------
@@ -143,7 +143,8 @@ class ScheduleDesign(Record):
             return self.split.retained.n_states == 0
         if self.bound is None or not is_admissible(self.problem, self.schedule.times) or not self._is_affordable():
             return False
-        proof = prove(self.split, self.schedule, self.requirement, rtol)
+        same = 0.001 if self.window is None else self.window.rtol
+        proof = prove(self.split, self.schedule, self.requirement, same if rtol is None else rtol)
         sigma = stated(proof, self.requirement)
         return sigma.lower >= self.sigma * (1 - 1e-6) and self._bounds_hold()
 

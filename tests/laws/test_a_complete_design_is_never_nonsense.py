@@ -98,6 +98,13 @@ def test_one_sample_a_period_has_no_gap(growth):
     assert design.gap < 1e-6
 
 
+@pytest.mark.parametrize("fixed", [[0.0, np.pi], [0.0, 1.0, 2.5], [0.5, 1.0, 1.5, 4.0]])
+def test_where_all_samples_are_fixed_the_bound_is_what_they_see(fixed):
+    design = check(problem(window=2 * np.pi, period=2 * np.pi, spacing=0.1, samples=len(fixed), fixed=fixed))
+    assert design.schedule.times.tolist() == fixed
+    assert design.upper_bound - design.sigma <= 1e-8
+
+
 def test_one_fixed_sample_is_all_there_is():
     plant = np.array([[0.0]]), np.array([[1.0]])
     design = check(problem(plant, window=5.0, period=5.0, spacing=1.0, samples=1, fixed=[4.0]))

@@ -11,6 +11,9 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule, library, pareto, sample_losses
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+THREE = Plant(
+    np.kron(np.diag([1.0, 1.7, 2.9]), [[0.0, 1.0], [-1.0, 0.0]]) + 0.1 * np.eye(6), [[0.1, -0.1, 0.6, 0.1, -0.5, 0.4]]
+)
 DAYLIGHT = np.array([0.0, *(24.0 * day + hour for day in range(30) for hour in (7.0, 19.0)), 720.0]).reshape(-1, 2)
 LARGE = {
     "many cycles": (OSCILLATOR, {"window": 1000.0}),
@@ -23,6 +26,7 @@ LARGE = {
         OSCILLATOR,
         {"window": 60.0, "samples": {"at_most": 20}, "outputs": {"y1": {"cost": 1.0}}, "cost_limit": 15},
     ),
+    "many states": (THREE, {"window": 12.0, "spacing": 0.1, "samples": 80}),
     "a target": (OSCILLATOR, {"window": 60.0, "spacing": 0.5, "target_sigma": 6.0}),
 }
 THOROUGH = {"starts": 50, "branches": 500}

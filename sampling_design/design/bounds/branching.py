@@ -58,13 +58,14 @@ def narrowed(
     sides = (bound.parts[0].side,) if bound.method == "zones" else SIDES
     roots: list[_Box] = []
     for side in sides:
-        root = _box(problem, origin_zones(problem, side), side) if time.perf_counter() <= deadline else None
-        roots += [] if root is None else [root]
+        if time.perf_counter() <= deadline:
+            root = _box(problem, origin_zones(problem, side), side, deadline=deadline)
+            roots += [] if root is None else [root]
     if not roots or time.perf_counter() > deadline:
         return bound
-    tree = _BoxTree(problem, target * (1 + rtol), min(roots))
+    tree = _BoxTree(problem, target * (1 + rtol), min(roots), deadline)
     if turn(problem) == 0:
-        tree.split_by_lateness(deadline)
+        tree.split_by_lateness()
     else:
         tree.add(tree.root.part.zones, tree.root)
     for step in range(steps):
@@ -78,8 +79,8 @@ def narrowed(
 class _BoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
-    def __init__(self, problem: DesignProblem, enough: float, root: _Box) -> None:
-        self.problem, self.enough, self.root = problem, enough, root
+    def __init__(self, problem: DesignProblem, enough: float, root: _Box, deadline: float = np.inf) -> None:
+        self.problem, self.enough, self.root, self.deadline = problem, enough, root, deadline
         self.open: list[_Box] = []
         self.closed: list[BoundPart] = []
         self.made = 0
@@ -94,13 +95,13 @@ class _BoxTree:
         """The bound of all parts."""
         return max(part.value for part in self.parts)
 
-    def split_by_lateness(self, deadline: float = np.inf) -> None:
+    def split_by_lateness(self) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = self.root.part.zones, self.root.part.side == "late"
         mean = self.problem.period / self.problem.samples
         for index in range(1, len(rest)):
             cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
-            if time.perf_counter() > deadline:
+            if time.perf_counter() > self.deadline:
                 break
             if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:
                 below, above = halves(rest, index, cut)
@@ -123,7 +124,7 @@ class _BoxTree:
 
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
-        box = _box(self.problem, zones, wider.part.side, wider)
+        box = _box(self.problem, zones, wider.part.side, wider, self.deadline)
         if box is None:
             return
         if box.part.value > self.enough:
@@ -135,9 +136,12 @@ class _BoxTree:
             self.closed.append(box.part)
 
 
-def _box(problem: DesignProblem, zones: Array, side: Side, wider: _Box | None = None) -> _Box | None:
+def _box(
+    problem: DesignProblem, zones: Array, side: Side, wider: _Box | None = None, deadline: float = np.inf
+) -> _Box | None:
     """The box with the smaller of its own bound and that of the wider box's multipliers; None if it is empty."""
-    made = zone_part(problem, zones, side, None if wider is None else matters(problem, wider.relaxed.found))
+    hints = None if wider is None else matters(problem, wider.relaxed.found)
+    made = zone_part(problem, zones, side, hints, deadline)
     if made is None:
         return None
     part, relaxed = made

@@ -19,6 +19,7 @@ from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
+from sampling_design.design.problem.canonical import Canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
@@ -124,6 +125,23 @@ class UpperBound:
             return False
         side = sides.pop()
         return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
+
+    def brought_back(self, canon: Canonical) -> UpperBound:
+        """The multipliers found in canonical units as a bound of the problem itself, worked out for it anew."""
+        regions = {}
+        for side in {part.side for part in self.parts if part.zones.size}:
+            regions[side] = origin_zones(canon.inside, side), origin_zones(canon.outside, side)
+        parts = []
+        for part in self.parts:
+            bare = replace(
+                part,
+                starts=part.starts * canon.time,
+                zones=canon.spans(part.zones, *regions[part.side]) if part.zones.size else part.zones,
+                tilt=part.tilt * (canon.size**2 / canon.time),
+                price=part.price * canon.size**2,
+            )
+            parts.append(replace(bare, value=bare.value_for(canon.outside)))
+        return UpperBound(max(part.value for part in parts), tuple(parts))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -255,26 +273,35 @@ def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart
 
 
 def zone_part(
-    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None
+    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, deadline: float = np.inf
 ) -> tuple[BoundPart, ZoneRelaxation] | None:
     """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
     tight = tightened(problem, zones, side)
     if tight is None:
         return None
-    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints)
+    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, deadline)
     return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
 
 
 def alone_part(problem: DesignProblem) -> BoundPart:
     """Bound of one sample a period: the window, counted from the sample, that sees some state least."""
-    P, anchor = problem.period, np.zeros(1)
-    every = np.ones((1, problem.plant.n_outputs), dtype=bool)
-    beside = np.array([-_JUST_BESIDE, 0.0, _JUST_BESIDE]) * P
+    return _least_seen(problem, "alone", np.zeros(1), np.ones((1, problem.plant.n_outputs), dtype=bool))
+
+
+def fixed_part(problem: DesignProblem) -> BoundPart:
+    """Bound where every sample is fixed: the window of this one schedule that sees some state least."""
+    return _least_seen(problem, "placed", problem.fixed, problem.mask(problem.fixed))
+
+
+def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.NDArray[np.bool_]) -> BoundPart:
+    """The part of one window: that in which samples at `times` see some state least."""
+    P = problem.period
+    beside = (times[:, None] + np.array([-_JUST_BESIDE, 0.0, _JUST_BESIDE]) * P).ravel()
     even = np.arange(_LOOKED_AT) * (P / _LOOKED_AT)
     starts = np.unique(np.mod(np.concatenate([beside, beside - problem.window, even]), P))
 
     def sigma2(at: Array) -> tuple[Array, Array]:
-        return problem.rows.least(grams_at(problem, anchor, at, every).sum(axis=1))
+        return problem.rows.least(grams_at(problem, times, at, mask).sum(axis=1))
 
     width = P / _LOOKED_AT
     for _ in range(_CLOSER):  # the least of a smooth curve between two jumps: ever finer around the best so far
@@ -283,7 +310,7 @@ def alone_part(problem: DesignProblem) -> BoundPart:
         width /= _SPREAD
     values, z = sigma2(starts)
     least = int(np.argmin(values))
-    return _part(problem, "alone", starts[[least]], np.outer(z[least], z[least])[None])
+    return _part(problem, method, starts[[least]], np.outer(z[least], z[least])[None])
 
 
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
@@ -291,9 +318,12 @@ def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np
     parts = [placed_part(problem, placed, deadline)]
     if problem.samples == 1:
         parts.append(alone_part(problem))
+    if problem.fixed.size == problem.samples and not problem.is_costly:
+        parts.append(fixed_part(problem))
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
         for side in SIDES:
-            root = zone_part(problem, origin_zones(problem, side), side) if time.perf_counter() <= deadline else None
-            parts += [] if root is None else [root[0]]
+            if time.perf_counter() <= deadline:
+                root = zone_part(problem, origin_zones(problem, side), side, deadline=deadline)
+                parts += [] if root is None else [root[0]]
     best = min(parts, key=lambda p: p.value)
     return UpperBound(best.value, (best,))

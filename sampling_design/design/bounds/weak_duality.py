@@ -22,6 +22,10 @@ Array = npt.NDArray[np.float64]
 CELLS, CELLS_PER_RATE = 1200, 48.0
 """Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
 
+NARROWER = 1e-11
+"""Relative: cells are that much narrower than the spacing, so that rounding never decides on which side of a jump one
+ends."""
+
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
 ROUNDING = 1e-9
@@ -153,7 +157,7 @@ def cells(problem: DesignProblem, start: float, stop: float) -> TimeCells:
     """Cells whose width divides the spacing, so that times at least a spacing apart lie `apart` cells apart."""
     fine = problem.period / cell_count(problem)
     parts = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    return TimeCells(start, stop, problem.spacing / parts if parts else fine, parts)
+    return TimeCells(start, stop, problem.spacing * (1 - NARROWER) / parts if parts else fine, parts)
 
 
 def cell_count(problem: DesignProblem) -> int:

@@ -6,6 +6,7 @@ that might matter only those are posed that do: each round adds the ones that th
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at, least_points, solve_relaxation
 from sampling_design.design.bounds.weak_duality import (
+    NARROWER,
     TimeCells,
     best_layers,
     cell_count,
@@ -40,6 +42,7 @@ _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wid
 _SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
+_LEAST_SECONDS = 0.05  # granted to one relaxation when the time is up already
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 
@@ -53,8 +56,11 @@ class ZoneRelaxation:
     width: float
 
 
-def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelaxation:
-    """Weights on points of the zones; `hints` are window starts that mattered for a wider box."""
+def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: float = np.inf) -> ZoneRelaxation:
+    """Weights on points of the zones; `hints` are window starts that mattered for a wider box.
+
+    Cut short at `deadline`; multipliers of any quality prove a bound.
+    """
     starts = _window_starts(problem, zones, hints)
     times, owner, step = _points(problem, zones, starts)
     grams = grams_at(problem, times, starts, problem.mask(times))
@@ -66,7 +72,10 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array) -> ZoneRelax
     for _ in range(_ROUNDS if hints.size else _FIRST_ROUNDS):
         used = (owner < 0) | posed[owner]
         parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
-        found = solve_relaxation(problem, times[used], starts[posed], *parts, tolerance=_TOLERANCE)
+        left = max(deadline - time.perf_counter(), _LEAST_SECONDS) if np.isfinite(deadline) else None
+        found = solve_relaxation(problem, times[used], starts[posed], *parts, left, tolerance=_TOLERANCE)
+        if time.perf_counter() > deadline:
+            break
         seen = np.einsum("mjab,j->mab", grams[:, used], found.weights)
         sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])
         worst = np.argsort(sigma2, kind="stable")[:_ADDED]
@@ -179,7 +188,8 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
     wide = float(np.max(zone[:, 1] - zone[:, 0]))
     fine = float(np.clip(wide / 6, P / _FINEST, P / cell_count(problem)))
     apart = int(np.ceil(problem.spacing / fine - 1e-9)) if problem.spacing >= fine else 0
-    arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), problem.spacing / apart if apart else fine, apart)
+    width = problem.spacing * (1 - NARROWER) / apart if apart else fine
+    arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), width, apart)
     ends = arc.edges
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])

@@ -54,6 +54,10 @@ class SearchTrial:
     before: float
     after: float
 
+    def in_units(self, size: float) -> SearchTrial:
+        """The same with sigma in other units."""
+        return SearchTrial(self.start, self.before * size, self.after * size)
+
 
 @dataclass(frozen=True, eq=False)
 class FoundSchedule:

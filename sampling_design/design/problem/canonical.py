@@ -1,0 +1,76 @@
+"""A design problem in canonical units, in which bounds are sought and schedules are searched.
+
+Time is counted in windows, outputs in the largest entry of C, and every number is cut to forty binary digits: what
+other units change is the last digits, so that the same problem in any units is the same to the last bit, and so is
+every step of the search. Nothing is claimed of it: what it finds is brought back and proven for the problem itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+BITS = 40
+"""Binary digits that are kept: far above rounding, far below the tolerance of every search."""
+
+_BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to a fixed one, is meant to lie on it
+
+
+@dataclass(frozen=True, eq=False)
+class Canonical:
+    """`inside` is the problem in canonical units, `outside` as it was posed; a time inside takes `time` outside."""
+
+    outside: DesignProblem
+    inside: DesignProblem
+    time: float
+    size: float
+
+    def times(self, found: Array) -> Array:
+        """Times of the inside, outside; on fixed times and on the beginnings of intervals to the last bit."""
+        problem = self.outside
+        t, near = np.array(found * self.time), _BESIDE * problem.period
+        for a in problem.intervals[:, 0]:
+            t[(t < a) & (t > a - near)] = a
+        for a in problem.fixed:
+            t[np.argmin(np.abs(t - a))] = a
+        return np.sort(t)
+
+    def spans(self, zones: Array, inner: Array, outer: Array) -> Array:
+        """Zones of the inside, outside: what are ends of `inner`, from which they were cut, are ends of `outer`."""
+        return np.asarray(np.where(zones == inner, outer, zones * self.time))
+
+
+def canonical(problem: DesignProblem) -> Canonical:
+    """Return the problem in canonical units."""
+    plant, time = problem.plant, problem.window
+    size = float(np.max(np.abs(plant.C), initial=0.0)) or 1.0
+
+    def spans(times: Array) -> Array:
+        return _cut(times / time)
+
+    spacing = _cut(problem.spacing / time)
+    inside = replace(
+        problem,
+        plant=Plant(_cut(plant.A * time), _cut(plant.C / size)),
+        window=1.0,
+        period=float(_cut(problem.period / time)),
+        spacing=float(spacing - np.ldexp(0.5, int(np.frexp(spacing)[1]) - BITS + 1)),  # never wider than was asked
+        forbidden=spans(problem.forbidden),
+        fixed=spans(problem.fixed),
+        available=tuple(None if a is None else spans(a) for a in problem.available),
+    )
+    return Canonical(problem, inside, time, size)
+
+
+def _cut(numbers: Any) -> Array:
+    """The numbers with `BITS` binary digits."""
+    part, exponent = np.frexp(numbers)
+    return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))

@@ -18,7 +18,7 @@ from sampling_design.design.bounds.evidence import UpperBound, first_bound, quic
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
-from sampling_design.design.problem.canonical import Canonical, canonical
+from sampling_design.design.problem.canonical import CanonicalDesign, canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
@@ -206,7 +206,7 @@ class Sized:
     The relaxation and `inner`, the bound as it was found, are in canonical units; `bound` is that of the problem.
     """
 
-    canon: Canonical
+    canon: CanonicalDesign
     relaxation: Relaxation
     inner: UpperBound
     bound: UpperBound
@@ -429,7 +429,7 @@ def _status(sigma: float, bound: float, finished: bool) -> str:
     return "complete" if sigma > 0 or bound == 0 else "blind"
 
 
-def _brought_back(canon: Canonical, found: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _brought_back(canon: CanonicalDesign, found: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Times found in canonical units as those of the problem itself, pushed apart where rounding asks for it."""
     times = canon.times(found)
     if is_admissible(canon.outside, times):

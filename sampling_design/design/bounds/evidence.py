@@ -19,7 +19,7 @@ from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
-from sampling_design.design.problem.canonical import Canonical
+from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
@@ -126,7 +126,7 @@ class UpperBound:
         side = sides.pop()
         return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
 
-    def brought_back(self, canon: Canonical) -> UpperBound:
+    def brought_back(self, canon: CanonicalDesign) -> UpperBound:
         """The multipliers found in canonical units as a bound of the problem itself, worked out for it anew."""
         regions = {}
         for side in {part.side for part in self.parts if part.zones.size}:

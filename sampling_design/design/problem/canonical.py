@@ -8,7 +8,6 @@ every step of the search. Nothing is claimed of it: what it finds is brought bac
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,7 @@ _BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to
 
 
 @dataclass(frozen=True, eq=False)
-class Canonical:
+class CanonicalDesign:
     """`inside` is the problem in canonical units, `outside` as it was posed; a time inside takes `time` outside."""
 
     outside: DesignProblem
@@ -48,7 +47,7 @@ class Canonical:
         return np.asarray(np.where(zones == inner, outer, zones * self.time))
 
 
-def canonical(problem: DesignProblem) -> Canonical:
+def canonical(problem: DesignProblem) -> CanonicalDesign:
     """Return the problem in canonical units."""
     plant, time = problem.plant, problem.window
     size = float(np.max(np.abs(plant.C), initial=0.0)) or 1.0
@@ -67,10 +66,10 @@ def canonical(problem: DesignProblem) -> Canonical:
         fixed=spans(problem.fixed),
         available=tuple(None if a is None else spans(a) for a in problem.available),
     )
-    return Canonical(problem, inside, time, size)
+    return CanonicalDesign(problem, inside, time, size)
 
 
-def _cut(numbers: Any) -> Array:
+def _cut(numbers: npt.ArrayLike) -> Array:
     """The numbers with `BITS` binary digits."""
     part, exponent = np.frexp(numbers)
     return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))

@@ -225,3 +225,15 @@ def test_too_many_open_cells_end_the_attempt(monkeypatch):
     found = worst_case_sigma(CHAIN, SpacedWindows(6.0, 5, 0.5))
     with precision(), pytest.raises(OutOfTime, match="too many cells are open"):
         WorstCase(CHAIN, SpacedWindows(6.0, 5, 0.5), np.eye(3), Clock(60.0)).proves(found.lower**2)
+
+
+@pytest.mark.parametrize("rate", [3.0, 10.0, 20.0])
+def test_growth_within_a_window_hides_nothing_from_balls(rate):
+    S = np.array([[1.0, 0.3], [-0.2, 1.0]])
+    plant = Plant(np.linalg.solve(S, np.diag([rate, 0.0]) @ S), [[1.0, 0.4]])
+    plain = window_sigma(plant, PeriodicSchedule([2.5]), 10.0)
+    assert plain.lower < 0.15  # rounding of e^30 and more
+    found = window_sigma(plant, PeriodicSchedule([2.5]), 10.0, rigorous=True)
+    assert found.closed
+    assert found.lower == pytest.approx(0.16590 if rate > 3 else 0.16587, abs=1e-5)  # 120 digits say so too
+    assert found.lower <= found.upper == pytest.approx(found.lower, rel=2e-3)

@@ -13,15 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._ball_flow import BallFlow, Clock, OutOfTime, highest
-from sampling_design._balls import Ball, Matrix, ball, flint, matrix, precision
+from sampling_design._balls import Ball, Matrix, ball, flint, floats, matrix, precision
+from sampling_design._linalg import symmetrise
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 SHAVES = (1e-6, 1e-4, 0.01, 0.1, 0.5)
 """Fractions taken off the bound that floats found, one after the other, until what is left is proven."""
-BITS = (160, 400)
-"""Precisions: the inverse of an ill-conditioned Gramian may need the second."""
+PLACES = 33
+"""Positions per piece at which sigma is looked at where floats saw nothing."""
+BITS = (160, 400, 1200)
+"""Precisions: the inverse of an ill-conditioned Gramian may need the second, growth beyond e^100 the third."""
 
 
 class ProvenSigma(NamedTuple):
@@ -76,6 +79,57 @@ def prove_window_sigma(
             except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
                 continue
     return ProvenSigma(0.0, slack, "budget" if bits < BITS[-1] else "rounding")
+
+
+class SeenInBalls(NamedTuple):
+    """Sigma of one window in high precision: its piece, its start, sigma and the state that it sees least."""
+
+    piece: int
+    start: float
+    sigma: float
+    direction: npt.NDArray[np.float64]
+
+
+def see_in_balls(
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float = 60.0
+) -> SeenInBalls | None:
+    """The least sigma among some windows of every piece, where growth hides it from floats; None where it is zero.
+
+    A sigma below n eps |C| counts as zero: rounding in the plant and the times alone can hide it.
+    """
+    clock, exact = Clock(seconds), exact_times(schedule, pieces)
+    least = plant.n_states * float(np.finfo(float).eps) * float(np.linalg.norm(plant.C))
+    for bits in BITS:
+        with precision(bits):
+            try:
+                seen = _seen(plant, schedule, pieces, exact, clock)
+            except OutOfTime:
+                return None
+            except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
+                continue
+        return seen if seen.sigma > least else None
+    return None
+
+
+def _seen(
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Clock
+) -> SeenInBalls:
+    """The least of the windows that are looked at, at the precision that is set."""
+    flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
+    best = SeenInBalls(0, float(pieces.left[0]), np.inf, np.zeros(plant.n_states))
+    for g in range(len(pieces)):
+        left, right = _ends(schedule, pieces, g)
+        span = slice(int(pieces.first[g]), int(pieces.stop[g]))
+        Y, step = rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
+        E = flow.over(fraction(step))[0]
+        for k in range(PLACES):
+            values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
+            sigma = float(1 / np.sqrt(values[-1])) if values[-1] > 0 else 0.0
+            if sigma < best.sigma:
+                best = SeenInBalls(g, float(left + k * step), sigma, vectors[:, -1])
+            Y = E * Y * E.transpose()
+            clock.check()
+    return best
 
 
 def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[Fraction]:

@@ -206,7 +206,9 @@ class WindowSigma(SigmaBracket, Table, Gridded):
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
             return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
         if self.status == "below rounding":
-            return f"{where}; it does not see the state {short(self.witness.direction)}: sigma is zero to rounding."
+            hidden = "" if self.rigorous else " What growth hides from doubles, rigorous=True (--rigorous) sees."
+            state = short(self.witness.direction)
+            return f"{where}; it does not see the state {state}: sigma is zero to rounding.{hidden}"
         length = f"{short(self.window)} {self.time_unit}"
         proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
@@ -243,7 +245,7 @@ def window_sigma(
         Called with the fraction done and a message.
     rigorous : bool
         Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
-        for that proof too.
+        for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle.
     start : float, optional [plant.time_unit]
         Of a finite schedule: where its first full window begins, such as 0 where the plan counts from there and not
         from its first sample.
@@ -312,8 +314,14 @@ def _in_balls(
     result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
 ) -> WindowSigma:
     """The record with the lower bound that ball arithmetic proves."""
-    from sampling_design.observability.windows.balls import prove_window_sigma
+    from sampling_design.observability.windows.balls import prove_window_sigma, see_in_balls
 
+    if result.status in ("below rounding", "rounding"):
+        seen = see_in_balls(plant, schedule, pieces, seconds)
+        if seen is not None:
+            end, side = seen.start + result.window, pieces.side(seen.piece, seen.start)
+            witness = WindowWitness(end, side, pieces.samples(seen.piece), seen.direction, seen.sigma)
+            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=witness, status="closed", closed=True)
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
     status = result.status
     if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:

@@ -25,6 +25,7 @@ MAKERS = {
     "certificates.certify": ("certify_given", "_Proof.closed"),
     "certificates.families.certify_family": ("certified", "without_states"),
     "certificates.paper.proof_constants": ("ProofConstants.certificate",),
+    "certificates.inclusion.search": ("accepted",),
     "certificates.detectability.best_rate": ("proven",),
 }
 """Functions that return a finished certificate; a law walks the package for constructors outside of them."""

@@ -36,12 +36,14 @@ from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.observability.meeting import meet
+from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
+    from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -231,20 +233,9 @@ def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: f
     P2, Qw, R, Qv = proof.weights
     P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
     return Certificate(
-        proof.plant,
-        proof.schedule,
-        P1=P1,
-        P2=P2,
-        Qw=Qw,
-        R=R,
-        Qv=Qv,
-        eta=proof.eta,
-        lam=lam,
-        lam_samples=lam_samples,
-        margin=STATED_MARGIN,
-        witness=seen,
-        solver=solver,
-    )
+        proof.plant, proof.schedule, P1=P1, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=proof.eta, lam=lam, lam_samples=lam_samples,
+        margin=STATED_MARGIN, witness=seen, solver=solver,
+    )  # fmt: skip
 
 
 def _value(peak: Peak) -> float:
@@ -278,9 +269,15 @@ def certify(
     memory: int | None = ...,
     progress: Progress | None = ...,
 ) -> FamilyCertificate: ...
+@overload
+def certify(
+    plant: LinearInclusion, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    budget: float = ..., progress: Progress | None = ...,
+) -> InclusionCertificate: ...  # fmt: skip
 @door
 def certify(
-    plant: Plant,
+    plant: Plant | LinearInclusion,
     schedule: AnySchedule | SamplingFamily | None,
     *,
     eta: float | None = None,
@@ -291,14 +288,15 @@ def certify(
     budget: float = 3.0,
     memory: int | None = None,
     progress: Progress | None = None,
-) -> Certificate | FamilyCertificate:
+) -> Certificate | FamilyCertificate | InclusionCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
 
         lam = sup over real window starts and all later t of lambda_max(P2, Pi(t)),    P1 = (1 - 1e-3) P2/lam
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant, or an UncertainPlant or a NonlinearPlant with a region
+        For the last two see `certify_inclusion`: they take a `GapRange`, and no P2.
     schedule : PeriodicSchedule, Schedule or a family of schedules
         A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
         design that needs no samples, is refused.
@@ -320,7 +318,7 @@ def certify(
 
     Returns
     -------
-    Certificate, or FamilyCertificate for a family
+    Certificate; FamilyCertificate for a family; InclusionCertificate for a plant that is not exactly known
         Proven: its `verify()` has passed.
 
     Raises
@@ -359,6 +357,11 @@ def certify(
     >>> certificate.verify().passed
     True
     """
+    if isinstance(plant, LinearInclusion):
+        from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, gaps_of
+
+        gaps = gaps_of(schedule, P2=P2, memory=memory)
+        return certify_inclusion(plant, gaps, eta=eta, Qw=Qw, R=R, Qv=Qv, budget=budget, progress=progress)
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 

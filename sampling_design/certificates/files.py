@@ -12,13 +12,17 @@ from sampling_design.certificates.detectability.dissipation import Detectability
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.checkers import grammar
+from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.plants.uncertain_files import uncertain_from_dict
 from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 _RATES = ("eta", "c_w", "c_y", "margin")
@@ -45,7 +49,7 @@ def times_from_dict(data: Tree) -> Schedule | PeriodicSchedule:
 @door
 def load_certificate(
     path: str | os.PathLike[str], plant: Plant | None = None
-) -> Certificate | FamilyCertificate | DetectabilityCertificate:
+) -> Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate:
     """Read a certificate from its JSON file.
 
     Parameters
@@ -56,7 +60,7 @@ def load_certificate(
 
     Returns
     -------
-    Certificate, FamilyCertificate or DetectabilityCertificate
+    Certificate, FamilyCertificate, InclusionCertificate or DetectabilityCertificate
         By the file's claim; not yet proven again: call `verify()`.
 
     Raises
@@ -81,7 +85,7 @@ def load_certificate(
 
 def certificate_from_dict(
     data: Tree, where: str = "certificate"
-) -> Certificate | FamilyCertificate | DetectabilityCertificate:
+) -> Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate:
     """Return the certificate in plain data.
 
     Raises
@@ -102,6 +106,17 @@ def certificate_from_dict(
     plant = plant_from_dict(data["plant"], where)
     if isinstance(found, grammar.OfFamily):
         return _of_family(data, plant, found)
+    if isinstance(found, Inclusion):
+        return InclusionCertificate(
+            plant,
+            GapRange(found.shortest, found.longest),
+            **_values(data),
+            model=None if isinstance(found.model, Region) else uncertain_from_dict(plant, data["model"]),
+            model_data=data["model"],
+            nodes=found.nodes,
+            P=found.P,
+            multipliers=found.multipliers,
+        )
     return _sampled(data, plant) if isinstance(found, grammar.Sampled) else _detectable(data, plant)
 
 

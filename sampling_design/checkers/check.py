@@ -29,8 +29,9 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     import numpy as np
 
-    from . import detectability, families, sampled
+    from . import detectability, families, inclusion, sampled
     from .grammar import OfFamily, Sampled, certificate
+    from .inclusion_file import Inclusion
     from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
     from .strict import Altered, BadFile
     from .work import MOST_WORK, Work
@@ -45,6 +46,10 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
             elif isinstance(c, OfFamily):
                 inequality, slack = families.prove(c, work)
                 subject = "for every schedule of the family, every real window start and every later t"
+                reason = f"{inequality} {subject}, slack {slack:.3g}"
+            elif isinstance(c, Inclusion):
+                inequality, slack = inclusion.prove(c)
+                subject = "for every plant of the model, all gaps in the range and every real window start"
                 reason = f"{inequality} {subject}, slack {slack:.3g}"
             else:
                 how, slack = detectability.prove(c)

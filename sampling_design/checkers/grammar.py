@@ -4,14 +4,27 @@ Sizes come from the plant: n states, p outputs, q disturbances. What a family's 
 here; `cover.py` derives it from the family's own parameters and compares.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from .signals import signals_of
+from .inclusion_file import INCLUSION, Inclusion, inclusion
+from .parts import (
+    AROUND,
+    FORMAT,
+    MATRICES,
+    NUMBERS,
+    RATES,
+    SOLVER,
+    Plant,
+    Weights,
+    digest,
+    plant_of,
+    sized,
+    time_unit,
+    weights_of,
+)
 from .strict import (
     Altered,
     Array,
@@ -34,25 +47,11 @@ from .strict import (
     word,
 )
 
-FORMAT = "sampling-design/certificate/1"
-PLANT_FORMAT = "sampling-design/plant/1"
-TIME_UNITS = ("ms", "s", "min", "h", "d", "wk")
 METHODS = ("riccati", "lmi", "proof", "given")
-time_unit = word(*TIME_UNITS)
 
 
 # --- plants, schedules, families: also the grammar of their own files ------------------------------------------------
 
-SIGNALS = table({"names": list_of(text)}, {"units": list_of(text), "scales": list_of(positive)})
-PLANT = table(
-    {"format": word(PLANT_FORMAT), "matrices": table({"A": matrix(), "C": matrix()}, dict.fromkeys("BDG", matrix()))},
-    {
-        "name": text,
-        "time_unit": time_unit,
-        **dict.fromkeys(("states", "outputs", "inputs", "disturbances"), SIGNALS),
-        "source": table({}, {"citation": text}),
-    },
-)
 _details: dict[str, Reader] = {
     "outputs": or_nothing(list_of(list_of(bit))),
     "time_unit": or_nothing(time_unit),
@@ -95,36 +94,6 @@ def _of_kind(value: object, place: str, kinds: Mapping[str, Reader], what: str) 
 
 
 # --- certificates ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Plant:
-    """x' = Ax + Gw, y = Cx."""
-
-    A: Array
-    C: Array
-    G: Array
-    time_unit: str
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights and numbers of Assumption 7."""
-
-    P1: Array
-    P2: Array
-    Qw: Array
-    R: Array
-    Qv: Array
-    eta: float
-    lam: float
-    lam_samples: float
-    margin: float
 
 
 @dataclass(frozen=True)
@@ -261,46 +230,27 @@ class Detectability:
     margin: float
 
 
-_around: dict[str, Reader] = {
-    "format": word(FORMAT),
-    "claim": text,
-    "plant": PLANT,
-    "tool": table({"name": text, "version": text}),
-    "digest": text,
-}
-_solver = table(
-    {"name": text, "version": text, "status": text, "iterations": count, "seconds": nonnegative, "details": anything}
-)
-_rates: dict[str, Reader] = {"eta": positive, "margin": nonnegative}
-_numbers: dict[str, Reader] = {**_rates, "lam": positive, "lam_samples": positive}
 _witness = table({"t": nonnegative, "start": nonnegative, "direction": list_of(number), "ratio": positive})
-_matrices = dict.fromkeys(("P1", "P2", "Qw", "R", "Qv"), matrix())
 _graph = table({"words": list_of(list_of(number)), "edges": list_of(list_of(anything, 5)), "P": list_of(matrix())})
-_sampled = {**_around, **_matrices, **_numbers, "times": anything, "witness": or_nothing(_witness), "solver": _solver}
+_sampled = {**AROUND, **MATRICES, **NUMBERS, "times": anything, "witness": or_nothing(_witness), "solver": SOLVER}
 CLAIMS: dict[str, Reader] = {
     "assumption-7": table(_sampled, whole="the certificate"),
     "family": table({**_sampled, "graph": _graph}, whole="the certificate"),
     "detectability": table(
         {
-            **_around,
-            **_rates,
+            **AROUND,
+            **RATES,
             **{"P": matrix(), "c_w": positive, "c_y": positive, "method": word(*METHODS)},
-            "solver": or_nothing(_solver),
+            "solver": or_nothing(SOLVER),
         },
         whole="the certificate",
     ),
+    "inclusion": INCLUSION,
 }
 """What a file of each claim holds, no more and no less."""
 
 
-def digest(data: Mapping[str, object]) -> str:
-    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
-    rest = {key: value for key, value in data.items() if key != "digest"}
-    canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
-
-
-def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability:
+def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability | Inclusion:
     """Return the certificate in the plain data of a file, or raise BadFile."""
     if not isinstance(data, Mapping):
         raise refuse("", f"must hold one table, got {type(data).__name__}")
@@ -317,38 +267,12 @@ def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectabilit
     if claim == "detectability":
         numbers = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
         return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
+    if claim == "inclusion":
+        return inclusion(data, plant)
     weights = weights_of(read, plant)
     if claim == "assumption-7":
         return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))
     return of_family(read, plant, weights)
-
-
-def plant_of(read: Tree) -> Plant:
-    """The plant, its matrices of sizes that fit."""
-    m = read["matrices"]
-    if "time_unit" not in read:
-        raise refuse("plant.time_unit", "is missing")
-    n, p = len(m["A"]), len(m["C"])
-    A, C, G = sized(m["A"], "plant.matrices.A", n), m["C"], m.get("G", np.eye(n))
-    if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
-        raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
-    signals_of(read, n, p, G.shape[1])
-    return Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
-
-
-def sized(M: Array, place: str, size: int) -> Array:
-    """The matrix, if it is of that size."""
-    if M.shape != (size, size) and (M.size or size):
-        raise refuse(place, f"must have shape {(size, size)}, got {M.shape}")
-    return M.reshape(size, size)
-
-
-def weights_of(read: Tree, plant: Plant) -> Weights:
-    """Weights of the sizes of the plant."""
-    n, p, q = plant.n, len(plant.C), plant.G.shape[1]
-    sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
-    values: Tree = {key: sized(read[key], key, size) for key, size in sizes.items()}
-    return Weights(**values, **{key: read[key] for key in _numbers})
 
 
 def witness_of(read: Tree | None, n: int) -> Witness | None:

@@ -9,8 +9,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from .grammar import Plant, Weights
 from .outcome import Refused, Undecided
+from .parts import Plant, Weights
 from .strict import Array
 
 EPS = float(np.finfo(float).eps)  # twice the rounding of one operation: what is of second order is paid by that

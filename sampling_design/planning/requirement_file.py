@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sampling_design._door import door
 from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
-from sampling_design.checkers.grammar import time_unit
+from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     BadFile,
     anything,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._units import check_time_unit
-from sampling_design.checkers.grammar import PLANT
+from sampling_design.checkers.parts import PLANT
 from sampling_design.checkers.strict import MOST_BYTES, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals

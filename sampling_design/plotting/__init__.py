@@ -29,6 +29,7 @@ _PICTURES = {
     "SampleLosses": ("explorations", "draw_losses"),
     "Certificate": ("certificates", "draw_certificate"),
     "FamilyCertificate": ("certificates", "draw_family_certificate"),
+    "InclusionCertificate": ("inclusions", "draw_inclusion"),
     "InformationCurve": ("certificates", "draw_information"),
     "Robustness": ("robustness", "draw_robustness"),
     "FourHorizons": ("certificates", "draw_four_horizons"),

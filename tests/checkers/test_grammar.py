@@ -54,7 +54,10 @@ CASES = [
     (lambda d: d["plant"]["matrices"].update(D=[[1.0]]), "`plant.matrices.D` must have shape (1, 0), got (1, 1)"),
     (lambda d: d.update(times=[1.0]), "must be a table of keys and values, got a "),
     (lambda d: d["times"].update(gap=1.0), "unknown key 'gap' in `times`. Did you mean 'gaps'?"),
-    (lambda d: d.update(claim="guess"), "`claim` must be 'assumption-7', 'family', 'detectability' here, got 'guess'"),
+    (
+        lambda d: d.update(claim="guess"),
+        "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here, got 'guess'",
+    ),
     (lambda d: d.update(format="sampling-design/plant/1"), "`format` must be 'sampling-design/certificate/1'"),
     (lambda d: d["plant"].update(format="x"), "`plant.format` must be 'sampling-design/plant/1', got 'x'"),
     (

@@ -17,8 +17,12 @@ from tests import rigour
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "sampling_design"
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "from_matrices"}
-NO_MAKERS = {"certificates.certify": {"_made"}, "certificates.files": {"_sampled", "_of_family", "_detectable"}}
+KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "InclusionCertificate", "from_matrices"}
+NO_MAKERS = {
+    "certificates.certify": {"_made"},
+    "certificates.inclusion.search": {"certificate"},
+    "certificates.files": {"_sampled", "_of_family", "_detectable", "certificate_from_dict"},
+}
 """Functions whose certificates are still to be proven by the maker that asked for them, or are read from a file."""
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from sampling_design import __version__, _files
 from sampling_design._record import Plain
-from sampling_design.checkers.grammar import FORMAT, digest
+from sampling_design.checkers.parts import FORMAT, digest
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import SolverRecord
@@ -17,6 +17,7 @@ from sampling_design.plants.plant import Plant
 CLAIM = "assumption-7"
 FAMILY_CLAIM = "family"
 DETECTABILITY_CLAIM = "detectability"
+INCLUSION_CLAIM = "inclusion"
 
 RESOLUTION = 1e-3
 """`lam` is the supremum to within this fraction: (1 - RESOLUTION) P2/lam is proven to stay below Pi."""

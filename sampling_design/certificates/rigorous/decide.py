@@ -11,7 +11,7 @@ import numpy as np
 
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
-from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
+from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, INCLUSION_CLAIM, RESOLUTION
 from sampling_design.certificates.form.verdict import Verification, verdict_of
 from sampling_design.certificates.rigorous.ball_problem import (
     PROVEN,
@@ -30,6 +30,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
 from sampling_design.certificates.rigorous.ball_proof import BallWindows
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
+from sampling_design.certificates.rigorous.inclusion_balls import inclusion
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.grammar import certificate
 from sampling_design.checkers.strict import Altered, BadFile, Tree
@@ -269,4 +270,5 @@ CLAIMS: dict[str, Callable[[Tree, Clock], Decision]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: of_family,
     DETECTABILITY_CLAIM: detectability,
+    INCLUSION_CLAIM: inclusion,
 }

@@ -1,0 +1,1 @@
+"""Certificates for uncertain, varying and nonlinear plants: P(tau), tau the time since the last sample."""

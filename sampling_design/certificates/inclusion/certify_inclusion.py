@@ -1,0 +1,308 @@
+"""From a plant that is not exactly known and a range of gaps to a proven certificate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._door import door
+from sampling_design._record import short
+from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.existence.counterexample import find_counterexample
+from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.certificates.inclusion.search import InclusionSearch, InclusionWeights
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.plants.inclusion import LinearInclusion
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+PIECES = (8, 16, 32)
+"""Pieces of P(tau) that are tried one after the other where a number is not given."""
+ENOUGH = 0.05
+"""Share by which twice as many pieces must shorten the horizon for the next number to be tried."""
+RATES, FINER_RATES = 5, 2
+SUSPECTS = 24
+"""Constant plants in which a schedule without certificate is looked for."""
+LONGEST_LOOK = 6.0
+"""Seconds of that search."""
+BISECTIONS = 9
+
+
+@door
+def certify_inclusion(
+    plant: LinearInclusion,
+    family: GapRange,
+    *,
+    eta: float | None = None,
+    Qw: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    Qv: npt.ArrayLike | None = None,
+    budget: float = 3.0,
+    pieces: int | None = None,
+    arrival: bool = False,
+    progress: Progress | None = None,
+) -> InclusionCertificate:
+    """Certify every plant of a model, uncertain, varying or nonlinear, for all schedules with gaps in a range.
+
+        [P' + A'P + PA + eta P, PG; G'P, -Qw] < 0,    P(0) < P(tau) + C'R~C for tau in the range
+
+    Parameters
+    ----------
+    plant : UncertainPlant, or NonlinearPlant with a region
+    family : GapRange
+    eta : float, optional [1/time]
+        Rate of the squared error. Default: chosen for the least horizon.
+    Qw, R, Qv : arrays, optional
+        As for `certify`.
+    budget : float
+        The information P1 may fall to this part of the most that is possible (above 1), for a smaller lambda.
+    pieces : int, optional
+        Of P(tau). Default: 8, 16 or 32, as many as shorten the horizon.
+    arrival : bool
+        Choose eta for the horizon with the arrival weight P(tau), which lambda does not enter: the largest rate.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    InclusionCertificate
+        Proven: its `verify()` has passed.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is out of range, or family and plant do not fit.
+    CertificateError
+        If some plant of the model has no certificate for some schedule of the family: details `parameters`, `plant`,
+        `counterexample`.
+    UndecidedError
+        If neither a certificate nor such a plant was found.
+
+    Notes
+    -----
+    *Assumptions.* Two trajectories share parameters and inputs; those of a nonlinear plant stay in its region.
+    *Claim.* Assumption 7 with P1, P2 and these weights. *Method.* One semidefinite program per number of pieces, over
+    the members that bind, solved with a margin; P rounded to short decimals; every inequality proven by `checkers`.
+    *Numerical aspects.* Posed in coordinates where the centre keeps about the identity.
+
+    References
+    ----------
+    The paper, Assumption 7; Boyd et al. 1994.
+
+    Examples
+    --------
+    >>> from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> omega2 = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]])
+    >>> found = certify_inclusion(UncertainPlant(oscillator, [omega2]), GapRange(0.5, 1.5), eta=0.1, pieces=8)
+    >>> found.verify().passed
+    True
+    """
+    search, family, report = _begun(plant, family, (Qw, R, Qv), budget, progress)
+    rate = None if eta is None else _checks.positive("eta", eta)
+    counts = PIECES if pieces is None else (_checks.whole("pieces", pieces, 1),)
+    began = time.perf_counter()
+    report(0.0, "search")
+    if rate is None:
+        rate = choose_rate(search, counts[0], arrival, report)
+    best: InclusionCertificate | None = None
+    verdict: Verification | None = None
+    for k, count in enumerate(counts):
+        report(0.5 + 0.4 * k / len(counts), f"{count} pieces")
+        made = search.proven(rate, count, began)
+        if not isinstance(made, InclusionCertificate):
+            verdict = made or verdict
+            continue
+        enough = best is not None and np.log(4 * made.lam) > (1 - ENOUGH) * np.log(4 * best.lam)
+        best = made if best is None or made.lam < best.lam else best
+        if enough or arrival:
+            break
+    if best is None:
+        report(0.9, "search for a plant without certificate")
+        raise refused(search, rate, verdict)
+    report(1.0, "proven")
+    return best
+
+
+def gaps_of(schedule: object, **others: object) -> GapRange:
+    """The range that holds all gaps of a periodic schedule or a family, if every sample measures every output.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither, some sample does not measure every output, or one of the `others` is given.
+    """
+    for name, value in others.items():
+        if value is not None:
+            raise ArgumentError(f"`{name}` must be left out for a plant that is not exactly known: P(tau) is chosen.")
+    if isinstance(schedule, GapRange):
+        return schedule
+    if not isinstance(schedule, (PeriodicSchedule, SamplingFamily)):
+        raise ArgumentError(
+            "`schedule` must be a GapRange, another family or a periodic schedule for a plant that is not exactly "
+            f"known, got {_checks.described(schedule)}."
+        )
+    nominal = schedule if isinstance(schedule, PeriodicSchedule) else schedule.nominal
+    if nominal.outputs is not None and not np.all(nominal.outputs):
+        raise ArgumentError(
+            "`schedule` must measure every output at each sample for a plant that is not exactly known."
+        )
+    if isinstance(schedule, PeriodicSchedule):
+        return GapRange(float(schedule.gaps.min()), float(schedule.gaps.max()), time_unit=schedule.time_unit)
+    return GapRange(schedule.min_gap, schedule.d_max, time_unit=schedule.time_unit)
+
+
+def _begun(
+    plant: LinearInclusion,
+    family: GapRange,
+    given: tuple[object, object, object],
+    budget: float,
+    progress: Progress | None,
+) -> tuple[InclusionSearch, GapRange, Progress]:
+    """The search with checked arguments."""
+    if not isinstance(family, GapRange):
+        raise ArgumentError(
+            f"`family` must be a GapRange for a plant that is not exactly known, got {_checks.described(family)}."
+        )
+    centre = plant.centre
+    if family.time_unit is not None and family.time_unit != centre.time_unit:
+        raise ArgumentError(f"`family` must be in the plant's unit {centre.time_unit!r}, got {family.time_unit!r}.")
+    if not centre.n_states:
+        raise ArgumentError("`plant` must have states: there is nothing to certify.")
+    family = GapRange(family.shortest, family.longest)
+    if not _checks.number("budget", budget) > 1:
+        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P(tau) attains the least noise gain.")
+    weights = InclusionWeights(*weights_of(centre, *given))
+    return InclusionSearch(plant, family, weights, float(budget)), family, progress or (lambda fraction, message: None)
+
+
+def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:
+    """The rate of the least horizon: a scan, then its best neighbourhood halved."""
+    mean = (search.family.shortest + search.family.longest) / 2
+    tried: dict[float, float] = {}
+
+    def horizon(rate: float) -> float:
+        found = search.solve(rate, pieces, narrow=not arrival)
+        lost = np.inf if found is None else (0.0 if arrival else np.log(max(found.lam, 1.0)))
+        return float((lost + np.log(4.0)) / rate)
+
+    for rate in np.geomspace(3.0, 0.05, RATES) / mean:
+        tried[float(rate)] = horizon(float(rate))
+        report(0.3 * len(tried) / RATES, "choice of the rate")
+    for _ in range(FINER_RATES):
+        ordered = sorted(tried)
+        best = min(tried, key=lambda rate: (tried[rate], rate))
+        if not np.isfinite(tried[best]):
+            break
+        place = ordered.index(best)
+        for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
+            rate = float(f"{np.sqrt(best * other):.4g}")
+            if rate not in tried:
+                tried[rate] = horizon(rate)
+    return min(tried, key=lambda rate: (tried[rate], rate))
+
+
+def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -> CertificateError:
+    """What to say: a plant of the model and a schedule of the range that no weights can certify, or "undecided"."""
+    began = time.perf_counter()
+    margins: list[tuple[float, str]] = []
+    for place, plant in search.plant.constant_members(np.random.default_rng(0))[:SUSPECTS]:
+        left = LONGEST_LOOK - (time.perf_counter() - began)
+        if left <= 0:
+            break
+        found, nearest = find_counterexample(plant, search.family, eta, quick=True, budget=left)
+        if found is not None:
+            return CertificateError(
+                f"No certificate: at {place} the gaps {short(found.schedule.gaps)} have none, {found.reason}.",
+                parameters=place, plant=plant, counterexample=found, gaps=found.schedule.gaps, eta=eta,
+            )  # fmt: skip
+        margins.append((nearest.margin, place))
+    worst = f"; the plant nearest to having none is {min(margins)[1]}" if margins else ""
+    told = "" if verdict is None else f" (the last one: {verdict.reason})"
+    return UndecidedError(
+        f"undecided: no P(tau) was proven at rate {short(eta)}{told}, and no plant and schedule without certificate "
+        f"were found{worst}. Try more pieces, a smaller eta or shorter gaps.",
+        eta=eta, verification=verdict, nearest=min(margins)[1] if margins else None,
+    )  # fmt: skip
+
+
+@door
+def longest_gap(
+    plant: LinearInclusion,
+    *,
+    eta: float,
+    shortest: float | None = None,
+    most: float,
+    Qw: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    Qv: npt.ArrayLike | None = None,
+    pieces: int = 16,
+    progress: Progress | None = None,
+) -> InclusionCertificate:
+    """Return the certificate of the longest gaps that are proven at a rate.
+
+    Parameters
+    ----------
+    plant : UncertainPlant, or NonlinearPlant with a region
+    eta : float [1/time]
+    shortest : float, optional [time]
+        Of the gaps; default a tenth of the longest.
+    most : float [time]
+        No longer gap is tried.
+    Qw, R, Qv : arrays, optional
+        As for `certify`.
+    pieces : int
+        Of P(tau): more pieces, longer gaps.
+    progress : callable, optional
+
+    Returns
+    -------
+    InclusionCertificate
+        Proven; `family.longest` is the gap, to about 1 %.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is out of range.
+    UndecidedError
+        If no gap of at least a thousandth of `most` is proven.
+
+    Notes
+    -----
+    *Claim.* Proven, not the longest that is true: P(tau) is piecewise linear, and one for the whole model.
+    """
+    rate, top = _checks.positive("eta", eta), _checks.positive("most", most)
+    count = _checks.whole("pieces", pieces, 1)
+    least = None if shortest is None else _checks.positive("shortest", shortest)
+    if least is not None and least > top:
+        raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
+    began, report = time.perf_counter(), progress or (lambda fraction, message: None)
+
+    def search(gap: float) -> InclusionSearch:
+        family = GapRange(min(gap, gap / 10 if least is None else least), gap)
+        return _begun(plant, family, (Qw, R, Qv), 3.0, None)[0]
+
+    low, high = top / 1000 if least is None else least, top
+    for k in range(BISECTIONS):
+        gap = high if not k else float(np.sqrt(low * high)) if low < high / 4 else (low + high) / 2
+        if search(gap).solve(rate, count, narrow=False) is None:
+            high = gap
+        else:
+            low = gap
+        report((k + 1) / (BISECTIONS + 2), f"gaps up to {gap:.4g}")
+        if high < low * 1.01:
+            break
+    for factor in (1.0, 0.99, 0.97, 0.93, 0.8, 0.5):
+        made = search(float(f"{low * factor:.3g}")).proven(rate, count, began)
+        if isinstance(made, InclusionCertificate):
+            return made
+    raise UndecidedError(f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}.", eta=rate)

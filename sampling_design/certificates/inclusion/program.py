@@ -1,0 +1,221 @@
+"""The semidefinite program for P(tau) at its nodes: flow at both ends of every piece and every member, jump, bounds.
+
+Coordinates z = L'x with L L' = W, W the information that the nominal plant keeps, and times in units of the longest
+gap: numbers about 1, whatever the units of the plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from sampling_design import _conic
+from sampling_design.evidence import SolverRecord
+
+Array = npt.NDArray[np.float64]
+Block = tuple[str, sparse.csc_matrix, Array]
+
+MARGIN = 1e-5
+"""Of flow and jump, relative to P: solvers miss their inequalities by some 1e-8, and P is rounded afterwards."""
+SMALLEST = 1e-7
+"""Information below this fraction of the nominal counts as none: the solver's tolerance, with room."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """The numbers of one program, in inner coordinates and inner time.
+
+    dynamics (K, n, n + q); outputs (L, p, n); centre (p, n), the C at which the jump is made linear; Qw, Rt; `unit`
+    what the states' scales call one; nodes in [0, 1], `first` the first node of a gap.
+    """
+
+    dynamics: Array
+    outputs: Array
+    centre: Array
+    Qw: Array
+    Rt: Array
+    unit: Array
+    eta: float
+    nodes: Array
+    first: int
+    margin: float = MARGIN
+    columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n, m): what uncertain columns add, for multipliers; `chosen` says which entry of (x, w) each multiplies."""
+    chosen: tuple[int, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.unit)
+
+    def turned(self, T: Array) -> Posed:
+        """The same program in coordinates T'z, T (n, n): P = T P_new T'."""
+        inverse = np.linalg.inv(T)
+        n, q = self.n, self.dynamics.shape[2] - self.n
+        A, G = self.dynamics[:, :, :n], self.dynamics[:, :, n:]
+        dynamics = np.concatenate([T.T @ A @ inverse.T, T.T @ G], axis=2) if q else T.T @ A @ inverse.T
+        unit = inverse @ self.unit @ inverse.T
+        return replace(
+            self,
+            dynamics=dynamics,
+            outputs=self.outputs @ inverse.T,
+            centre=self.centre @ inverse.T,
+            unit=(unit + unit.T) / 2,
+        )
+
+
+class InclusionProgram:
+    """The blocks of a program that do not depend on what is minimised."""
+
+    def __init__(self, posed: Posed, budget: float | None = None) -> None:
+        self.posed, self.budget = posed, budget
+        n = posed.n
+        self.pairs = n * (n + 1) // 2
+        self.basis = np.asarray(_conic.smat(np.eye(self.pairs)), dtype=np.float64)
+        self.count = posed.nodes.size
+        self.ends = 2 * (self.count - 1)
+        self.width = self.count * self.pairs + self.ends * len(posed.chosen) + 2
+        self.fixed = [*self._flow(), *self._jump()]
+
+    def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
+        """right - (-parts) x in the cone: columns start at the given places."""
+        rows = parts[0][1].shape[0]
+        row, column, data = [], [], []
+        for start, values in parts:
+            i, j = np.nonzero(values)
+            row.append(i)
+            column.append(j + start)
+            data.append(-values[i, j])
+        places = (np.concatenate(row), np.concatenate(column))
+        return "psd", sparse.csc_matrix((np.concatenate(data), places), shape=(rows, self.width)), right
+
+    def _padded(self, corner: Array, side: Array | None = None) -> Array:
+        """svec of [corner, side; side', 0] for each of a stack, as columns."""
+        n, m = self.posed.n, self.posed.dynamics.shape[2] + len(self.posed.chosen)
+        full = np.zeros((len(corner), m, m))
+        full[:, :n, :n] = corner
+        if side is not None:
+            full[:, :n, n : n + side.shape[2]] = side
+            full[:, n : n + side.shape[2], :n] = np.swapaxes(side, 1, 2)
+        return np.asarray(_conic.svec(full).T)
+
+    def _flow(self) -> list[Block]:
+        p, n = self.posed, self.posed.n
+        q, m = p.dynamics.shape[2] - n, len(p.chosen)
+        right = np.zeros((n + q + m, n + q + m))
+        right[:n, :n] = -p.margin * np.eye(n)
+        right[n : n + q, n : n + q] = (1 - p.margin) * p.Qw
+        floor = vector(right)
+        still, found = self._padded(self.basis), []
+        for k, M in enumerate(p.dynamics):
+            A, G = M[:, :n], M[:, n:]
+            drift = self.basis @ A
+            side = np.concatenate(
+                [-(self.basis @ G), -(self.basis @ p.columns) if m else np.zeros((self.pairs, n, 0))], 2
+            )
+            along = self._padded(-(drift + np.swapaxes(drift, 1, 2) + p.eta * self.basis), side)
+            for i, h in enumerate(np.diff(p.nodes).tolist()):
+                a, b = i * self.pairs, (i + 1) * self.pairs
+                found.append(self._block([(a, along + still / h), (b, -still / h), *self._own(2 * i)], floor))
+                found.append(self._block([(b, along - still / h), (a, still / h), *self._own(2 * i + 1)], floor))
+            if m and k:
+                break  # multipliers stand for all members: the first is the middle
+        return found
+
+    def _own(self, end: int) -> list[tuple[int, Array]]:
+        """What the multipliers of one end add: p_k^2 - z_k^2."""
+        p, m = self.posed, len(self.posed.chosen)
+        if not m:
+            return []
+        size = p.dynamics.shape[2]
+        full = np.zeros((m, size + m, size + m))
+        for k, z in enumerate(p.chosen):
+            full[k, z, z] = -1.0
+            full[k, size + k, size + k] = 1.0
+        return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(full).T))]
+
+    def _jump(self) -> list[Block]:
+        p, found = self.posed, []
+        one = np.eye(self.pairs)
+        own = p.centre.T @ p.Rt @ p.centre
+        for C in p.outputs:
+            cross = C.T @ p.Rt @ p.centre
+            right = vector((1 - p.margin) * (cross + cross.T - own) - p.margin * np.eye(p.n))
+            for i in range(p.first, self.count):
+                found.append(self._block([(i * self.pairs, one), (0, -one)], right))
+        return found
+
+    def _bounds(self, low: bool, high: bool, shape: Array, floor: float) -> list[Block]:
+        """s shape <= P_i <= q shape, and P_i >= floor unit."""
+        one, zero, column = np.eye(self.pairs), np.zeros(self.pairs), vector(shape)[:, None]
+        s, q, found = self.width - 2, self.width - 1, []
+        for i in range(self.count):
+            at = i * self.pairs
+            if low:
+                found.append(self._block([(at, one), (s, -column)], zero))
+            if high:
+                found.append(self._block([(at, -one), (q, column)], zero))
+            if floor > 0:
+                found.append(self._block([(at, one)], -floor * vector(self.posed.unit)))
+        return found
+
+    def _solved(self, cost: Array, blocks: list[Block]) -> tuple[Array | None, SolverRecord]:
+        m = len(self.posed.chosen) * self.ends
+        every = [*self.fixed, *blocks]
+        if m:
+            signs = sparse.csc_matrix(
+                (-np.ones(m), (np.arange(m), self.count * self.pairs + np.arange(m))), shape=(m, self.width)
+            )
+            every.append(("nonnegative", signs, np.zeros(m)))
+        found = _conic.solve_cone_program(cost, every, budget=self.budget)
+        point = np.asarray(found.x, dtype=np.float64)
+        return (point if _conic.usable(found.record) else None), found.record
+
+    def matrices(self, x: Array) -> Array:
+        """P at the nodes."""
+        return np.asarray(_conic.smat(x[: self.count * self.pairs].reshape(self.count, self.pairs)), dtype=np.float64)
+
+    def diagonals(self, x: Array) -> Array:
+        """Multipliers per piece and end."""
+        m = len(self.posed.chosen)
+        start = self.count * self.pairs
+        return np.maximum(x[start : start + self.ends * m], 0.0).reshape(self.count - 1, 2, m)
+
+    def floor(self) -> tuple[float, Array | None, SolverRecord]:
+        """The largest p with P >= p unit, and the solver's point; 0 and None where there is none."""
+        cost = np.zeros(self.width)
+        cost[-2] = -1.0
+        cap = (
+            "nonnegative",
+            sparse.csc_matrix(([1.0], ([0], [self.width - 2])), shape=(1, self.width)),
+            np.array([1e6]),
+        )
+        blocks = [*self._bounds(True, False, self.posed.unit, 0.0), cap]
+        x, record = self._solved(cost, self._pinned(blocks, (self.width - 1,)))
+        if x is None or x[-2] < SMALLEST:
+            return 0.0, None, record
+        return float(x[-2]), x, record
+
+    def narrow(self, shape: Array, ratio: float, floor: float) -> tuple[Array | None, float, SolverRecord]:
+        """Minimise q - ratio s over s shape <= P <= q shape, P >= floor unit; the point and q/s."""
+        cost = np.zeros(self.width)
+        cost[-2], cost[-1] = -ratio, 1.0
+        x, record = self._solved(cost, self._bounds(True, True, shape, floor))
+        if x is None or x[-2] <= 0:
+            return None, np.inf, record
+        return x, float(x[-1] / x[-2]), record
+
+    def _pinned(self, blocks: list[Block], columns: tuple[int, ...]) -> list[Block]:
+        """Unused variables are held at 0."""
+        for column in columns:
+            row = sparse.csc_matrix(([1.0], ([0], [column])), shape=(1, self.width))
+            blocks = [*blocks, ("zero", row, np.zeros(1))]
+        return blocks
+
+
+def vector(matrix: Array) -> Array:
+    """svec of one matrix."""
+    return np.asarray(_conic.svec(matrix), dtype=np.float64)

@@ -1,0 +1,234 @@
+"""What a file of claim "inclusion" holds: a plant that is not exactly known, and P(tau) at finitely many times.
+
+Three models of which Jacobians A, disturbance inputs G and outputs C may occur: parameters in a box (all enter
+linearly), a list of vertices, or a nonlinear plant as a list of instructions with the region in which it stays.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import programs
+from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, sized, time_unit, weights_of
+from .programs import Program
+from .strict import (
+    Array,
+    Reader,
+    anything,
+    flag,
+    list_of,
+    matrix,
+    nonnegative,
+    number,
+    or_nothing,
+    positive,
+    refuse,
+    table,
+    text,
+    word,
+)
+
+MOST_NODES = 2000
+GAPS = table(
+    {"kind": word("gap-range"), "shortest": positive, "longest": positive}, {"time_unit": or_nothing(time_unit)}
+)
+_optional = {"A": matrix(), "C": matrix(), "G": matrix()}
+PARAMETER = table({"name": text, "low": number, "nominal": number, "high": number}, _optional)
+_side = list_of(or_nothing(number))
+_box = table({"low": _side, "high": _side})
+MODELS: dict[str, Reader] = {
+    "box": table({"kind": text, "varying": flag, "parameters": list_of(anything)}),
+    "vertices": table({"kind": text, "varying": flag, **dict.fromkeys("ACG", list_of(matrix()))}),
+    "nonlinear": table(
+        {
+            "kind": text,
+            "f": anything,
+            "h": anything,
+            "x": _box,
+            "u": _box,
+            "w": _box,
+            "rows": matrix(),
+            "offsets": list_of(number),
+        }
+    ),
+}
+INCLUSION = table(
+    {
+        **AROUND,
+        **MATRICES,
+        **NUMBERS,
+        "times": GAPS,
+        "witness": or_nothing(anything),
+        "model": anything,
+        "nodes": list_of(nonnegative),
+        "P": list_of(matrix()),
+        "multipliers": or_nothing(list_of(list_of(list_of(nonnegative)))),
+        "solver": SOLVER,
+    },
+    whole="the certificate",
+)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number in [low, high]; what a deviation from `nominal` of 1 adds to A, C and G."""
+
+    name: str
+    low: float
+    nominal: float
+    high: float
+    A: Array
+    C: Array
+    G: Array
+
+
+@dataclass(frozen=True)
+class Box:
+    """A + sum (theta_k - nominal_k) A_k with every theta in its range, likewise C and G."""
+
+    parameters: tuple[Parameter, ...]
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """All convex combinations of (A_k, C_k, G_k)."""
+
+    A: Array
+    C: Array
+    G: Array
+
+
+@dataclass(frozen=True)
+class Region:
+    """x' = f(x, u, w), y = h(x, u) + v, with x in the region: a box and rows'x <= offsets; infinite: no bound."""
+
+    f: Program
+    h: Program
+    low: dict[str, Array]
+    high: dict[str, Array]
+    rows: Array
+    offsets: Array
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """A file of claim "inclusion": P(tau) linear between `nodes`; gaps in [shortest, longest]."""
+
+    plant: Plant
+    weights: Weights
+    model: Box | Vertices | Region
+    shortest: float
+    longest: float
+    nodes: Array
+    P: Array
+    multipliers: Array | None
+
+
+def inclusion(value: object, plant: Plant) -> Inclusion:
+    """The judged content of a file's table."""
+    read = INCLUSION(value, "")
+    weights = weights_of(read, plant)
+    if read["witness"] is not None:
+        raise refuse("witness", "must be null: a certificate for an inclusion has no witness")
+    if weights.lam_samples < weights.lam:
+        raise refuse("lam_samples", "must be at least `lam` for an inclusion")
+    times = read["times"]
+    if times.get("time_unit") not in (None, plant.time_unit):
+        raise refuse("times.time_unit", f"must be the plant's, {plant.time_unit!r}, got {times['time_unit']!r}")
+    if times["shortest"] > times["longest"]:
+        raise refuse("times.longest", "must be at least `times.shortest`")
+    nodes = np.array(read["nodes"], dtype=np.float64)
+    if not 2 <= nodes.size <= MOST_NODES or nodes[0] != 0 or not np.all(np.diff(nodes) > 0):
+        raise refuse("nodes", f"must be 2 to {MOST_NODES} times that begin at 0 and increase")
+    if nodes[-1] != times["longest"] or times["shortest"] not in nodes:
+        raise refuse("nodes", "must end at `times.longest` and hold `times.shortest`")
+    if len(read["P"]) != nodes.size:
+        raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
+    P = np.array([sized(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
+    model = model_of(read["model"], plant)
+    found = Inclusion(plant, weights, model, times["shortest"], times["longest"], nodes, P, None)
+    return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
+
+
+def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:
+    """The same with a diagonal per end of each piece: one number for each column that a parameter moves."""
+    if not isinstance(c.model, Box):
+        raise refuse("multipliers", "must be null unless the model is a box of parameters")
+    shape = (c.nodes.size - 1, 2, sum(len(moved(each)) for each in c.model.parameters))
+    fits = len(read) == shape[0] and all(len(ends) == 2 and all(len(d) == shape[2] for d in ends) for ends in read)
+    if not fits:
+        raise refuse("multipliers", f"must have shape {shape}: pieces, their ends, columns that parameters move")
+    return Inclusion(**{**vars(c), "multipliers": np.array(read, dtype=np.float64).reshape(shape)})
+
+
+def moved(parameter: Parameter) -> list[int]:
+    """Columns of (A, G) that a parameter moves."""
+    return [int(k) for k in np.flatnonzero(np.any(np.hstack([parameter.A, parameter.G]) != 0, axis=0))]
+
+
+def model_of(value: object, plant: Plant) -> Box | Vertices | Region:
+    """The model, of sizes that fit the plant."""
+    kind = value.get("kind") if isinstance(value, Mapping) else None
+    if not isinstance(kind, str) or kind not in MODELS:
+        raise refuse("model.kind", f"must be one of {', '.join(MODELS)}, got {kind!r:.40}")
+    if kind == "nonlinear":
+        return region(value, plant)
+    read = MODELS[kind](value, "model")
+    if kind == "box":
+        listed = enumerate(read["parameters"])
+        return Box(tuple(parameter(item, f"model.parameters[{k}]", plant) for k, item in listed))
+    shapes = {"A": plant.A.shape, "C": plant.C.shape, "G": plant.G.shape}
+    count = len(read["A"])
+    if not count or any(len(read[key]) != count for key in shapes):
+        raise refuse("model", "must list as many A as C and G, at least one")
+    stacks = {
+        key: [shaped(M, f"model.{key}[{k}]", size) for k, M in enumerate(read[key])] for key, size in shapes.items()
+    }
+    return Vertices(**{key: np.array(stack) for key, stack in stacks.items()})
+
+
+def shaped(M: Array, place: str, shape: tuple[int, ...]) -> Array:
+    """The matrix, if it has that shape."""
+    if M.shape != shape and (M.size or np.prod(shape)):
+        raise refuse(place, f"must have shape {shape}, got {M.shape}")
+    return M.reshape(shape)
+
+
+def parameter(value: object, place: str, plant: Plant) -> Parameter:
+    """One parameter, its range in order."""
+    read = PARAMETER(value, place)
+    if not read["low"] <= read["nominal"] <= read["high"]:
+        raise refuse(place, "must have low <= nominal <= high")
+    shapes = {"A": plant.A.shape, "C": plant.C.shape, "G": plant.G.shape}
+    parts = {
+        key: shaped(read[key], f"{place}.{key}", size) if key in read else np.zeros(size)
+        for key, size in shapes.items()
+    }
+    return Parameter(read["name"], read["low"], read["nominal"], read["high"], **parts)
+
+
+def region(value: object, plant: Plant) -> Region:
+    """A nonlinear plant; as many states, disturbances and outputs as the linear plant beside it."""
+    read = MODELS["nonlinear"](value, "model")
+    n, q, p = plant.n, plant.G.shape[1], len(plant.C)
+    sizes = {"x": n, "u": len(read["u"]["low"]), "w": q}
+    low, high = {}, {}
+    for key, size in sizes.items():
+        sides = []
+        for side, none in (("low", -np.inf), ("high", np.inf)):
+            if len(read[key][side]) != size:
+                raise refuse(f"model.{key}.{side}", f"must have {size} entries, got {len(read[key][side])}")
+            sides.append(np.array([none if item is None else item for item in read[key][side]], dtype=np.float64))
+        low[key], high[key] = sides
+        if np.any(low[key] > high[key]):
+            raise refuse(f"model.{key}", "must have low <= high")
+    rows = read["rows"]
+    if len(read["offsets"]) != len(rows) or (len(rows) and rows.shape[1] != n):
+        raise refuse("model.rows", f"must have {n} columns, and one of `offsets` per row")
+    f = programs.read(read["f"], "model.f", sizes)
+    h = programs.read(read["h"], "model.h", {"x": n, "u": sizes["u"]})
+    for place, program, size in (("f", f, n), ("h", h, p)):
+        if len(program.outputs) != size:
+            raise refuse(f"model.{place}.outputs", f"must have {size} entries, got {len(program.outputs)}")
+    return Region(f, h, low, high, rows.reshape(len(rows), n), np.array(read["offsets"], dtype=np.float64))

@@ -1,0 +1,126 @@
+"""What certificate files of several claims share: plant, weights, and what stands around them, as frozen records.
+
+Sizes come from the plant: n states, p outputs, q disturbances.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .signals import signals_of
+from .strict import (
+    Array,
+    Reader,
+    Tree,
+    anything,
+    count,
+    list_of,
+    matrix,
+    nonnegative,
+    positive,
+    refuse,
+    table,
+    text,
+    word,
+)
+
+FORMAT = "sampling-design/certificate/1"
+PLANT_FORMAT = "sampling-design/plant/1"
+TIME_UNITS = ("ms", "s", "min", "h", "d", "wk")
+time_unit = word(*TIME_UNITS)
+
+SIGNALS = table({"names": list_of(text)}, {"units": list_of(text), "scales": list_of(positive)})
+PLANT_TREE: dict[str, Reader] = {
+    "format": word(PLANT_FORMAT),
+    "matrices": table({"A": matrix(), "C": matrix()}, dict.fromkeys("BDG", matrix())),
+    "name": text,
+    "time_unit": time_unit,
+    **dict.fromkeys(("states", "outputs", "inputs", "disturbances"), SIGNALS),
+    "source": table({}, {"citation": text}),
+}
+_needed = ("format", "matrices")
+PLANT = table(
+    {key: PLANT_TREE[key] for key in _needed}, {key: item for key, item in PLANT_TREE.items() if key not in _needed}
+)
+
+AROUND: dict[str, Reader] = {
+    "format": word(FORMAT),
+    "claim": text,
+    "plant": PLANT,
+    "tool": table({"name": text, "version": text}),
+    "digest": text,
+}
+SOLVER = table(
+    {"name": text, "version": text, "status": text, "iterations": count, "seconds": nonnegative, "details": anything}
+)
+RATES: dict[str, Reader] = {"eta": positive, "margin": nonnegative}
+NUMBERS: dict[str, Reader] = {**RATES, "lam": positive, "lam_samples": positive}
+MATRICES = dict.fromkeys(("P1", "P2", "Qw", "R", "Qv"), matrix())
+
+
+@dataclass(frozen=True)
+class Plant:
+    """x' = Ax + Gw, y = Cx."""
+
+    A: Array
+    C: Array
+    G: Array
+    time_unit: str
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights and numbers of Assumption 7."""
+
+    P1: Array
+    P2: Array
+    Qw: Array
+    R: Array
+    Qv: Array
+    eta: float
+    lam: float
+    lam_samples: float
+    margin: float
+
+
+def digest(data: Mapping[str, object]) -> str:
+    """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
+    rest = {key: value for key, value in data.items() if key != "digest"}
+    canonical = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
+
+
+def plant_of(read: Tree) -> Plant:
+    """The plant, its matrices of sizes that fit."""
+    m = read["matrices"]
+    if "time_unit" not in read:
+        raise refuse("plant.time_unit", "is missing")
+    n, p = len(m["A"]), len(m["C"])
+    A, C, G = sized(m["A"], "plant.matrices.A", n), m["C"], m.get("G", np.eye(n))
+    if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
+        raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
+    signals_of(read, n, p, G.shape[1])
+    return Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
+
+
+def sized(M: Array, place: str, size: int) -> Array:
+    """The matrix, if it is of that size."""
+    if M.shape != (size, size) and (M.size or size):
+        raise refuse(place, f"must have shape {(size, size)}, got {M.shape}")
+    return M.reshape(size, size)
+
+
+def weights_of(read: Tree, plant: Plant) -> Weights:
+    """Weights of the sizes of the plant."""
+    n, p, q = plant.n, len(plant.C), plant.G.shape[1]
+    sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
+    values: Tree = {key: sized(read[key], key, size) for key, size in sizes.items()}
+    return Weights(**values, **{key: read[key] for key in NUMBERS})

@@ -1,0 +1,59 @@
+"""Plants that are not exactly known: the difference of two trajectories follows one of a set of linear plants."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+
+class Members(NamedTuple):
+    """Some plants of an inclusion: (A, G) side by side (K, n, n + q), C (L, p, n), and where each (A, G) comes from.
+
+    `complete` says that their convex hull is the whole inclusion; otherwise they are samples of it.
+    """
+
+    dynamics: Array
+    outputs: Array
+    places: tuple[str, ...]
+    complete: bool
+
+
+class LinearInclusion(ABC):
+    """A plant of which certificates know a set: two trajectories with the same parameters and inputs differ by Dx with
+
+        Dx' = A(t) Dx + G(t) Dw,    Dy = C(t) Dx + Dv,    (A, G, C)(t) in a convex set
+
+    References
+    ----------
+    Boyd, El Ghaoui, Feron and Balakrishnan 1994, linear differential inclusions.
+    """
+
+    @property
+    @abstractmethod
+    def centre(self) -> Plant:
+        """One linear plant of the set, with the names, units and scales of all."""
+
+    @abstractmethod
+    def model_to_dict(self) -> dict[str, Plain]:
+        """The set as plain data, as certificate files hold it."""
+
+    @abstractmethod
+    def members(self, rng: np.random.Generator) -> Members:
+        """Some of its plants, the extreme ones among them as far as they are known."""
+
+    @abstractmethod
+    def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
+        """Linear plants that, each for itself, are possible for all time, the extreme ones first, and their names."""
+
+    @property
+    @abstractmethod
+    def assumptions(self) -> tuple[str, ...]:
+        """What a certificate about it takes for granted."""

@@ -1,0 +1,241 @@
+"""Uncertain plants as files: TOML, or JSON with the same tree."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _files
+from sampling_design._door import door
+from sampling_design._record import Plain
+from sampling_design.checkers.parts import PLANT_TREE
+from sampling_design.checkers.strict import (
+    BadFile,
+    Reader,
+    flag,
+    list_of,
+    matrix,
+    number,
+    refuse,
+    shown,
+    table,
+    text,
+    word,
+)
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
+from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Ends: TypeAlias = tuple[float, float]
+FORMAT = "sampling-design/uncertain-plant/1"
+_DECIMAL = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
+
+
+def ends(value: object, place: str) -> Ends:
+    """A number that is known, or a range: [low, high], or a text "middle +- half"."""
+    if isinstance(value, str):
+        found = _AROUND.fullmatch(value.strip())
+        if found is None:
+            raise refuse(place, f'must be a number, a range [low, high] or "middle +- half", got {shown(value)}')
+        middle, half = (number(float(part), place) for part in found.groups())
+        low, high = middle - half, middle + half
+    elif isinstance(value, (list, tuple)):
+        if len(value) != 2:
+            raise refuse(place, f"must be a range of two numbers, [low, high], got {len(value)}")
+        low, high = (number(item, f"{place}[{k}]") for k, item in enumerate(value))
+    else:
+        low = high = number(value, place)
+    if not low <= high:
+        raise refuse(place, f"must be a range with low <= high, got {low!r} and {high!r}")
+    return low, high
+
+
+def entries(value: object, place: str) -> list[list[Ends]]:
+    """A matrix of numbers or ranges, all rows of one length."""
+    rows: list[list[Ends]] = list_of(list_of(ends))(value, place)
+    if len({len(row) for row in rows}) > 1:
+        raise refuse(place, "must have rows of one length")
+    return rows
+
+
+def _range(value: object, place: str) -> Ends:
+    low, high = ends(value, place)
+    if isinstance(value, (int, float)):
+        raise refuse(place, 'must be a range, [low, high] or "middle +- half"')
+    return low, high
+
+
+_parts: dict[str, Reader] = dict.fromkeys(("A", "C", "G"), matrix())
+_PARAMETER = table({"name": text, "range": _range}, {"nominal": number, **_parts})
+_VERTEX = table({"A": matrix(), "C": matrix()}, {"G": matrix()})
+_KEYS: dict[str, Reader] = {
+    **PLANT_TREE,
+    "format": word(FORMAT),
+    "matrices": table({"A": entries, "C": entries}, {"B": matrix(), "D": matrix(), "G": entries}),
+}
+_TREE = table(
+    {key: _KEYS[key] for key in ("format", "matrices")},
+    {key: item for key, item in _KEYS.items() if key not in ("format", "matrices")}
+    | {"varying": flag, "parameters": list_of(_PARAMETER), "vertices": list_of(_VERTEX)},
+)
+
+
+@door
+def read_uncertain_plant(path: str | os.PathLike[str]) -> UncertainPlant:
+    """Read an uncertain plant from a .toml or .json file.
+
+    Parameters
+    ----------
+    path : path
+        A plant file whose entries may be ranges, `[-1.21, -0.81]` or `"-1 +- 0.2"`, with `[[parameters]]` that move
+        several entries together, or with `[[vertices]]`.
+
+    Returns
+    -------
+    UncertainPlant
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, has an unknown key, or does not describe such a plant.
+
+    Notes
+    -----
+    *Numerical aspects.* The ends of "middle +- half" are rounded to doubles once; ranges are read exactly.
+    """
+    where = os.fspath(path)
+    read = {".toml": _files.from_toml, ".json": _files.from_json}.get(Path(where).suffix.lower())
+    if read is None:
+        raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
+    return uncertain_from_tree(read(_files.read_text(where), where), where)
+
+
+def uncertain_from_tree(data: Mapping[str, object], where: str = "uncertain plant") -> UncertainPlant:
+    """Return the uncertain plant in a tree of the file format.
+
+    Raises
+    ------
+    FileFormatError
+        If the data do not describe one.
+    """
+    try:
+        found = _TREE(data, "")
+        return _built(found, data, where)
+    except (BadFile, ArgumentError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        sentence = f"{where}: {error}".rstrip(".") + ("" if str(error).endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
+
+
+def _built(found: Mapping[str, object], data: Mapping[str, object], where: str) -> UncertainPlant:
+    """The plant at the middles, and its parameters."""
+    matrices = found["matrices"]
+    assert isinstance(matrices, dict)
+    middles, parameters = dict(matrices), []
+    for key in ("A", "C", "G"):
+        if key not in matrices:
+            continue
+        rows: list[list[Ends]] = matrices[key]
+        middles[key] = [[low if low == high else low / 2 + high / 2 for low, high in row] for row in rows]
+        for i, j in [(i, j) for i, row in enumerate(rows) for j, (low, high) in enumerate(row) if low < high]:
+            one = np.zeros((len(rows), len(rows[0])))
+            one[i, j] = 1.0
+            parts: dict[str, Array] = {key: one}
+            low, high = rows[i][j]
+            parameters.append(_parameter(f"{key}[{i}, {j}]", low, high, middles[key][i][j], parts))
+    for key in ("B", "D"):
+        if key in matrices:
+            middles[key] = np.asarray(matrices[key]).tolist()
+    kept = {key: item for key, item in data.items() if key not in ("varying", "parameters", "vertices")}
+    nominal = plant_from_dict({**kept, "format": PLANT_FORMAT, "matrices": middles}, where)
+    listed = found.get("parameters", [])
+    assert isinstance(listed, list)
+    for each in listed:
+        low, high = each["range"]
+        moved = {key: each[key] for key in ("A", "C", "G") if key in each}
+        parameters.append(_parameter(each["name"], low, high, each.get("nominal"), moved))
+    corners = found.get("vertices", [])
+    assert isinstance(corners, list)
+    vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
+    return UncertainPlant(nominal, parameters, vertices=vertices, varying=bool(found.get("varying", False)))
+
+
+def _parameter(
+    name: str, low: float, high: float, nominal: float | None, moved: Mapping[str, Array]
+) -> UncertainParameter:
+    parts = [moved.get(key) for key in ("A", "C", "G")]
+    return UncertainParameter(name, low, high, *parts, nominal=nominal)
+
+
+@door
+def write_uncertain_plant(plant: UncertainPlant, path: str | os.PathLike[str]) -> Path:
+    """Write an uncertain plant to a .toml or .json file, whole or not at all; return the path.
+
+    Parameters
+    ----------
+    plant : UncertainPlant
+    path : path
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    FileFormatError
+        If the suffix is another or the file cannot be written.
+    """
+    where = os.fspath(path)
+    tree = uncertain_to_tree(plant)
+    suffix = Path(where).suffix.lower()
+    if suffix not in (".toml", ".json"):
+        raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
+    if suffix == ".json":
+        return _files.write_text(where, _files.to_json(tree))
+    import tomli_w
+
+    return _files.write_text(where, tomli_w.dumps(tree))
+
+
+def uncertain_to_tree(plant: UncertainPlant) -> dict[str, Plain]:
+    """Plain data of the file format: exactly the numbers of the record."""
+    tree = dict(plant.nominal.to_dict()) | {"format": FORMAT, "varying": bool(plant.varying)}
+    if plant.vertices:
+        return tree | {"vertices": [{key: getattr(v, key).tolist() for key in ("A", "C", "G")} for v in plant.vertices]}
+    listed: list[Plain] = []
+    for each in plant.parameters:
+        data = each.to_dict()
+        listed.append(
+            {
+                "name": each.name,
+                "range": [each.low, each.high],
+                **{k: data[k] for k in data if k not in ("name", "low", "high")},
+            }
+        )
+    return tree | {"parameters": listed}
+
+
+def uncertain_from_dict(plant: Plant, model: Mapping[str, object]) -> UncertainPlant:
+    """Return the uncertain plant of a certificate file: its plant and its model, as they were judged by the grammar."""
+    varying = bool(model["varying"])
+    if model["kind"] == "vertices":
+        stacks = [np.array(model[key], dtype=np.float64) for key in ("A", "C", "G")]
+        vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
+        return UncertainPlant(plant, vertices=vertices, varying=varying)
+    parameters, listed = [], model["parameters"]
+    assert isinstance(listed, list)
+    for each in listed:
+        moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
+        parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))
+    return UncertainPlant(plant, parameters, varying=varying)

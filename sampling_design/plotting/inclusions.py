@@ -1,0 +1,30 @@
+"""What a certificate for a plant that is not exactly known proves: P(tau) over the gap."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sampling_design._record import short
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.plotting import style
+
+
+def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) -> Axes:
+    """Draw eigenvalues of P(tau) relative to P1 over the time since the last sample; samples may come in the band."""
+    ax = style.new_axes(ax)
+    L = np.linalg.cholesky(certificate.P1)
+    half = np.linalg.solve(L, certificate.P)
+    values = np.linalg.eigvalsh(np.linalg.solve(L, np.swapaxes(half, 1, 2)))
+    for k, column in enumerate(values.T):
+        label = "eigenvalues of P(tau) relative to P1" if not k else None
+        ax.semilogy(certificate.nodes, column, color=style.MEASURED, linewidth=1.3, marker=".", label=label)
+    ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
+    ax.axhline(certificate.lam, color=style.ATTAINED, linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}")
+    family = certificate.family
+    ax.axvspan(family.shortest, family.longest, color=style.ALLOWED, alpha=0.3, linewidth=0, label="a sample may come")
+    ax.set_xlabel(style.time_label(certificate.plant.time_unit, "time since the last sample"))
+    ax.set_ylabel("information relative to P1")
+    ax.set_title(f"{certificate.plant.name or 'plant'}: proven for gaps up to {short(family.longest, 4)}", loc="left")
+    ax.legend(loc="center right", fontsize="small", frameon=False)
+    return ax

@@ -1,0 +1,318 @@
+"""Certificates for uncertain plants: proven, tight, refused where they are wrong, read back from their file."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    GapRange,
+    Jitter,
+    LostSamples,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    Signals,
+    UncertainParameter,
+    UncertainPlant,
+    certify,
+    load_certificate,
+)
+from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.checkers import check
+from sampling_design.checkers.parts import digest
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+from tests.oracles import inclusions
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
+STIFFNESS = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
+UNCERTAIN = UncertainPlant(OSCILLATOR, [STIFFNESS])
+
+
+@pytest.fixture(scope="module")
+def certificate():
+    return certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1)
+
+
+def resealed(data, **keys):
+    data = json.loads(json.dumps({**data, **keys}))
+    return {**data, "digest": digest(data)}
+
+
+def members(certificate):
+    found = certificate.model.members(np.random.default_rng(0))
+    n = certificate.plant.n_states
+    return [(M[:, :n], C, M[:, n:]) for M in found.dynamics for C in found.outputs]
+
+
+def test_an_uncertain_oscillator_is_certified(certificate):
+    assert isinstance(certificate, InclusionCertificate)
+    assert certificate.verify().verdict == "proven"
+    assert certificate.lam < 4.5
+    assert certificate.horizon("arrival").minimum == pytest.approx(np.log(4) / 0.1)
+    assert certificate.horizon().minimum == pytest.approx(np.log(4 * certificate.lam_proven) / 0.1)
+    assert certificate.horizon("paper").minimum == pytest.approx(2 * np.log(2 * certificate.lam_proven) / 0.1)
+
+
+def test_no_switching_plant_violates_it(certificate):
+    rng = np.random.default_rng(0)
+    worst = max(inclusions.adversary(certificate, members(certificate), rng) for _ in range(40))
+    assert 0.2 < worst <= 1.0
+
+
+def test_it_comes_back_from_its_file(certificate, tmp_path):
+    path = certificate.save(tmp_path / "certificate.json")
+    again = load_certificate(path)
+    assert isinstance(again, InclusionCertificate)
+    assert again.to_dict() == certificate.to_dict()
+    assert isinstance(again.model, UncertainPlant)
+    assert again.verify().passed
+    with pytest.raises(CertificateError, match="certifies another plant"):
+        load_certificate(path, Plant([[0.0]], [[1.0]]))
+
+
+@pytest.mark.parametrize("longest", [3.0, 2.86])
+def test_a_range_that_holds_a_pathological_gap_is_refused_with_its_plant(longest):
+    with pytest.raises(CertificateError, match=r"at omega\^2 = 1.21 the gaps \[2.85599\] have none") as caught:
+        certify(UNCERTAIN, GapRange(0.5, longest), eta=0.1)
+    assert caught.value.details["counterexample"].verify()
+    assert caught.value.details["parameters"] == "omega^2 = 1.21"
+
+
+def test_what_is_only_too_hard_is_undecided():
+    with pytest.raises(UndecidedError, match=r"undecided: no P\(tau\) was proven at rate 0.1"):
+        certify_inclusion(UNCERTAIN, GapRange(0.5, 2.8), eta=0.1, pieces=8)
+
+
+def wrong(data, by):
+    """The certificate with one matrix moved until some inequality is violated by about `by`, relatively."""
+    P = np.array(data["P"])
+    last = int(np.argmax(np.array(data["nodes"]) == data["times"]["longest"]))
+    C, Rt = np.array(data["plant"]["matrices"]["C"]), np.array(data["R"]) / 2
+    jump = P[last] + C.T @ Rt @ C - P[0]
+    values, vectors = np.linalg.eigh(jump)
+    size = float(np.abs(P[0]).max())
+    P[0] += (values[0] + by * size) * np.outer(vectors[:, 0], vectors[:, 0])
+    return resealed(data, P=P.tolist())
+
+
+@pytest.mark.parametrize("by", [1e-9, 1e-6, 1e-2])
+def test_wrong_by_a_billionth_is_refused(by, certificate):
+    verdict = check(wrong(certificate.to_dict(), by))
+    assert verdict["verdict"] == "refuted"
+    assert verdict["amount"] < 0
+    from sampling_design.certificates.rigorous.decide import verify_rigorously
+
+    found = verify_rigorously(wrong(certificate.to_dict(), by))
+    assert found.verdict == "refuted"
+    with pytest.raises(AssertionError, match="certainly fails by"):
+        raise AssertionError(found.reason)
+
+
+@pytest.mark.parametrize(
+    ("keys", "match"),
+    [
+        ({"lam": 1.5, "lam_samples": 1.5}, "< lam P1 fails by"),
+        ({"margin": 1.0}, r"P1 < P\(tau\) fails by"),
+        ({"eta": 0.5}, "fails by"),
+        ({"R": [[1e-3]], "Qv": [[1e-3]]}, "C'R~C fails by"),
+        ({"P2": [[1e-3, 0.0], [0.0, 1e-3]]}, r"P\(tau\) < P2 fails by"),
+        ({"Qw": [[-1.0, 0.0], [0.0, 1.0]]}, "Qw > 0 fails by"),
+    ],
+)
+def test_changed_numbers_are_refused(keys, match, certificate):
+    data = resealed(certificate.to_dict(), **keys)
+    verdict = check(data)
+    assert verdict["verdict"] == "refuted"
+    with pytest.raises(AssertionError, match=match):
+        raise AssertionError(verdict["reason"])
+
+
+def test_a_wider_box_is_refused(certificate):
+    data = certificate.to_dict()
+    wide = [{**data["model"]["parameters"][0], "high": 1.8}]
+    assert check(resealed(data, model={**data["model"], "parameters": wide}))["verdict"] == "refuted"
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda d: {"nodes": d["nodes"][::-1]}, "`nodes` must be 2 to 2000 times that begin at 0"),
+        (lambda d: {"nodes": [*d["nodes"][:-1], 2.0]}, "`nodes` must end at `times.longest`"),
+        (lambda d: {"P": d["P"][1:]}, "`P` must hold one matrix per node"),
+        (lambda d: {"witness": {"t": 1}}, "`witness` must be null"),
+        (lambda d: {"lam_samples": d["lam"] / 2}, "`lam_samples` must be at least `lam`"),
+        (lambda d: {"times": {**d["times"], "time_unit": "h"}}, "`times.time_unit` must be the plant's"),
+        (lambda d: {"times": {**d["times"], "shortest": 9.0}}, "`times.longest` must be at least"),
+        (lambda d: {"model": {"kind": "sphere"}}, "`model.kind` must be one of box, vertices, nonlinear"),
+        (lambda d: {"multipliers": [[[1.0]]]}, "`multipliers` must have shape"),
+        (
+            lambda d: {"model": {**d["model"], "parameters": [{**d["model"]["parameters"][0], "nominal": 9.0}]}},
+            "must have low <= nominal <= high",
+        ),
+        (
+            lambda d: {"model": {**d["model"], "parameters": [{**d["model"]["parameters"][0], "A": [[1.0]]}]}},
+            r"`model.parameters\[0\].A` must have shape",
+        ),
+        (lambda d: {"model": {"kind": "vertices", "varying": False, "A": [], "C": [], "G": []}}, "at least one"),
+        (
+            lambda d: {"multipliers": [[[1.0]]], "model": {"kind": "vertices", "varying": False, **stacks()}},
+            "must be null unless the model is a box",
+        ),
+    ],
+)
+def test_a_file_is_a_grammar(change, match, certificate, tmp_path):
+    data = certificate.to_dict()
+    data = resealed(data, **change(data))
+    assert check(data)["verdict"] == "bad file"
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=match):
+        load_certificate(path)
+
+
+def test_multipliers_prove_a_box_and_are_needed():
+    # by hand: x' = theta x, |theta| <= 1, P(tau) = a - b tau; m p^2 - m z^2 with p = theta x
+    uncertain = UncertainPlant(Plant([[0.0]], [[1.0]]), [UncertainParameter("theta", -1.0, 1.0, A=[[1.0]])])
+    made = certify_inclusion(uncertain, GapRange(0.1, 0.2), eta=0.5, pieces=4)
+    data = made.to_dict()
+    values = made.P.ravel().tolist()
+    plenty = [[[a], [b]] for a, b in pairwise(values)]  # m = P is the best: -P' > eta P + m + P^2/m
+    assert check(resealed(data, multipliers=plenty))["verdict"] == "proven"
+    none = [[[0.0] for _ in range(2)] for _ in range(made.nodes.size - 1)]
+    assert check(resealed(data, multipliers=none))["verdict"] != "proven"
+    from sampling_design.certificates.rigorous.decide import verify_rigorously
+
+    assert verify_rigorously(resealed(data, multipliers=plenty)).verdict == "proven"
+    assert verify_rigorously(resealed(data, multipliers=none)).verdict != "proven"
+
+
+def test_vertices_and_uncertain_outputs_and_inputs():
+    base = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], G=[[0.0], [1.0]])
+    parts = [
+        UncertainParameter("c", 0.9, 1.1, C=[[1.0, 0.0]]),
+        UncertainParameter("g", 0.5, 1.5, G=[[0.0], [1.0]]),
+    ]
+    box = certify_inclusion(UncertainPlant(base, parts), GapRange(0.2, 0.8), eta=0.3, pieces=8)
+    worst = max(inclusions.adversary(box, members(box), np.random.default_rng(1)) for _ in range(8))
+    assert worst <= 1.0
+    corners = [UncertainPlant(base, parts).at([c, g]) for c in (0.9, 1.1) for g in (0.5, 1.5)]
+    listed = certify_inclusion(UncertainPlant(base, vertices=corners), GapRange(0.2, 0.8), eta=0.3, pieces=8)
+    assert listed.lam == pytest.approx(box.lam, rel=0.05)
+    assert load_dict(listed).verify().passed
+
+
+def stacks():
+    return {key: [getattr(OSCILLATOR, key).tolist()] for key in "ACG"}
+
+
+def load_dict(certificate):
+    from sampling_design.certificates.files import certificate_from_dict
+
+    return certificate_from_dict(json.loads(json.dumps(certificate.to_dict())))
+
+
+def test_the_rate_is_chosen_and_a_family_becomes_its_gaps():
+    chosen = certify(UNCERTAIN, Jitter(PeriodicSchedule([1.0]), 0.2))
+    assert (chosen.family.shortest, chosen.family.longest) == pytest.approx((0.6, 1.4))
+    fixed = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), eta=0.1, pieces=8)
+    assert chosen.horizon().minimum < fixed.horizon().minimum
+    lost = certify(UNCERTAIN, LostSamples(PeriodicSchedule([0.5]), 1, 3), eta=0.1)
+    assert lost.family.longest == 1.0
+    assert certify(UNCERTAIN, PeriodicSchedule([1.0, 1.2]), eta=0.1).family.longest == 1.2
+
+
+def test_the_largest_rate_serves_the_arrival_weight():
+    made = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), arrival=True, pieces=8)
+    other = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), pieces=8)
+    assert made.horizon("arrival").minimum <= other.horizon("arrival").minimum
+
+
+def test_more_pieces_prove_longer_gaps():
+    found = [longest_gap(UNCERTAIN, eta=0.02, most=2.9, pieces=count).family.longest for count in (4, 8)]
+    assert found[0] < found[1]
+    assert found[1] > 2.05
+
+
+@pytest.mark.parametrize("state", [1.0, 1e-9, 1e9])
+@pytest.mark.parametrize("per_second", [1.0, 3600.0])
+def test_units_change_nothing(state, per_second, certificate):
+    unit = np.array([state, 1.0])
+    turned = UncertainPlant(
+        Plant(
+            OSCILLATOR.A * unit / unit[:, None] * per_second,
+            OSCILLATOR.C * unit,
+            G=np.diag(1 / unit) * np.sqrt(per_second),
+            states=Signals(("a", "b"), scales=1 / unit),
+        ),
+        [UncertainParameter("k", 0.81, 1.21, A=STIFFNESS.A * unit / unit[:, None] * per_second, nominal=1.0)],
+    )
+    made = certify(turned, GapRange(0.5 / per_second, 1.5 / per_second), eta=0.1 * per_second)
+    assert made.lam == pytest.approx(certificate.lam, rel=0.05)
+    assert made.nodes.size == certificate.nodes.size
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: certify(UNCERTAIN, Schedule([1.0, 2.0])), "`schedule` must be a GapRange, another family"),
+        (lambda: certify(UNCERTAIN, GapRange(1, 2), P2=np.eye(2)), "`P2` must be left out for a plant"),
+        (lambda: certify(UNCERTAIN, GapRange(1, 2), memory=1), "`memory` must be left out for a plant"),
+        (
+            lambda: certify(UNCERTAIN, PeriodicSchedule([1.0], outputs=[[True]], time_unit="h")),
+            "must be in the plant's unit",
+        ),
+        (lambda: certify(UNCERTAIN, GapRange(1, 2), budget=1.0), "`budget` must be above 1"),
+        (lambda: certify_inclusion(UNCERTAIN, 3.0), "`family` must be"),
+        (lambda: longest_gap(UNCERTAIN, eta=0.1, shortest=2.0, most=1.0), "`most` must be at least `shortest`"),
+        (lambda: certify(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1).at(2.0), "`tau` must lie in"),
+        (lambda: certify(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1).horizon("best"), '`theorem` must be "sharp"'),
+    ],
+)
+def test_wrong_arguments_are_refused(call, match):
+    with pytest.raises(ArgumentError, match=match):
+        call()
+
+
+def test_no_gap_at_all_is_undecided():
+    blind = UncertainPlant(
+        Plant(np.diag([1.0, 1.0]), [[1.0, 1.0]]), [UncertainParameter("k", 0, 1, A=[[1, 0], [0, 0]])]
+    )
+    with pytest.raises(UndecidedError, match="undecided: no gap of at least"):
+        longest_gap(blind, eta=0.1, most=1.0, pieces=2)
+
+
+def test_the_record_and_its_picture(certificate):
+    assert "parameters in a box" in str(certificate)
+    assert "fades at rate 0.1" in certificate.explain()
+    assert "share the parameters" in str(certificate.claim)
+    assert certificate.error_bound(1000.0, [1.0, 0.0]) < 1e-3
+    np.testing.assert_allclose(certificate.at(certificate.nodes), certificate.P)
+    ax = certificate.plot()
+    assert "proven for gaps up to 1.5" in ax.get_title("left")
+    with pytest.raises(CertificateError, match="Theorem G needs M >"):
+        certificate.horizon(length=1.0)
+
+
+def test_records_by_hand_are_checked(certificate):
+    from dataclasses import replace
+
+    with pytest.raises(ArgumentError, match="`family` must be a GapRange, got"):
+        replace(certificate, family=3)
+    with pytest.raises(ArgumentError, match="`P` must hold one matrix per node, shape"):
+        replace(certificate, P=certificate.P[1:])
+
+
+def test_a_plant_without_states_is_refused():
+    nothing = Plant(np.zeros((0, 0)), np.zeros((1, 0)))
+    model = UncertainPlant(nothing, vertices=[nothing])
+    with pytest.raises(ArgumentError, match="`plant` must have states"):
+        certify(model, GapRange(1, 2))
+
+
+def test_part_of_the_outputs_is_refused():
+    two = UncertainPlant(Plant(OSCILLATOR.A, np.eye(2)), [STIFFNESS])
+    with pytest.raises(ArgumentError, match="must measure every output at each sample"):
+        certify(two, PeriodicSchedule([1.0], outputs=[[1, 0]]))

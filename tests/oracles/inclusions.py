@@ -1,0 +1,57 @@
+"""Assumption 7 along plants that switch between members of a set: the worst case over all disturbances, by Riccati.
+
+Plain and slow: the covariance Y = Pi^-1 of a window that starts with P2 is carried along by exponentials of a doubled
+matrix, and P1 <= Pi is asked at every corner of time, just before and just after each sample.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+
+
+def flown(Y, A, Q, eta, h):
+    """Y after a time h of Y' = AY + YA' + eta Y + Q."""
+    n = len(A)
+    shifted = A + eta / 2 * np.eye(n)
+    M = expm(np.block([[-shifted, Q], [np.zeros((n, n)), shifted.T]]) * h)
+    F = M[n:, n:].T
+    W = F @ M[:n, n:]
+    return F @ Y @ F.T + (W + W.T) / 2
+
+
+def largest_ratio(members, weights, eta, P1, P2, gaps, switches):
+    """Largest lambda_max(P1, Pi) along gaps with members (A, C, G) that change at times within each gap.
+
+    `members` is a list; `switches` draws, for each gap, a list of (share of the gap, member). At most 1 where
+    Assumption 7 holds.
+    """
+    Qw, R, Qv = weights
+    Rt = np.linalg.inv(np.linalg.inv(R) + np.linalg.inv(Qv))
+    Y, worst = np.linalg.inv(P2), 0.0
+    root = np.linalg.cholesky(P1)
+    for gap, parts in zip(gaps, switches, strict=True):
+        for share, k in parts:
+            A, C, G = members[k]
+            for _ in range(3):
+                Y = flown(Y, A, G @ np.linalg.solve(Qw, G.T), eta, share * gap / 3)
+                worst = max(worst, float(np.linalg.eigvalsh(root.T @ Y @ root)[-1]))
+        C = members[parts[-1][1]][1]
+        S = C @ Y @ C.T + np.linalg.inv(Rt)
+        Y = Y - Y @ C.T @ np.linalg.solve(S, C @ Y)
+        Y = (Y + Y.T) / 2
+        worst = max(worst, float(np.linalg.eigvalsh(root.T @ Y @ root)[-1]))
+    return worst
+
+
+def adversary(certificate, members, rng, samples=8, parts=3):
+    """The largest ratio along one random schedule whose gaps lie at the ends, with a member switched at random."""
+    a, b = certificate.family.shortest, certificate.family.longest
+    gaps = np.where(rng.random(samples) < 0.6, rng.choice([a, b], samples), rng.uniform(a, b, samples))
+    gaps[0] = rng.uniform(0, b)
+    switches = []
+    for _ in range(samples):
+        shares = rng.dirichlet(np.ones(rng.integers(1, parts + 1)))
+        switches.append([(float(s), int(rng.integers(len(members)))) for s in shares])
+    weights = (certificate.Qw, certificate.R, certificate.Qv)
+    return largest_ratio(members, weights, certificate.eta, certificate.P1, certificate.P2, gaps, switches)

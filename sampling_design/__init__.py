@@ -18,7 +18,6 @@ _FRONT_DOOR = {
     "plants.modes": ("split_modes",),
     "plants.sparse": ("SparsePlant", "split_sparse"),
     "plants.files": ("read_plant", "write_plant"),
-    "plants.uncertain": ("UncertainPlant", "UncertainParameter"),
     "plants.library": ("named_plant",),
     "plants": ("library",),
     "observability.count.zero_count": ("zero_count_bound",),

@@ -32,7 +32,7 @@ EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times
 BELOW = 1e-10  # share by which R~ is taken smaller than its floats, so that its own inequality has room
 MOST_PARAMETERS = 10  # of a box whose corners are tried one by one; beyond that multipliers are needed
 CORNERS = 6  # entries of a cell's Jacobian whose corners are tried; the others are a perturbation
-MOST_MATRICES = 6_000_000  # matrices of one proof over cells
+MOST_MATRICES = 1_500_000  # matrices of one proof over cells
 BATCH = 40_000
 Parts = tuple[Array, Array]
 

@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record
+from sampling_design._record import Plain, Record
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.region import StateRegion
+from sampling_design.plants.inclusion import LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ _PREFIX = {"states": "x", "inputs": "u", "disturbances": "w", "outputs": "y", "n
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NonlinearPlant(Record):
+class NonlinearPlant(LinearInclusion, Record):
     """A nonlinear continuous-time plant.
 
         x'(t) = f(x(t), u(t), w(t)),    y(t) = h(x(t), u(t), v(t))
@@ -47,6 +49,8 @@ class NonlinearPlant(Record):
     bounds : mapping, optional
         Boxes (lower, upper) that hold the truth for any of the five vectors: the sets X, W, Y, V of
         the paper. Infinite entries mean no bound.
+    region : StateRegion, optional
+        Convex set of states in which certificates are to hold; default the box of states. See `in_region`.
 
     Raises
     ------
@@ -85,6 +89,7 @@ class NonlinearPlant(Record):
     source: str = field(default="", kw_only=True)
     signals: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
     bounds: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    region: StateRegion = field(default=None, kw_only=True)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
@@ -107,6 +112,11 @@ class NonlinearPlant(Record):
         bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
         for key, value in {"sizes": sizes, "signals": signals, "bounds": bounds}.items():
             object.__setattr__(self, key, value)
+        region = StateRegion(*bounds["states"]) if self.region is None else self.region
+        if not isinstance(region, StateRegion) or region.lower.size != sizes["states"]:
+            shown = _checks.described(region)
+            raise ArgumentError(f"`region` must be a StateRegion of {sizes['states']} states, got {shown}.")
+        object.__setattr__(self, "region", region)
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
 
     @cached_property
@@ -266,6 +276,64 @@ class NonlinearPlant(Record):
             if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * max(1.0, float(np.max(np.abs(z)))):
                 return np.asarray(z * scale)
         raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
+
+    def in_region(
+        self,
+        lower: npt.ArrayLike,
+        upper: npt.ArrayLike,
+        rows: npt.ArrayLike | None = None,
+        offsets: npt.ArrayLike | None = None,
+    ) -> NonlinearPlant:
+        """Return the same plant with the states lower <= x <= upper, rows x <= offsets as the region of certificates.
+
+        Raises
+        ------
+        ArgumentError
+            If sizes differ or the box is empty.
+        """
+        return replace(self, region=StateRegion(lower, upper, rows, offsets))
+
+    # --- what certificates need ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def centre(self) -> Plant:
+        """The linearisation in the middle of the region."""
+        found = self.linearise(self.region.middle, StateRegion(*self.bounds["inputs"]).middle)
+        return replace(found, name=self.name)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What a certificate about it takes for granted."""
+        return ("nonlinear plant whose trajectories stay in the region", "two trajectories share the input")
+
+    @property
+    def members_are_plants(self) -> bool:
+        """False: a linearisation is no plant of its own."""
+        return False
+
+    def model_to_dict(self) -> dict[str, Plain]:
+        """f and h as lists of instructions, and the region, as certificate files hold them.
+
+        Raises
+        ------
+        ArgumentError
+            If the noise is not added to the outputs one by one, or f or h hold an operation without intervals.
+        """
+        from sampling_design.nonlinear.jacobians import model_of
+
+        return model_of(self)
+
+    def members(self, rng: np.random.Generator) -> Members:
+        """Jacobians at points of the region."""
+        from sampling_design.nonlinear.jacobians import members_of
+
+        return members_of(self, rng)
+
+    def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
+        """Linearisations at points of the region, corners first."""
+        from sampling_design.nonlinear.jacobians import linearisations_of
+
+        return linearisations_of(self, rng)
 
     def with_bounds(self, **boxes: object) -> NonlinearPlant:
         """Return the same plant with other boxes, for example `with_bounds(states=(0.0, np.inf), noises=None)`.

@@ -54,6 +54,11 @@ class LinearInclusion(ABC):
         """Linear plants that, each for itself, are possible for all time, the extreme ones first, and their names."""
 
     @property
+    def members_are_plants(self) -> bool:
+        """Whether each member is possible for all time; if not, none of them alone refutes anything."""
+        return True
+
+    @property
     @abstractmethod
     def assumptions(self) -> tuple[str, ...]:
         """What a certificate about it takes for granted."""

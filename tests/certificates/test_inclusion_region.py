@@ -4,12 +4,13 @@ import json
 
 import pytest
 
-from sampling_design import GapRange, Plant, UncertainParameter, UncertainPlant, load_certificate
+from sampling_design import GapRange, Plant, load_certificate
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import FileFormatError
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 
 NOWHERE = {"low": [], "high": []}
 SINE = {"code": [["x", 0], ["sin", 0], ["w", 0], ["add", 1, 2]], "outputs": [3]}

@@ -220,6 +220,13 @@ def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -
         if left <= 0:
             break
         found, nearest = find_counterexample(plant, search.family, eta, quick=True, budget=left)
+        if found is not None and not search.plant.members_are_plants:
+            return UndecidedError(
+                f"undecided: no P(tau) can be found, as the linearisation at {place} with the gaps "
+                f"{short(found.schedule.gaps)} has none, {found.reason}. The nonlinear plant is not refuted by that. "
+                "Try a smaller region, shorter gaps or other coordinates.",
+                parameters=place, plant=plant, counterexample=found, gaps=found.schedule.gaps, eta=eta,
+            )  # fmt: skip
         if found is not None:
             return CertificateError(
                 f"No certificate: at {place} the gaps {short(found.schedule.gaps)} have none, {found.reason}.",

@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 
 NARROWINGS = 3
 """Solutions of the program in which P(tau) is drawn together, each in the coordinates of the last."""
-INFLATED = (0.01, 0.05, 0.002)
+INFLATED = (0.002, 0.02, 0.1)
 """Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
 ROUNDS = 12
 """How often members that violate a solution may join the program."""
@@ -35,6 +35,8 @@ JOINING = 4
 """Members that join at once."""
 DIGITS = (7, 9, 11, 15)
 """Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
+TOGETHER = 256
+"""Members whose eigenvalues are found in one batch."""
 ROOM = 1e-6
 """By which P1 and P2 stand off from P, relatively."""
 
@@ -78,6 +80,7 @@ class InclusionSearch:
         self.chosen = self._first()
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self.extra: list[Array] = []
+        self._roots: dict[float, Array] = {}
 
     def _first(self) -> list[int]:
         """Members that begin: all where there are few, else those that are extreme in some entry."""
@@ -117,6 +120,12 @@ class InclusionSearch:
         return posed, T
 
     def _coordinates(self, eta: float) -> Array:
+        """The coordinates of a rate, found once."""
+        if eta not in self._roots:
+            self._roots[eta] = self._root(eta)
+        return self._roots[eta]
+
+    def _root(self, eta: float) -> Array:
         """A root of the information that the nominal plant keeps; of its balance where there is none."""
         try:
             prior = np.diag(1 / self.centre.states.scales**2)
@@ -233,12 +242,12 @@ class InclusionSearch:
     def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
         """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
         verdict: Verification | None = None
-        for inflation in (self.inflation, *INFLATED) if not self.members.complete else (0.0,):
+        for inflation in (0.0,) if self.members.complete else INFLATED:
             self.inflation = inflation
             found = self.solve(eta, pieces)
             if found is None:
                 continue
-            for digits in DIGITS:
+            for digits in DIGITS if self.members.complete else DIGITS[1:2]:
                 made = self.certificate(found, eta, digits, time.perf_counter() - began)
                 verdict = judged(made.to_dict(), False, 0.0)
                 if verdict.passed:
@@ -253,18 +262,19 @@ def accepted(made: InclusionCertificate) -> InclusionCertificate:
 
 def flow_slacks(posed: Posed, P: Array) -> Array:
     """The least eigenvalue of the flow condition over both ends of all pieces, for each member."""
-    n = posed.n
+    n, ends = posed.n, 2 * (len(P) - 1)
     h = np.diff(posed.nodes)[:, None, None]
     slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
     both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
-    least = np.empty(len(posed.dynamics))
-    for k, M in enumerate(posed.dynamics):
-        drift, off = both @ M[:, :n], -(both @ M[:, n:])
-        corner = -(slope + drift + np.swapaxes(drift, 1, 2) + posed.eta * both)
-        Q = np.broadcast_to(posed.Qw, (len(both), *posed.Qw.shape))
-        form = np.concatenate([np.concatenate([corner, off], 2), np.concatenate([np.swapaxes(off, 1, 2), Q], 2)], 1)
-        least[k] = float(np.linalg.eigvalsh(form)[:, 0].min())
-    return least
+    least = []
+    for first in range(0, len(posed.dynamics), TOGETHER):
+        M = posed.dynamics[first : first + TOGETHER, None]
+        drift, off = both @ M[..., :n], -(both @ M[..., n:])
+        corner = -(slope + drift + np.swapaxes(drift, 2, 3) + posed.eta * both)
+        Q = np.broadcast_to(posed.Qw, (len(M), ends, *posed.Qw.shape))
+        form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
+        least.append(np.linalg.eigvalsh(form)[..., 0].min(axis=1))
+    return np.concatenate(least)
 
 
 def rounded(P: Array, digits: int) -> Array:

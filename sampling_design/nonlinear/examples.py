@@ -1,0 +1,145 @@
+"""Nonlinear plants from the literature, each with a region in which certificates are asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.plants.plant import Signals
+
+if TYPE_CHECKING:
+    from casadi import SX
+
+_ONE_NOISE = {"disturbances": 1, "outputs": 1}
+
+
+def pendulum(stiffness: float = 1.0, largest_angle: float | None = None) -> NonlinearPlant:
+    """Return the pendulum x1' = x2, x2' = -stiffness sin(x1) + w, its angle measured; by default at all angles.
+
+    Examples
+    --------
+    >>> pendulum().centre.A.tolist()
+    [[0.0, 1.0], [-1.0, 0.0]]
+    """
+    ca = casadi()
+    plant = NonlinearPlant(
+        lambda x, u, w: [x[1], -stiffness * ca.sin(x[0]) + w[0]],
+        lambda x, u, v: [x[0] + v[0]],
+        {"states": 2, **_ONE_NOISE},
+        name="pendulum",
+    )
+    most = np.inf if largest_angle is None else float(largest_angle)
+    return plant.in_region([-most, -np.inf], [most, np.inf])
+
+
+def van_der_pol(coordinates: str = "lienard", largest: float = 2.1, damping: float = 1.0) -> NonlinearPlant:
+    """Return van der Pol's oscillator, x measured, in the coordinates of Lienard or in (x, x').
+
+        lienard:   x1' = x2 - damping (x1^3/3 - x1),    x2' = -x1 + w
+        velocity:  x1' = x2,    x2' = damping (1 - x1^2) x2 - x1 + w
+
+    Parameters
+    ----------
+    coordinates : "lienard" or "velocity"
+        In Lienard's the Jacobian has one entry that moves, and it is on the diagonal that is measured.
+    largest : float
+        Of |x1| in the region; |x2| is at most 3 in the coordinates (x, x').
+    damping : float
+
+    Raises
+    ------
+    ArgumentError
+        If the coordinates are others.
+    """
+    if coordinates not in ("lienard", "velocity"):
+        raise ArgumentError(f'`coordinates` must be "lienard" or "velocity", got {coordinates!r}.')
+    lienard = coordinates == "lienard"
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        if lienard:
+            return [x[1] - damping * (x[0] ** 3 / 3 - x[0]), -x[0] + w[0]]
+        return [x[1], damping * (1 - x[0] ** 2) * x[1] - x[0] + w[0]]
+
+    plant = NonlinearPlant(
+        dynamics, lambda x, u, v: [x[0] + v[0]], {"states": 2, **_ONE_NOISE}, name=f"van der Pol ({coordinates})"
+    )
+    side = [largest, np.inf if lienard else 3.0]
+    return plant.in_region(np.negative(side), side)
+
+
+def stirred_reactor(spread: float = 5.0, concentration: float = 0.05) -> NonlinearPlant:
+    """Return the stirred reactor A -> B with a cooling jacket, its temperature measured, within `spread` K of 350 K.
+
+    Concentration within `concentration` of 0.5 mol/l; unstable at its operating point (0.5, 350), time in minutes.
+    """
+    ca = casadi()
+    flow, volume, feed, warm = 100.0, 100.0, 1.0, 350.0
+    speed, energy, heat, capacity, transfer, cold = 7.2e10, 8750.0, 5e4, 239.0, 5e4, 300.0
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        rate = speed * ca.exp(-energy / x[1]) * x[0]
+        cooled = transfer / (volume * capacity) * (cold - x[1])
+        return [
+            flow / volume * (feed - x[0]) - rate + w[0],
+            flow / volume * (warm - x[1]) + heat / capacity * rate + cooled + w[1],
+        ]
+
+    plant = NonlinearPlant(
+        dynamics,
+        lambda x, u, v: [x[1] + v[0]],
+        {"states": 2, "disturbances": 2, "outputs": 1},
+        time_unit="min",
+        name="stirred reactor",
+        signals={
+            "states": Signals(("c", "T"), ("mol/l", "K"), [0.1, 5.0]),
+            "outputs": Signals(("T",), ("K",), [5.0]),
+            "disturbances": Signals(("w_c", "w_T"), ("mol/l/min", "K/min"), [0.1, 5.0]),
+            "noises": Signals(("v",), ("K",), [5.0]),
+        },
+    )
+    low, high = (np.array([0.5, 350.0]) + sign * np.array([concentration, spread]) for sign in (-1, 1))
+    return plant.in_region(low, high)
+
+
+def batch_reactor() -> NonlinearPlant:
+    """Return the batch reactor 2A <-> B, total pressure measured: x1' = -2 k1 x1^2 + 2 k2 x2, x2' = k1 x1^2 - k2 x2."""
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        rate = 0.16 * x[0] ** 2 - 0.0064 * x[1]
+        return [-2 * rate + w[0], rate + w[1]]
+
+    plant = NonlinearPlant(
+        dynamics,
+        lambda x, u, v: [x[0] + x[1] + v[0]],
+        {"states": 2, "disturbances": 2, "outputs": 1},
+        time_unit="min",
+        name="batch reactor",
+    )
+    return plant.in_region([0.1, 0.0], [3.0, 4.5], [[1.0, 2.0]], [9.0])
+
+
+def quadruple_tank() -> NonlinearPlant:
+    """Return four coupled tanks, the levels [cm] of the lower two measured, each between 2 and 20 cm."""
+    ca = casadi()
+    area, hole, gravity = (28.0, 32.0, 28.0, 32.0), (0.071, 0.057, 0.071, 0.057), 981.0
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        out = [hole[k] * ca.sqrt(2 * gravity * x[k]) for k in range(4)]
+        return [
+            (-out[0] + out[2] + 0.7 * u[0]) / area[0] + w[0],
+            (-out[1] + out[3] + 0.6 * u[1]) / area[1] + w[1],
+            (-out[2] + 0.4 * u[1]) / area[2] + w[2],
+            (-out[3] + 0.3 * u[0]) / area[3] + w[3],
+        ]
+
+    plant = NonlinearPlant(
+        dynamics,
+        lambda x, u, v: [x[0] + v[0], x[1] + v[1]],
+        {"states": 4, "inputs": 2, "disturbances": 4, "outputs": 2},
+        name="quadruple tank",
+    )
+    return plant.in_region([2.0] * 4, [20.0] * 4)

@@ -1,0 +1,133 @@
+"""What certificates ask of a nonlinear plant: functions as instructions, and Jacobians at points of the region."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, short
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.instructions import instructions
+from sampling_design.nonlinear.region import drawn, ends
+from sampling_design.plants.inclusion import Members
+from sampling_design.plants.plant import Plant
+
+if TYPE_CHECKING:
+    from casadi import SX
+
+    from sampling_design.nonlinear.model import NonlinearPlant
+
+Array = npt.NDArray[np.float64]
+
+POINTS = 600
+"""Random points of the region whose Jacobians are members, and as many on its faces."""
+SAME = 1e-9
+"""Jacobians this near, relative to the largest entries, are one."""
+SUSPECTS = 12
+"""Linearisations in which a refusal looks for what has no certificate."""
+
+
+class Symbols(NamedTuple):
+    """x, u, w, f(x, u, w) and h(x, u) as dense columns."""
+
+    x: SX
+    u: SX
+    w: SX
+    f: SX
+    h: SX
+
+
+def symbols_of(plant: NonlinearPlant) -> Symbols:
+    """Return the plant's functions without noise.
+
+    Raises
+    ------
+    ArgumentError
+        If the noise is not added to the outputs, one to each.
+    """
+    ca = casadi()
+    x, u = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs)
+    w, v = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("v", plant.n_noises)
+    shown = plant.h_casadi(x, u, v)
+    slope = ca.jacobian(shown, v)
+    square = plant.n_noises == plant.n_outputs and slope.is_constant()
+    if plant.n_noises and not (square and np.array_equal(np.array(ca.DM(slope)), np.eye(plant.n_noises))):
+        raise ArgumentError("`measurement` must add one noise to each output, y = h(x, u) + v, for a certificate.")
+    quiet = ca.substitute(shown, v, ca.SX.zeros(plant.n_noises)) if plant.n_noises else shown
+    return Symbols(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
+
+
+def model_of(plant: NonlinearPlant) -> dict[str, Plain]:
+    """Return the plant as certificate files hold it."""
+    ca, s = casadi(), symbols_of(plant)
+    f, h = ca.Function("dynamics", [s.x, s.u, s.w], [s.f]), ca.Function("measurement", [s.x, s.u], [s.h])
+    boxes: dict[str, Plain] = {
+        key: {"low": ends(plant.bounds[name][0]), "high": ends(plant.bounds[name][1])}
+        for key, name in (("u", "inputs"), ("w", "disturbances"))
+    }
+    programs: dict[str, Plain] = {"f": instructions(f, ("x", "u", "w")), "h": instructions(h, ("x", "u"))}
+    return {"kind": "nonlinear", **programs, **plant.region.to_dict(), **boxes}
+
+
+def points_of(plant: NonlinearPlant, rng: np.random.Generator, count: int = POINTS) -> tuple[Array, Array, Array]:
+    """x, u and w at points of the region and the boxes."""
+    region, n, m = plant.region, plant.n_states, plant.n_inputs
+    names = ("states", "inputs", "disturbances")
+    boxes = [(region.lower, region.upper), plant.bounds["inputs"], plant.bounds["disturbances"]]
+    low, high = (np.concatenate([box[k] for box in boxes]) for k in (0, 1))
+    scales = np.concatenate([plant.signals[name].scales for name in names])
+    z = drawn(low, high, scales, count, rng)
+    z = z[region.holds(z[:, :n])]
+    return z[:, :n], z[:, n : n + m], z[:, n + m :]
+
+
+def jacobians_at(plant: NonlinearPlant, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
+    """(A, G) side by side (K, n, n + q) and C (K, p, n) at K points; those that are not finite are left out."""
+    ca, s = casadi(), symbols_of(plant)
+    both = ca.Function("both", [s.x, s.u, s.w], [
+        ca.densify(ca.horzcat(ca.jacobian(s.f, s.x), ca.jacobian(s.f, s.w))), ca.densify(ca.jacobian(s.h, s.x)),
+    ])  # fmt: skip
+    AG, C = (np.array(part) for part in both.map(len(x))(x.T, u.T, w.T))
+    n, p, count = plant.n_states, plant.n_outputs, len(x)
+    stack = AG.reshape(n, count, -1).transpose(1, 0, 2), C.reshape(p, count, n).transpose(1, 0, 2)
+    fine = np.isfinite(stack[0]).all(axis=(1, 2)) & np.isfinite(stack[1]).all(axis=(1, 2))
+    return stack[0][fine], stack[1][fine]
+
+
+def members_of(plant: NonlinearPlant, rng: np.random.Generator) -> Members:
+    """Jacobians at points of the region, equal ones once.
+
+    Raises
+    ------
+    ArgumentError
+        If no point lies in the region or no Jacobian there is finite.
+    """
+    points = points_of(plant, rng)
+    AG, C = jacobians_at(plant, *points) if len(points[0]) else (np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
+    if not len(AG):
+        raise ArgumentError("`region` must hold states at which the model has derivatives, got none among its points.")
+    AG, C = distinct(AG), distinct(C)
+    return Members(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
+
+
+def distinct(stack: Array) -> Array:
+    """Matrices that differ."""
+    size = np.abs(stack).max(axis=0)
+    grain = SAME * np.where(size > 0, size, 1.0)
+    _, first = np.unique(np.round(stack / grain).reshape(len(stack), -1), axis=0, return_index=True)
+    return stack[np.sort(first)]
+
+
+def linearisations_of(plant: NonlinearPlant, rng: np.random.Generator) -> list[tuple[str, Plant]]:
+    """Linear plants at points of the region."""
+    x, u, _ = points_of(plant, rng, SUSPECTS)
+    found = []
+    for a, b in zip(x[:SUSPECTS], u[:SUSPECTS], strict=True):
+        try:
+            found.append((f"x = {short(a)}", plant.linearise(a, b)))
+        except ArgumentError:
+            continue  # not finite there
+    return found

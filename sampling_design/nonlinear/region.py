@@ -1,0 +1,117 @@
+"""The region of a nonlinear plant, and what its Jacobians are there: a box, cut by half-spaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+
+FAR = 10.0
+"""Scales beyond zero up to which an unbounded entry is looked at: sampling only, proofs take it as unbounded."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StateRegion(Record):
+    """A convex set of states: lower <= x <= upper and rows x <= offsets.
+
+    Parameters
+    ----------
+    lower, upper : (n,) arrays
+        Infinite entries mean no bound.
+    rows : (m, n) array, optional
+    offsets : (m,) array, optional
+
+    Raises
+    ------
+    ArgumentError
+        If sizes differ or the box is empty.
+    """
+
+    lower: Array
+    upper: Array
+    rows: Array = None  # type: ignore[assignment]
+    offsets: Array = None  # type: ignore[assignment]
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            lower: npt.ArrayLike,
+            upper: npt.ArrayLike,
+            rows: npt.ArrayLike | None = None,
+            offsets: npt.ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        lower, upper = (_checks.floats(key, getattr(self, key)) for key in ("lower", "upper"))
+        wrong = lower.ndim != 1 or lower.shape != upper.shape or np.isnan([lower, upper]).any()
+        if wrong or np.any(lower > upper):
+            raise ArgumentError("`lower` and `upper` of a region must be vectors of one length, lower <= upper.")
+        n = lower.size
+        rows = _checks.matrix("rows", np.zeros((0, n)) if self.rows is None else self.rows, None, n)
+        offsets = _checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
+        for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
+            object.__setattr__(self, key, _frozen(value))
+
+    def holds(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether states (..., n) lie in the region."""
+        points = _checks.floats("x", x)
+        inside = np.all((points >= self.lower) & (points <= self.upper), axis=-1)
+        return np.asarray(inside & np.all(points @ self.rows.T <= self.offsets, axis=-1))
+
+    @property
+    def middle(self) -> Array:
+        """The middle of the box; of an unbounded side the number nearest to 0."""
+        whole = np.isfinite(self.lower) & np.isfinite(self.upper)
+        with np.errstate(invalid="ignore"):
+            return np.where(whole, self.lower / 2 + self.upper / 2, np.clip(0.0, self.lower, self.upper))
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; unbounded ends are None."""
+        return {
+            "x": {"low": ends(self.lower), "high": ends(self.upper)},
+            "rows": self.rows.tolist(),
+            "offsets": self.offsets.tolist(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("lower", short(self.lower)), ("upper", short(self.upper))]
+        return [*rows, *([("half-spaces", str(len(self.rows)))] if len(self.rows) else [])]
+
+    def explain(self) -> str:
+        """Say which states belong."""
+        more = f" and {len(self.rows)} half-spaces" if len(self.rows) else ""
+        return f"States between {short(self.lower)} and {short(self.upper)}{more}."
+
+
+def _frozen(value: Array) -> Array:
+    value = np.array(value)
+    value.flags.writeable = False
+    return value
+
+
+def ends(values: Array) -> list[Plain]:
+    """Numbers, None where they are infinite."""
+    return [float(v) if np.isfinite(v) else None for v in values.tolist()]
+
+
+def drawn(lower: Array, upper: Array, scales: Array, count: int, rng: np.random.Generator) -> Array:
+    """Points of a box: corners (up to 64), the middle, faces, and random ones; unbounded sides reach `FAR` scales."""
+    below, above = np.isfinite(lower), np.isfinite(upper)
+    low = np.where(below, lower, np.minimum(-FAR * scales, np.where(above, upper - FAR * scales, 0.0)))
+    high = np.where(above, upper, np.maximum(FAR * scales, np.where(below, lower + FAR * scales, 0.0)))
+    n = low.size
+    signs = rng.random((64, n)) < 0.5 if n > 6 else (np.arange(2**n)[:, None] >> np.arange(n)) % 2 == 1
+    corners = np.where(signs, high, low)
+    inside = low + rng.random((count, n)) * (high - low)
+    onto = rng.random((count, n)) < 0.4
+    faces = np.where(onto, np.where(rng.random((count, n)) < 0.5, low, high), inside)
+    return np.vstack([corners, (low + high)[None] / 2, inside, faces])

@@ -67,3 +67,16 @@ def test_what_a_user_gets_has_names_and_no_places():
     results = public_results()
     assert len(results) > 300  # the walk found them
     assert {name: long_tuples(hint) for name, hint in results.items() if long_tuples(hint)} == {}
+
+
+MOST_PARAMETERS = 19
+"""Of the longest signature, a moving horizon estimator's. What belongs together is one record; never raise it."""
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_signature_is_a_list_of_everything(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef):
+            asked = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            count = len([a for a in asked if a not in ("self", "cls")])
+            assert count <= MOST_PARAMETERS, f"{node.name} at line {node.lineno} has {count} parameters"

@@ -19,6 +19,7 @@ ROOMS = {
     "observability": "What samples show",
     "recovery": "How well anybody can know",
     "design": "When to sample",
+    "planning": "Which readings keep a promise",
     "certificates": "What a schedule proves",
     "estimators": "What the state is",
     "nonlinear": "Nonlinear plants",
@@ -32,7 +33,7 @@ FLOORS = (
     ("recovery",),
     ("design", "certificates"),
     ("estimators",),
-    ("nonlinear", "validation"),
+    ("planning", "nonlinear", "validation"),
     ("plotting",),
     ("cli",),
 )

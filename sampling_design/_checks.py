@@ -70,6 +70,14 @@ def floats(name: str, value: object) -> Array:
     return np.array(_as_reals(name, value), dtype=np.float64)
 
 
+def dimensions(value: object) -> int:
+    """0 for a number, 1 for a list, 2 for a table; 1 too for rows of unequal length, which their owner refuses."""
+    try:
+        return np.asarray(value).ndim
+    except ValueError:
+        return 1
+
+
 def described(value: object) -> str:
     """Return what came, on one line: a plain value or container with its type, anything else by its type alone."""
     if value is None:

@@ -99,6 +99,8 @@ def things() -> dict[str, Any]:
         "unseen": sd.unseen_modes(plant),
         "counterexample": sd.find_counterexample(plant, sd.GapRange(1.0, 4.0), 0.1)[0],
         "set": sd.ConvexSet.box([-1.0, -1.0], [1.0, 1.0]),
+        "held": sd.Constraints(x=(-1.0, 1.0)),
+        "sparse": sd.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
     }
 
 
@@ -244,7 +246,8 @@ OWNERS = {
     "Robustness": "robustness", "FourHorizons": "horizons", "ProofConstants": "proof", "TradeoffCurve": "tradeoff",
     "InformationCurve": "curve", "ValidationReport": "report", "ScheduleLog": "log",
     "DetectabilityEvidence": "evidence",
-    "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set", "Horizon": None, "Finding": None,
+    "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
+    "Constraints": "held", "SparsePlant": "sparse", "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
     "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,

@@ -226,6 +226,9 @@ class PlanRequirement(Record):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
+        if not isinstance(self.accuracy, (Mapping, type(None))):
+            came = _checks.described(self.accuracy)
+            raise ArgumentError(f"`accuracy` must be a table of goals by row, got {came}.")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
         own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
         if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):

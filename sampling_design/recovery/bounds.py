@@ -114,7 +114,7 @@ def _one(name: str, value: Given, names: tuple[str, ...]) -> tuple[Array, Array,
     if isinstance(value, tuple) and len(names) == 1 and len(value) == 2:
         half, centre = half_and_centre(name, value)
         return np.array([half]), np.array([centre]), False
-    if np.ndim(value) == 0:
+    if _checks.dimensions(value) == 0:
         return np.full(len(names), _checks.nonnegative(name, value)), nothing, True
     array = np.array(_checks.vector(name, value, len(names)))
     if np.any(array < 0):
@@ -151,7 +151,7 @@ def _each(value: Given, plant: Plant, samples: int, times: Array | None) -> tupl
             pairs = [half_and_centre(f"v_bound[{name!r}]", one) for one in given]
             v[:, at], centre[:, at] = np.array(pairs).reshape(-1, 2).T
         return v, centre, False
-    if not isinstance(value, tuple) and np.ndim(value) == 2:
+    if not isinstance(value, tuple) and _checks.dimensions(value) == 2:
         v = np.array(_checks.matrix("v_bound", value, samples, len(names)))
         if np.any(v < 0):
             raise ArgumentError(f"`v_bound` must not be negative, got {float(v.min())!r}.")

@@ -290,9 +290,9 @@ def _intensity(plant: Plant, value: Intensity) -> Array:
             "`w_intensity` is missing: give the intensity of the white noise w [its unit squared times "
             f"{plant.time_unit}], 0 where there is none."
         )
-    if np.ndim(value) == 0:
+    if _checks.dimensions(value) == 0:
         return np.eye(q) * _checks.nonnegative("w_intensity", value)
-    if np.ndim(value) == 1:
+    if _checks.dimensions(value) == 1:
         entries = _checks.vector("w_intensity", value, q)
         if np.any(entries < 0):
             raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
@@ -311,11 +311,11 @@ def _deviation(plant: Plant, samples: int, value: Intensity) -> Array:
         raise ArgumentError(
             f"`v_deviation` is missing: give the standard deviation of the noise of {', '.join(plant.outputs.names)}."
         )
-    if np.ndim(value) == 0:
+    if _checks.dimensions(value) == 0:
         return np.full((samples, p), _checks.nonnegative("v_deviation", value))
     array = (
         np.array(_checks.matrix("v_deviation", value, samples, p))
-        if np.ndim(value) == 2
+        if _checks.dimensions(value) == 2
         else np.broadcast_to(_checks.vector("v_deviation", value, p), (samples, p)).copy()
     )
     if np.any(array < 0):

@@ -50,7 +50,7 @@ class StartError:
         if bound is None:
             return cls()
         n = plant.n_states
-        if np.ndim(bound) == 0:
+        if _checks.dimensions(bound) == 0:
             return cls(freeze(np.eye(n) * _checks.nonnegative("initial_error", bound)), n > 1)
         size = _checks.vector("initial_error", bound, n)
         if np.any(size < 0):

@@ -103,12 +103,12 @@ class InitialSet:
         if isinstance(value, Mapping):
             half, centre = named_bounds("initial_error", value, plant.states.names, np.inf)
             return cls._box(half, centre)
-        if np.ndim(value) == 0:
+        if _checks.dimensions(value) == 0:
             radius = _checks.nonnegative("initial_error", value)
             if radius == 0 or n == 1:
                 return cls._box(np.full(n, radius), centre)
             return cls(freeze(np.eye(n) / radius), True, known, freeze(centre))
-        if np.ndim(value) == 2:
+        if _checks.dimensions(value) == 2:
             P = _checks.symmetric("initial_error", value, n)
             d = np.sqrt(np.abs(np.diag(P)))
             d = np.where(d > 0, d, 1.0)

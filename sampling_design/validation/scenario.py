@@ -63,7 +63,7 @@ class ScenarioBounds:
 def _bound(name: str, value: npt.ArrayLike | None, scales: Array) -> Array:
     if value is None:
         return scales
-    if np.ndim(value) == 0:
+    if _checks.dimensions(value) == 0:
         return np.asarray(_checks.nonnegative(name, value))
     found = _checks.vector(name, value, scales.size)
     if np.any(found < 0):

@@ -15,6 +15,7 @@ from sampling_design import (
     certify_from_proof,
     constants_from_proof,
     detectability_from_proof,
+    four_horizons,
     split_modes,
 )
 from sampling_design.certificates.paper import gain_sweep
@@ -313,3 +314,10 @@ def test_exhausted_cells_leave_a_proven_bound():
     bound = largest_flow(np.ones((1, 2)), A, np.eye(2), 10.0, cells=200)
     assert 2.0 - 1e-5 <= bound.upper < 10.0
     assert largest_flow(np.zeros((1, 0)), np.zeros((0, 0)), np.zeros((0, 1)), 1.0).upper == 0.0
+
+
+def test_a_plant_without_states_has_no_proof_and_its_horizons_say_so():
+    empty, schedule = Plant(np.zeros((0, 0)), np.zeros((1, 0))), PeriodicSchedule([1.0])
+    with pytest.raises(ArgumentError, match="`plant` must have at least one state: of none the paper's proof"):
+        constants_from_proof(empty, schedule)
+    assert "at least one state" in str(four_horizons(empty, schedule).rows[0].note)

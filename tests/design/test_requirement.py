@@ -109,6 +109,8 @@ def test_another_ending_is_not_written(tmp_path):
         ({"forbidden": [[-1.0, 1.0]]}, "`forbidden` must not be negative, got -1.0"),
         ({"forbidden": [[0.0, 9.0]], "period": 4.0}, "`forbidden` must lie within the period 4.0, got 9.0"),
         ({"fixed": [4.0], "period": 4.0}, "`fixed` must lie in [0, period) = [0, 4.0), got 4.0"),
+        ({"outputs": len}, "`outputs` must be a table of outputs by name, got"),
+        ({"forbidden": [[0.0], [1.0, 2.0]]}, "`forbidden` must be a rectangular array of numbers"),
         ({"outputs": {"y": 3}}, "`outputs.y` must be a table with available and cost, got 3"),
         ({"outputs": {"y": {"cost": -1}}}, "`cost` must not be negative"),
         ({"scaled": 1}, "`scaled` must be true or false, got 1"),

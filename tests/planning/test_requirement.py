@@ -18,6 +18,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
+        ({"accuracy": len}, "`accuracy` must be a table of goals by row, got"),
         ({"accuracy": {"x1": 0.0}}, "accuracy.x1.* must be positive"),
         ({"accuracy": {"x1": {"tolerance": 1.0, "kind": "sure"}}}, "`kind` must be one of 'guaranteed'"),
         ({"accuracy": {"x1": {"kind": "guaranteed"}}}, r"`accuracy.x1.tolerance` is missing"),

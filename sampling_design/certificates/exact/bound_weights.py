@@ -68,7 +68,7 @@ def weights_from_bounds(
 
 def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:
     """Q with |z|^2_Q <= 1 wherever the bound holds."""
-    if np.ndim(bound) == 0:
+    if _checks.dimensions(bound) == 0:
         return np.eye(size) / _checks.positive(name, bound) ** 2
     entries = _checks.vector(name, bound, size)
     if np.any(entries <= 0):

@@ -237,7 +237,7 @@ class SampledCertificate(Record, ABC):
         """
         found = self.horizon(theorem, length)
         times = _checks.floats("t", t)
-        initial = _checks.real_array("e0", e0, np.ndim(e0))
+        initial = _checks.real_array("e0", e0, _checks.dimensions(e0))
         w, v = _checks.nonnegative("w_bound", w_bound), _checks.nonnegative("v_bound", v_bound)
         unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers
         start, w2, v2 = float(np.sum(np.square(initial / unit))), (w / unit) ** 2, (v / unit) ** 2

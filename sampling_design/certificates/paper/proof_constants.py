@@ -209,6 +209,8 @@ def constants_from_proof(
     """
     if variant not in _CHAINS:
         raise ArgumentError(f'`variant` must be "paper" or "tightened", got {variant!r}.')
+    if not plant.n_states:
+        raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
     schedule = meet(plant, schedule)
     split = split_modes(plant)
     share = None if variant == "paper" else RESIDUAL_SHARE

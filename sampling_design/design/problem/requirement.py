@@ -129,6 +129,9 @@ class Requirement(Record):
         own["decay_rate"] = _checks.nonnegative("decay_rate", self.decay_rate)
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = _checks.increasing("fixed", () if self.fixed is None else self.fixed)
+        if not isinstance(self.outputs, (Mapping, type(None))):
+            came = _checks.described(self.outputs)
+            raise ArgumentError(f"`outputs` must be a table of outputs by name, got {came}.")
         own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
@@ -235,7 +238,7 @@ def _spans(value: Array | None, empty: str) -> str:
 
 def _intervals(name: str, value: npt.ArrayLike) -> Array:
     """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
-    if np.size(value) == 0:
+    if not _checks.floats(name, value).size:
         return _checks.freeze(np.zeros((0, 2)))
     array = _checks.matrix(name, value, None, 2)
     if np.any(array < 0):

@@ -194,7 +194,7 @@ def noise_bound(name: str, value: npt.ArrayLike | None, length: int) -> Array | 
     """
     if value is None:
         return None
-    if np.ndim(value) == 0:
+    if _checks.dimensions(value) == 0:
         return np.asarray(_checks.nonnegative(name, value))
     bound = _checks.vector(name, value, length)
     if np.any(bound < 0):

@@ -56,6 +56,7 @@ from sampling_design.estimators.online.estimator import Sample as Sample
 from sampling_design.estimators.records.measurements import Measurements as Measurements
 from sampling_design.estimators.records.measurements import read_measurements as read_measurements
 from sampling_design.estimators.records.measurements import write_measurements as write_measurements
+from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.nonlinear import thyroid as thyroid
 from sampling_design.nonlinear.conversion import from_expressions as from_expressions
 from sampling_design.nonlinear.conversion import from_linear as from_linear
@@ -89,6 +90,7 @@ from sampling_design.recovery.deviation import standard_deviation as standard_de
 from sampling_design.recovery.interval import interval as interval
 from sampling_design.recovery.limit import limit as limit
 from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains
+from sampling_design.recovery.record_bounds import bounds_from_record as bounds_from_record
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.files import read_schedule as read_schedule

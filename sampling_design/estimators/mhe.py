@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.assumed import common, one_sided
+from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
@@ -19,7 +19,7 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Sample
-from sampling_design.estimators.online.evidence import Assumptions, SetBounds
+from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import CONTRADICTION, OpenLoopEstimator, Verdict
@@ -28,7 +28,7 @@ from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.square_root import covariance_root
 from sampling_design.estimators.window.window_problem import Window, build_window
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Push, StartError
+from sampling_design.recovery.readings import StartError
 
 Array = npt.NDArray[np.float64]
 
@@ -184,16 +184,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
 
     def _assumptions(self, error: StartError) -> Assumptions | None:
-        found, sets = super()._assumptions(error), self.constraints
-        if found is None:
-            return None
-        noise = Push(found.noise.centre, np.diag(found.noise.size), found.noise.ball)
-        noise = common("v", noise, sets.v)
-        size = np.linalg.norm(noise.root, axis=1)
-        if noise.ball and np.any(noise.root != np.diag(size)):
-            noise = Push(noise.centre, np.diag(size), False)
-        heard = SetBounds(noise.centre, size, noise.ball)
-        return replace(found, push=common("w", found.push, sets.w), noise=heard, state=one_sided(sets.x))
+        found = super()._assumptions(error)
+        return None if found is None else narrowed(found, self.constraints)
 
     def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._conic import UNBOUNDED, ConeSolver
+from sampling_design._conic import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.recovery.readings import Readings
 
 if TYPE_CHECKING:
@@ -144,8 +144,11 @@ class RecordCones:
             found[chosen] = y[at + 1 : at + 1 + len(chosen)]
         return found / self._unit, y[: (self._K - 1) * self._n].reshape(-1, self._n)
 
-    def grown(self, which: str) -> Array | None:
-        """Return multipliers of the least growth of some bounds under which something is possible; None: none is."""
+    def grown(self, which: str) -> tuple[Array | None, float]:
+        """Return the least multiple of some bounds under which something is possible, and its multipliers first.
+
+        Where no multiple suffices the multipliers are a ray; None where the solver brought nothing.
+        """
         from scipy import sparse
 
         column, b = np.zeros(len(self.b)), self.b.copy()
@@ -156,8 +159,10 @@ class RecordCones:
         A = sparse.hstack([self._A, sparse.csc_matrix(-column[:, None])])
         cost = np.zeros(self.columns + 1)
         cost[-1] = 1.0
-        _, y, status = ConeSolver(sparse.csc_matrix(A), self._cones).solve(cost, b)
-        return None if status == UNBOUNDED or not np.isfinite(y).all() else np.asarray(y, dtype=np.float64)
+        x, y, status = ConeSolver(sparse.csc_matrix(A), self._cones).solve(cost, b)
+        if status == UNBOUNDED or not np.isfinite(y).all():
+            return None, np.inf
+        return np.asarray(y, dtype=np.float64), np.inf if status == INFEASIBLE else max(float(x[-1]), 0.0)
 
 
 class ConeTable:

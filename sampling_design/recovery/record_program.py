@@ -332,12 +332,24 @@ class RecordProgram:
 
     def least_growth(self, which: str) -> Array:
         """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow."""
-        posed = self.posed()
-        y = posed.grown(which)
-        zero = np.zeros(len(self.table.D))
-        if y is None:
-            return np.zeros(len(self.H))
-        return self._steadied(zero, *posed.read(y))
+        return self.least_multiple(which)[2]
+
+    def least_multiple(self, which: str) -> tuple[float, float, Array]:
+        """Return what gains prove to be the least multiple of some bounds, one that suffices, and those gains.
+
+        Cells become finer until both are equal but for `CLOSED`.
+        """
+        best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
+        for level in range(LEVELS):
+            posed = self.posed(level)
+            y, multiple = posed.grown(which)
+            if y is not None:
+                enough = min(enough, multiple)
+                gains = self._steadied(zero, *posed.read(y))
+                best = max(best, (self.growth(which, gains), gains), key=lambda pair: pair[0])
+            if y is None or best[0] >= (1 - CLOSED) * enough:
+                break
+        return best[0], enough, best[1]
 
     def growth(self, which: str, gains: Array) -> float:
         """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""

@@ -135,3 +135,32 @@ def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
     push = Push(np.zeros(2), np.eye(2), False)
     with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
         gathered(PLANT, push, StartError(), np.zeros(2), 0.0, rows, ball=False)
+
+
+def test_the_set_membership_estimator_returns_the_centre():
+    estimator = sd.SetMembershipEstimator(PLANT, **GIVEN)
+    first = estimator.update(*RECORD[0])
+    assert np.isfinite(first.radii[0])
+    assert np.isinf(first.radii[1])
+    assert not first.certified
+    for row in RECORD[1:]:
+        estimate = estimator.update(*row)
+        truth = np.array([np.sin(row[0]), np.cos(row[0])])
+        assert estimate.certified
+        assert estimate.holds(truth)
+        assert np.all(np.abs(truth - estimate.x) <= estimate.radii)
+    alone = interval(PLANT, RECORD, **GIVEN)
+    assert estimate.x == pytest.approx(alone.centre, abs=1e-4)
+    assert estimate.radii == pytest.approx(alone.radii, rel=1e-4)
+    other = followed(MAKERS["filter"]())
+    assert np.all(estimate.radii <= other.radii * (1 + 1e-6))
+    known = followed(sd.SetMembershipEstimator(PLANT, constraints=sd.Constraints(x=([-9, -9], [9, 0.95])), **GIVEN))
+    assert known.radii[1] < 0.98 * estimate.radii[1]
+    later = estimator.predict(7.0)
+    assert later.holds([np.sin(7.0), np.cos(7.0)])
+    wrong = estimator.update(6.4, [5.0])
+    assert (wrong.status, wrong.certified) == ("bounds disproved", False)
+    assert np.isnan(wrong.radii).all()
+    assert "contradict the bounds" in wrong.note
+    with pytest.raises(ArgumentError, match="`v_bound` is missing: without it no set is bounded"):
+        sd.SetMembershipEstimator(PLANT, w_bound=0.1)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
+from sampling_design.estimators.online.evidence import Assumptions, SetBounds
 from sampling_design.recovery.readings import Push, Row
 
 Array = npt.NDArray[np.float64]
@@ -52,3 +56,12 @@ def one_sided(chosen: ConvexSet | None) -> tuple[Row, ...]:
     found += [Row(-row, -float(bound), 0.0, True) for row, bound in zip(identity, lower, strict=True)]
     found += [Row(row, float(bound), 0.0, True) for row, bound in zip(chosen.rows, chosen.offsets, strict=True)]
     return tuple(row for row in found if np.isfinite(row.y))
+
+
+def narrowed(found: Assumptions, sets: WindowConstraints) -> Assumptions:
+    """Return assumptions with constraint sets for x, v and w; one for the measured output says nothing new."""
+    noise = common("v", Push(found.noise.centre, np.diag(found.noise.size), found.noise.ball), sets.v)
+    size = np.linalg.norm(noise.root, axis=1)
+    straight = bool(np.all(noise.root == np.diag(size))) if noise.root.shape == (size.size,) * 2 else False
+    heard = SetBounds(noise.centre, size, noise.ball and straight)
+    return replace(found, push=common("w", found.push, sets.w), noise=heard, state=one_sided(sets.x))

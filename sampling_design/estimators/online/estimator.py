@@ -170,8 +170,7 @@ class Estimate(Record):
             raise ArgumentError(
                 "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
             )
-        ellipsoid = self.x, self.radius * self.covariance
-        return self.proof.interval(self.t, of, ellipsoid if self.certified else None)
+        return self.proof.interval(self.t, of, (self.x, self.radius * self.covariance) if self.certified else None)
 
     @cached_property
     def Pi(self) -> Array:

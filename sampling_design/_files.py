@@ -16,7 +16,7 @@ from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:

@@ -14,7 +14,7 @@ from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Sample
+from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator, Verdict
@@ -82,7 +82,7 @@ class KalmanFilter(OpenLoopEstimator):
         self._set_bounds(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 
-    def _advance(self, state: State, sample: Sample) -> Node:
+    def _advance(self, state: State, sample: Taken) -> Node:
         y, mask, feedthrough = self._measured(state, sample)
         last, weights = state.last, self.weights
         (flow,) = self.table.get([sample.t - last.t])
@@ -116,7 +116,7 @@ class KalmanFilter(OpenLoopEstimator):
     def _node(
         self,
         state: State,
-        measured: tuple[Sample, Array, Array, Array],
+        measured: tuple[Taken, Array, Array, Array],
         held: tuple[Array, Array, GapFlow, Array],
         found: Verdict,
         details: dict[str, Any],
@@ -152,7 +152,7 @@ class KalmanFilter(OpenLoopEstimator):
         )
 
     def _blame(
-        self, sample: Sample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
+        self, sample: Taken, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""
         (half, cost), (terms, own) = innovation, bounds

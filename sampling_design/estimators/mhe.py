@@ -18,7 +18,7 @@ from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import Contradiction, Sample
+from sampling_design.estimators.online.estimator import Contradiction, Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
@@ -205,7 +205,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         free = smooth(window)
         return solve_constrained(window, self.constraints, free, self.engine) if self.constraints.active else free
 
-    def _advance(self, state: State, sample: Sample) -> Node:
+    def _advance(self, state: State, sample: Taken) -> Node:
         self._prepare(state, sample.t)
         y, mask, feedthrough = self._measured(state, sample)
         start = self._start(state, sample.t)

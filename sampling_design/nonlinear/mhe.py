@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.online.estimator import Estimate, Sample, Status
+from sampling_design.estimators.online.estimator import Estimate, Status, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -182,9 +182,9 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         plant.f(x, np.zeros(plant.n_inputs))
         plant.h(x, np.zeros(plant.n_inputs))
         t = _checks.number("prior_time", prior_time)
-        return State((self._node(Sample(t), x, "prior"),))
+        return State((self._node(Taken(t), x, "prior"),))
 
-    def _node(self, sample: Sample, x: Array, status: Status, note: str = "", **details: Any) -> Node:
+    def _node(self, sample: Taken, x: Array, status: Status, note: str = "", **details: Any) -> Node:
         """Return a snapshot; what only the linear estimators keep is empty."""
         x = freeze(x)
         estimate = self._said(sample.t, x, status, note, **details)
@@ -211,7 +211,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         unknown = freeze(np.diag(np.full(x.size, np.inf)))
         return Estimate(t, freeze(x), unknown, status=status, note=" ".join(filter(None, (note, NOTE))), **details)
 
-    def _advance(self, state: State, sample: Sample) -> Node:
+    def _advance(self, state: State, sample: Taken) -> Node:
         data, guess = self._window(state, sample)
         solution, attempts = self._solve(data, guess)
         pieces = data.edges.size - 1
@@ -240,7 +240,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             seconds=first.seconds + second.seconds, iterations=first.iterations + second.iterations
         ), 2
 
-    def _window(self, state: State, sample: Sample) -> tuple[WindowData, WindowSolution]:
+    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
         start, prior, inside = self._start(state, sample.t)
         rows = {node.t: (node.y, node.mask) for node in inside}

@@ -16,7 +16,17 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.gap_table import GapTable
-from sampling_design.recovery.readings import Arrived, Push, Readings, Row, StartError, arrived, gathered
+from sampling_design.recovery.readings import (
+    Arrived,
+    Come,
+    Push,
+    Readings,
+    Row,
+    StartError,
+    arrived,
+    gathered,
+    rows_told,
+)
 from sampling_design.recovery.record_program import SPREADS, End, RecordProgram
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 
@@ -169,8 +179,9 @@ class Interval(Record):
 
     @property
     def centre(self) -> Array:
-        """The best point: no other estimate has a smaller largest error."""
-        return freeze((self.lower + self.upper) / 2)
+        """The best point: no other estimate has a smaller largest error. NaN where a row is unbounded both ways."""
+        with np.errstate(invalid="ignore"):
+            return freeze((self.lower + self.upper) / 2)
 
     @property
     def radii(self) -> Array:
@@ -250,7 +261,8 @@ def interval(
     ----------
     plant : Plant
     record : Measurements or iterable of (t, y, u)
-        In order of time; y is NaN where not measured, u holds from t on.
+        In order of time; y is NaN where not measured, u holds from t on. An entry of y may be `Below(0.5)` or
+        `Above(8)` (a limit of detection) or `Mean(3.1, since=0.0)` (a composite sample).
     t : float, optional
         At or after the last sample; default the last sample.
     w_bound, v_bound : float, array, mapping, or for v a function of time
@@ -360,43 +372,49 @@ def read_record(
     centre = _checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     items = arrived(record, plant.n_outputs)
     start = items[0][0] if prior_time is None and items else _checks.number("prior_time", prior_time or 0.0)
-    samples = _in_order(plant, items, start)
-    if not samples[0]:
+    samples, inputs = _in_order(plant, items, start)
+    if not samples:
         raise ArgumentError("`record` must hold at least one measurement, got none.")
-    y, times = np.array([values for _, values in samples[0]]), np.array([t for t, _ in samples[0]])
-    bounds = SignalBounds.of(plant, len(y), np.isfinite(y), w_bound, v_bound, times)
+    y, times = np.array([come.y for come in samples]), np.array([come.t for come in samples])
+    measured = np.isfinite(y)
+    for k, come in enumerate(samples):
+        measured[k, [each.output for each in come.told]] = True
+    bounds = SignalBounds.of(plant, len(y), measured, w_bound, v_bound, times)
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
     push = Push(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
-    heard = y if bounds.v_centre is None else y - bounds.v_centre
-    rows = [
-        (t, tuple(Row(plant.C[i], values[i], size[i]) for i in np.flatnonzero(np.isfinite(size))))
-        for t, values, size in zip(times.tolist(), heard, bounds.v, strict=True)
-    ]
+    centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
+    rows = []
+    for come, values, size, middle in zip(samples, y - centre_v, bounds.v, centre_v, strict=True):
+        seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
+        own = [Row(plant.C[i], values[i], size[i]) for i in seen]
+        for each in come.told:
+            i = each.output
+            own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs)
+        rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
     error = StartError.of(plant, initial_error)
-    return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=samples[1])
+    return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
 
 
-def _in_order(
-    plant: Plant, items: Sequence[tuple[float, Array | None, npt.ArrayLike | None]], start: float
-) -> tuple[list[tuple[float, Array]], tuple[tuple[float, Array], ...]]:
+def _in_order(plant: Plant, items: Sequence[Come], start: float) -> tuple[list[Come], tuple[tuple[float, Array], ...]]:
     """Samples less D u, and inputs."""
     now, u = start, np.zeros(plant.n_inputs)
-    samples: list[tuple[float, Array]] = []
+    samples: list[Come] = []
     inputs: list[tuple[float, Array]] = []
-    for t, y, given in items:
+    for come in items:
+        t = come.t
         if t < now:
             raise ArgumentError(
                 f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
             )
         now = t
-        if given is not None and plant.n_inputs:
-            u = np.array(_checks.vector("u", given, plant.n_inputs))
+        if come.u is not None and plant.n_inputs:
+            u = np.array(_checks.vector("u", come.u, plant.n_inputs))
             if inputs and inputs[-1][0] == t:
                 inputs.pop()
             inputs.append((t, u))
-        if y is None or not np.isfinite(y).any():
+        if come.y is None or not (come.told or np.isfinite(come.y).any()):
             continue
-        if samples and t == samples[-1][0]:
+        if samples and t == samples[-1].t:
             raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
-        samples.append((t, y - plant.D @ u))
+        samples.append(come._replace(y=come.y - plant.D @ u))
     return samples, tuple(inputs)

@@ -25,7 +25,7 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
-Arrived = tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]
+Arrived = tuple[float, object, npt.ArrayLike | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,108 @@ class Row(NamedTuple):
     size: float
     below: bool = False
     since: float | None = None
+
+
+@dataclass(frozen=True)
+class Below:
+    """A reading under the limit of detection: "<0.5"."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
+class Above:
+    """A reading beyond the instrument's range: ">8"."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A composite sample: the mean of the output from `since` until now, a number or itself a limit."""
+
+    value: float | Below | Above
+    since: float
+
+
+class Told(NamedTuple):
+    """What an output is known to lie between, now or (`since`) in the mean from that time on."""
+
+    output: int
+    lower: float
+    upper: float
+    since: float | None = None
+
+
+def told(y: object, p: int) -> tuple[object, tuple[Told, ...]]:
+    """Return measurements with NaN in place of limits and means, and those.
+
+    Raises
+    ------
+    ArgumentError
+        If a limit or the mean is not a finite number.
+    """
+    if isinstance(y, (Below, Above, Mean)):
+        y = [y]
+    if not isinstance(y, (list, tuple)) or not any(isinstance(value, (Below, Above, Mean)) for value in y):
+        return y, ()
+    plain: list[object] = []
+    found = []
+    for output, value in enumerate(y):
+        if isinstance(value, (Below, Above, Mean)):
+            found.append(_told(output, value))
+            plain.append(np.nan)
+        else:
+            plain.append(value)
+    return plain, tuple(found)
+
+
+def _told(output: int, value: Below | Above | Mean) -> Told:
+    since, held = (_checks.number("since", value.since), value.value) if isinstance(value, Mean) else (None, value)
+    if isinstance(held, Below):
+        return Told(output, -np.inf, _checks.number("limit", held.limit), since)
+    if isinstance(held, Above):
+        return Told(output, _checks.number("limit", held.limit), np.inf, since)
+    mean = _checks.number("value", held)
+    return Told(output, mean, mean, since)
+
+
+def as_typed(found: Told) -> Below | Above | Mean:
+    """Return what is told of an output as a user gives it."""
+    if np.isinf(found.lower):
+        value: float | Below | Above = Below(found.upper)
+    else:
+        value = Above(found.lower) if np.isinf(found.upper) else found.lower
+    if found.since is not None:
+        return Mean(value, found.since)
+    assert isinstance(value, (Below, Above))
+    return value
+
+
+def rows_told(
+    plant: Plant, t: float, found: Told, size: float, centre: float, inputs: Sequence[tuple[float, Array]]
+) -> tuple[Row, ...]:
+    """Return what is told of an output as rows of the state: less D u and the centre of the noise."""
+    i, n = found.output, plant.n_states
+    fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs)) + centre
+    H = plant.C[i]
+    if found.lower == found.upper:
+        return (Row(H, found.lower - fed, size, since=found.since),)
+    assert H.shape == (n,)
+    if np.isfinite(found.upper):
+        return (Row(H, found.upper - fed, size, True, found.since),)
+    return (Row(-H, fed - found.lower, size, True, found.since),)
+
+
+def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: float, count: int) -> Array:
+    """The input at t, or its mean from `since` until t; 0 before the first."""
+    times = [given for given, _ in inputs]
+    if since is None or since >= t:
+        at = bisect_right(times, t)
+        return inputs[at - 1][1] if at else np.zeros(count)
+    marks = [since, *(given for given in times if since < given < t), t]
+    held = [_mean_input(inputs, None, a, count) for a in marks[:-1]]
+    return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +386,16 @@ def gathered(
     return Readings(plant, push, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
 
 
-def arrived(items: Iterable[object], p: int) -> list[tuple[float, Array | None, npt.ArrayLike | None]]:
+class Come(NamedTuple):
+    """One row of a record."""
+
+    t: float
+    y: Array | None
+    u: npt.ArrayLike | None
+    told: tuple[Told, ...] = ()
+
+
+def arrived(items: Iterable[object], p: int) -> list[Come]:
     """Return the rows (t, y, u) of a record, checked one by one.
 
     Raises
@@ -295,16 +406,17 @@ def arrived(items: Iterable[object], p: int) -> list[tuple[float, Array | None, 
     return [_arrived(item, p) for item in items]
 
 
-def _arrived(item: object, p: int) -> tuple[float, Array | None, npt.ArrayLike | None]:
+def _arrived(item: object, p: int) -> Come:
     if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
         raise ArgumentError(f"`record` must hold rows (t, y, u), got {item!r:.60}.")
-    t = _checks.number("t", item[0])
+    t, u = _checks.number("t", item[0]), item[2] if len(item) == 3 else None
     if item[1] is None:
-        return t, None, item[2] if len(item) == 3 else None
+        return Come(t, None, u)
+    plain, limits = told(item[1], p)
     try:
-        y = np.asarray(item[1], dtype=np.float64).reshape(-1)
+        y = np.asarray(plain, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):
         y = np.full(p + 1, np.nan)
     if y.size != p or np.isinf(y).any():
         raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
-    return t, y, item[2] if len(item) == 3 else None
+    return Come(t, y, u, limits)

@@ -16,6 +16,7 @@ from sampling_design._record import Gridded, Plain, Record, Table, Variable, sho
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.interval import Interval
+from sampling_design.recovery.readings import Told
 from sampling_design.recovery.rows import Wanted
 
 Array = npt.NDArray[np.float64]
@@ -43,6 +44,15 @@ class Sample(NamedTuple):
     t: float
     y: Any = None
     u: Any = None
+
+
+class Taken(NamedTuple):
+    """A sample that was checked: limits and means among its outputs stand apart, y is NaN there."""
+
+    t: float
+    y: Any = None
+    u: Any = None
+    told: tuple[Told, ...] = ()
 
 
 class Contradiction(NamedTuple):

@@ -11,7 +11,7 @@ from sampling_design.estimators.online.history import Node
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.gap_table import GapTable
 from sampling_design.recovery.interval import Interval, prove
-from sampling_design.recovery.readings import Push, Readings, Row, StartError, gathered
+from sampling_design.recovery.readings import Push, Readings, Row, StartError, gathered, rows_told
 from sampling_design.recovery.record_program import RecordProgram
 from sampling_design.recovery.rows import Wanted, wanted_rows
 
@@ -111,7 +111,13 @@ class Evidence:
     def _rows(self, node: Node) -> tuple[Row, ...]:
         C, noise = self.assumed.plant.C, self.assumed.noise
         y = node.y - node.feedthrough - noise.centre
-        return tuple(Row(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask))
+        rows = [Row(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask)]
+        first = self.nodes[-(REMEMBERED + 1) :][0].t
+        for each in node.sample.told:
+            if each.since is None or each.since >= first:
+                size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
+                rows += rows_told(self.assumed.plant, node.t, each, size, centre, self.inputs)
+        return tuple(rows)
 
 
 def _root(Y: Array) -> Array:

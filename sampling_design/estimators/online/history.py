@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.estimator import Estimate, Sample
+from sampling_design.estimators.online.estimator import Estimate, Taken
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Node(NamedTuple):
     scheduled: bool
     sound: bool
     estimate: Estimate
-    sample: Sample
+    sample: Taken
     number: int = 0
 
 

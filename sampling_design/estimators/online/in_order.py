@@ -16,10 +16,11 @@ from sampling_design._door import doors
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
-from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample
+from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.records.measurements import DataFrame, Measured, read_measurements
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery.readings import Told, told
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +44,7 @@ class OnlineEstimator(ABC):
         doors(cls)
 
     @abstractmethod
-    def _advance(self, state: State, sample: Sample) -> Node:
+    def _advance(self, state: State, sample: Taken) -> Node:
         """Return the node of a checked sample that is later than all nodes of `state` (or at the prior's time)."""
 
     @abstractmethod
@@ -91,7 +92,7 @@ class OnlineEstimator(ABC):
         """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
         return state
 
-    def _late(self, state: State, sample: Sample) -> tuple[State, Estimate]:
+    def _late(self, state: State, sample: Taken) -> tuple[State, Estimate]:
         """Insert a sample (or an input) at or before the last node and replay what comes after it."""
         at = state.node_before(sample.t)
         first = [sample]
@@ -104,7 +105,7 @@ class OnlineEstimator(ABC):
             first = []
         return self._replay(state, at, first, sample.t)
 
-    def _replay(self, state: State, at: int, first: list[Sample], t: float) -> tuple[State, Estimate]:
+    def _replay(self, state: State, at: int, first: list[Taken], t: float) -> tuple[State, Estimate]:
         if at < 0:
             raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
         later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
@@ -114,7 +115,7 @@ class OnlineEstimator(ABC):
         replayed = replayed.trimmed(self.memory, self.remembered)
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
-    def _check(self, sample: Sample, state: State) -> Sample:
+    def _check(self, sample: Sample, state: State) -> Taken:
         t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)
         oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
         if t < oldest:
@@ -122,17 +123,24 @@ class OnlineEstimator(ABC):
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
                 f"samples (latest sample at {state.last.t!r})."
             )
-        y = None if sample.y is None else self._check_y(sample.y, t)
+        y, limits = told(sample.y, self.plant.n_outputs)
+        y = None if y is None else self._check_y(y, t, bool(limits))
+        if limits:
+            self._check_told(state, t, limits)
         if sample.u is None:
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
-            return Sample(t, y, None)
+            return Taken(t, y, None, limits)
         u = np.atleast_1d(_checks.floats("u", sample.u))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
-        return Sample(t, y, _checks.vector("u", u, self.plant.n_inputs))
+        return Taken(t, y, _checks.vector("u", u, self.plant.n_inputs), limits)
 
-    def _check_y(self, value: object, t: float) -> Array:
+    def _check_told(self, state: State, t: float, limits: tuple[Told, ...]) -> None:
+        """Refuse limits and means that say nothing here."""
+        raise ArgumentError(f"`y` holds a limit or a mean at t = {t!r}: this estimator takes plain numbers only.")
+
+    def _check_y(self, value: object, t: float, limited: bool) -> Array:
         try:
             y = np.atleast_1d(np.array(value, dtype=np.float64))
         except (TypeError, ValueError):
@@ -143,7 +151,7 @@ class OnlineEstimator(ABC):
         if not np.isfinite(y).all():
             if np.isinf(y).any():
                 raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
-            if np.isnan(y).all():
+            if np.isnan(y).all() and not limited:
                 raise ArgumentError(
                     f"`y` must measure at least one output, got all NaN at t = {t!r}. "
                     "Was the sample lost? Leave it out, or pass y=None if only the input changes."
@@ -237,7 +245,7 @@ def _is_time(value: object) -> bool:
     return isinstance(value, float) and math.isfinite(value)
 
 
-def _with_input(state: State, sample: Sample) -> State:
+def _with_input(state: State, sample: Taken) -> State:
     """Return the state that also knows the input from `sample.t` on."""
     at = bisect_left(state.inputs, sample.t, key=itemgetter(0))
     if at < len(state.inputs) and state.inputs[at][0] == sample.t:
@@ -251,17 +259,18 @@ def _with_input(state: State, sample: Sample) -> State:
     return State(state.nodes, (*state.inputs[:at], (sample.t, sample.u), *state.inputs[at:]), reached)
 
 
-def _merge(old: Sample, new: Sample) -> Sample | None:
+def _merge(old: Taken, new: Taken) -> Taken | None:
     """Join two samples at one time; None if the new one adds nothing."""
     if new.y is None:
         return old
+    limits = tuple(dict.fromkeys((*old.told, *new.told)))
     both = np.isfinite(old.y) & np.isfinite(new.y)
     if np.any(old.y[both] != new.y[both]):
         raise ArgumentError(
             f"`y` at t = {old.t!r} was already given as {old.y.tolist()}, got {new.y.tolist()}: duplicates must agree."
         )
-    if new.u is None and not np.any(np.isnan(old.y) & np.isfinite(new.y)):
+    if new.u is None and limits == old.told and not np.any(np.isnan(old.y) & np.isfinite(new.y)):
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return Sample(old.t, y, None)
+    return Taken(old.t, y, None, limits)

@@ -15,13 +15,13 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
-from sampling_design.estimators.online.estimator import Contradiction, Estimate, Sample, Status
+from sampling_design.estimators.online.estimator import Contradiction, Estimate, Status, Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Push, StartError
+from sampling_design.recovery.readings import Push, StartError, Told
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 Array = npt.NDArray[np.float64]
@@ -115,6 +115,24 @@ class OpenLoopEstimator(OnlineEstimator):
         push = Push(np.zeros(w.size), np.diag(w), w_ball)
         return Assumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), error)
 
+    def _check_told(self, state: State, t: float, limits: tuple[Told, ...]) -> None:
+        if self._assumed is None:
+            raise ArgumentError(
+                f"`w_bound` and `v_bound` must be given for the limit or mean at t = {t!r} to say anything."
+            )
+        for each in limits:
+            if each.since is None:
+                continue
+            begin = state.nodes[0].t
+            for node in state.nodes:
+                if any(other.output == each.output and other.since is not None for other in node.sample.told):
+                    begin = max(begin, node.t) if node.t < t else begin
+            if not begin <= each.since < t:
+                raise ArgumentError(
+                    f"`since` = {each.since!r} of the mean at t = {t!r} must lie before it and not before {begin!r}, "
+                    "the oldest time kept or the end of the mean before."
+                )
+
     def _handed_out(self, state: State, node: int) -> Estimate:
         return self._known(state, node, state.nodes[node].estimate)
 
@@ -163,7 +181,7 @@ class OpenLoopEstimator(OnlineEstimator):
             scheduled=scheduled,
             sound=True,
             estimate=estimate,
-            sample=Sample(t),
+            sample=Taken(t),
         )
         return State((node,))
 
@@ -279,7 +297,7 @@ class OpenLoopEstimator(OnlineEstimator):
         times = np.array([*(node.t for node in state.nodes), t])
         return self._watch.sample_fits(times, mask, first=last.sample.y is None)
 
-    def _measured(self, state: State, sample: Sample) -> tuple[Array, Array, Array]:
+    def _measured(self, state: State, sample: Taken) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
         seen = np.isfinite(sample.y)
         mask = seen.astype(np.float64)
@@ -297,9 +315,7 @@ class OpenLoopEstimator(OnlineEstimator):
         """Whether residuals, in units of their weights, are so large that their squares overflow."""
         return not bool((np.abs(weighted) < LARGEST).all())
 
-    def _overflowed(
-        self, state: State, sample: Sample, residual: Array, terms: float
-    ) -> tuple[Verdict, dict[str, str]]:
+    def _overflowed(self, state: State, sample: Taken, residual: Array, terms: float) -> tuple[Verdict, dict[str, str]]:
         """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
         last = state.last
         contradiction, words = last.estimate.contradiction, {"note": "A measurement is too large to be weighed."}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,8 +20,12 @@ from sampling_design._record import Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.recovery.readings import Told, as_typed
 
 Array = npt.NDArray[np.float64]
+
+SINCE = "_since"
+"""Ending of the column that says where a composite sample of an output began."""
 
 
 @runtime_checkable
@@ -66,6 +70,8 @@ class Measurements(Record):
         Inputs from each time on; NaN where unchanged. Default: none given.
     origin : str
         Date (ISO 8601) of time 0, if known.
+    told : tuple of tuples of Told, optional
+        For each row its limits and means (`Below`, `Above`, `Mean`); y is NaN there. Default: none.
 
     Raises
     ------
@@ -83,6 +89,7 @@ class Measurements(Record):
     y: Array
     u: Array = None  # type: ignore[assignment]
     origin: str = field(default="", kw_only=True)
+    told: tuple[tuple[Told, ...], ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Measured):
@@ -99,17 +106,38 @@ class Measurements(Record):
             owned[key] = array
         for key, held in owned.items():
             object.__setattr__(self, key, held)
+        rows = tuple(tuple(row) for row in self.told) or ((),) * times.size
+        if len(rows) != times.size or any(
+            not np.isnan(self.y[k, each.output]) for k, r in enumerate(rows) for each in r
+        ):
+            raise ArgumentError("`told` must have an entry for each row, and y be NaN where it says something.")
+        object.__setattr__(self, "told", rows)
 
     def __len__(self) -> int:
         return self.times.size
 
-    def __iter__(self) -> Iterator[tuple[float, Array | None, Array | None]]:
+    @property
+    def measured(self) -> npt.NDArray[np.bool_]:
+        """(N, p) where something was read: a number, a limit or a mean."""
+        found = np.isfinite(self.y)
+        for k, row in enumerate(self.told):
+            found[k, [each.output for each in row]] = True
+        return found
+
+    def __iter__(self) -> Iterator[tuple[float, Any, Array | None]]:
         for k in range(len(self)):
+            if self.told[k]:
+                y: list[object] = list(self.y[k])
+                for each in self.told[k]:
+                    y[each.output] = as_typed(each)
+                applied = self.u.shape[1] > 0 and not np.isnan(self.u[k]).all()
+                yield float(self.times[k]), y, self.u[k] if applied else None
+                continue
             measured, applied = ~np.isnan(self.y[k]).all(), self.u.shape[1] > 0 and not np.isnan(self.u[k]).all()
             yield float(self.times[k]), self.y[k] if measured else None, self.u[k] if applied else None
 
     def _rows(self) -> list[tuple[str, str]]:
-        counts = np.sum(~np.isnan(self.y), axis=0)
+        counts = np.sum(self.measured, axis=0)
         per_output = ", ".join(f"{n}: {c}" for n, c in zip(self.plant.outputs.names, counts, strict=True))
         span = f"{short(self.times.min())} to {short(self.times.max())} {self.plant.time_unit}" if len(self) else "-"
         return [("rows", str(len(self))), ("time", span), ("measured", per_output), ("origin", self.origin or "-")]
@@ -130,7 +158,9 @@ def read_measurements(
     path : path or DataFrame
         Header `time` (in the plant's time unit) or `date` (ISO 8601; naive means UTC), then the plant's
         output names, then its input names, in any order. An empty output cell is "not measured", an empty input cell
-        "unchanged". Lines that start with # are comments. Of a
+        "unchanged"; "<0.5" and ">8" are limits of detection. A column NAME_since beside an output NAME holds where a
+        composite sample began, in the unit of the first column: the output is the mean from then on. Lines that start
+        with # are comments. Of a
         frame, `time` or `date` may be the index, and NaN is what an empty cell is.
     plant : Plant
     origin : str, optional
@@ -159,7 +189,8 @@ def read_measurements(
         if len(cells) != len(header):
             raise FileFormatError(f"{where}: line {k} has {len(cells)} cells, expected {len(header)}.", where)
         cell = dict(zip(header, cells, strict=True))
-        table.add(k, clock.date(k, cell["date"]) if stamp == "date" else _number(where, k, "time", cell["time"]), cell)
+        read = clock.date if stamp == "date" else clock.time
+        table.add(k, read(k, cell[stamp]), cell, read)
     p, m = plant.n_outputs, plant.n_inputs
     known = "" if stamp == "time" or clock.zero is None else clock.zero.isoformat()
     return Measurements(
@@ -168,6 +199,7 @@ def read_measurements(
         np.reshape(table.y, (len(table.times), p)),
         np.reshape(table.u, (len(table.times), m)),
         origin=known,
+        told=tuple(table.told),
     )
 
 
@@ -185,6 +217,9 @@ class _Clock:
     def __init__(self, where: str, plant: Measured, zero: datetime | None):
         self.where, self.unit, self.zero = where, SECONDS[plant.time_unit], zero
 
+    def time(self, line: int, cell: str) -> float:
+        return _number(self.where, line, "time", cell)
+
     def date(self, line: int, cell: str) -> float:
         date = date_of(self.where, line, cell)
         self.zero = date if self.zero is None else self.zero
@@ -199,16 +234,32 @@ class _MeasurementTable:
         self.times: list[float] = []
         self.y: list[list[float]] = []
         self.u: list[list[float]] = []
+        self.told: list[tuple[Told, ...]] = []
         self._seen: dict[float, tuple[int, tuple[float, ...]]] = {}
 
-    def add(self, line: int, t: float, cell: dict[str, str]) -> None:
-        outputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.outputs.names]
+    def add(self, line: int, t: float, cell: dict[str, str], read: Callable[[int, str], float]) -> None:
+        outputs: list[float] = []
+        told: list[Told] = []
+        for i, name in enumerate(self.plant.outputs.names):
+            limit = cell[name][:1] if cell[name][:1] in ("<", ">") else ""
+            value = _number(self.where, line, name, cell[name].removeprefix(limit).strip(), blank=not limit)
+            since = self._since(line, t, cell.get(name + SINCE, ""), read)
+            if np.isnan(value) and since is not None:
+                raise FileFormatError(
+                    f"{self.where}: {name}{SINCE} in line {line} has no {name} beside it. Leave both cells empty.",
+                    self.where,
+                )
+            if limit or since is not None:
+                ends = {"<": (-np.inf, value), ">": (value, np.inf), "": (value, value)}[limit]
+                told.append(Told(i, *ends, since))
+            outputs.append(np.nan if limit or since is not None else value)
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         if inputs:
             inputs = _held(self.where, line, inputs, self.u[-1] if self.u else None, self.plant)
-        if np.isnan(outputs).all() and not inputs:
+        if np.isnan(outputs).all() and not told and not inputs:
             raise FileFormatError(f"{self.where}: line {line} measures nothing. Leave a lost sample out.", self.where)
-        content = (*outputs, *inputs)
+        flat = [np.nan if x is None else x for each in told for x in each]
+        content = (*outputs, *inputs, *flat)
         if t in self._seen:
             _check_twin(self.where, line, content, self._seen[t])
             return
@@ -216,6 +267,18 @@ class _MeasurementTable:
         self.times.append(t)
         self.y.append(outputs)
         self.u.append(inputs)
+        self.told.append(tuple(told))
+
+    def _since(self, line: int, t: float, cell: str, read: Callable[[int, str], float]) -> float | None:
+        if cell == "":
+            return None
+        since = read(line, cell)
+        if since >= t:
+            raise FileFormatError(
+                f"{self.where}: line {line} begins a composite sample at {cell!r:.60}, which is not before its end.",
+                self.where,
+            )
+        return since
 
 
 def _counts(line: str) -> bool:
@@ -235,7 +298,8 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
     if twice:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
     try:
-        _checks.known_keys("the header", header, [stamps[0], *wanted])
+        known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
+        _checks.known_keys("the header", header, known)
     except ArgumentError as error:
         raise FileFormatError(f"{where}: unknown column: {error}", where) from None
     return stamps[0]
@@ -289,11 +353,17 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
         The file, written whole or not at all.
     """
     plant = measurements.plant
-    header = ["time", *plant.outputs.names, *plant.inputs.names]
-    body = [
-        [repr(float(t)), *(cell_of(v) for v in y), *(cell_of(v) for v in u)]
-        for t, y, u in zip(measurements.times, measurements.y, measurements.u, strict=True)
-    ]
+    means = sorted({each.output for row in measurements.told for each in row if each.since is not None})
+    header = ["time", *plant.outputs.names, *(plant.outputs.names[i] + SINCE for i in means), *plant.inputs.names]
+    body = []
+    for t, y, u, told in zip(measurements.times, measurements.y, measurements.u, measurements.told, strict=True):
+        cells, begun = [cell_of(v) for v in y], dict.fromkeys(means, "")
+        for each in told:
+            limit = "<" if np.isinf(each.lower) else ">" if np.isinf(each.upper) else ""
+            cells[each.output] = limit + cell_of(each.lower if np.isfinite(each.lower) else each.upper)
+            if each.since is not None:
+                begun[each.output] = cell_of(each.since)
+        body.append([repr(float(t)), *cells, *begun.values(), *(cell_of(v) for v in u)])
     return write_csv(path, header, body)
 
 

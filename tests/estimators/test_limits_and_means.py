@@ -1,0 +1,136 @@
+"""Limits of detection and composite samples: in files, in intervals, in estimators; against the plainest reading."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import Above, Below, Mean
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.recovery.interval import interval
+
+TANK = sd.Plant(
+    [[-0.05]], [[1.0], [1.0]], [[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
+)
+TEXT = "time,blood,urine,urine_since,dose\n0,2,,,0\n24,<0.5,3.1,0,0\n48,>8,<0.2,24,1\n60,,,,0\n"
+
+
+def test_a_file_with_limits_and_means_comes_back_exactly(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(TEXT)
+    record = sd.read_measurements(path, TANK)
+    assert [len(row) for row in record.told] == [0, 2, 2, 0]
+    rows = list(record)
+    assert rows[1][1] == [Below(0.5), Mean(3.1, 0.0)]
+    assert rows[2][1] == [Above(8.0), Mean(Below(0.2), 24.0)]
+    again = sd.read_measurements(sd.write_measurements(record, tmp_path / "again.csv"), TANK)
+    assert again.told == record.told
+    assert np.array_equal(again.y, record.y, equal_nan=True)
+    assert record.measured.sum() == 5
+    assert "blood: 3" in record.explain()
+
+
+def test_semicolons_and_dates(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(
+        "date;blood;urine;urine_since;dose\n2026-01-05T08:00;<0,5;;;0\n2026-01-06T08:00;;3,1;2026-01-05T08:00;\n"
+    )
+    record = sd.read_measurements(path, TANK)
+    assert record.told[0][0].upper == 0.5
+    assert record.told[1][0] == (1, 3.1, 3.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("cells", "match"),
+    [
+        ("24,<,,,0", "blood in line 2 is not a number: ''"),
+        ("24,<<1,,,0", "blood in line 2 is not a number: '<1'"),
+        ("24,<nan,,,0", "blood in line 2 is not a number: 'nan'"),
+        ("24,1,,3,0", "urine_since in line 2 has no urine beside it"),
+        ("24,1,2,24,0", "line 2 begins a composite sample at '24', which is not before its end"),
+        ("24,1,2,x,0", "time in line 2 is not a number: 'x'"),
+    ],
+)
+def test_bad_cells_are_refused(tmp_path, cells, match):
+    path = tmp_path / "readings.csv"
+    path.write_text(f"time,blood,urine,urine_since,dose\n{cells}\n")
+    with pytest.raises(FileFormatError, match=match):
+        sd.read_measurements(path, TANK)
+
+
+def test_told_belongs_to_rows():
+    with pytest.raises(ArgumentError, match="`told` must have an entry for each row"):
+        sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=((), ()))
+
+
+WALK = sd.Plant([[0.0]], [[1.0]], states=["level"])
+GIVEN = {"w_bound": 0.1, "v_bound": 0.05}
+
+
+def test_limits_are_half_lines():
+    found = interval(WALK, [(0.0, [1.0], None), (1.0, [Below(0.97)], None)], **GIVEN)
+    assert found.lower == pytest.approx([0.85], abs=1e-6)
+    assert found.upper == pytest.approx([0.97 + 0.05], abs=1e-6)
+    both = interval(WALK, [(0.0, [1.0], None), (1.0, [Above(1.1)], None)], **GIVEN)
+    assert both.lower == pytest.approx([1.05], abs=1e-6)
+    assert both.upper == pytest.approx([1.15], abs=1e-6)
+    assert both.verify()
+    wrong = interval(WALK, [(0.0, [1.0], None), (1.0, [Below(0.5)], None)], **GIVEN)
+    assert wrong.contradiction > 1
+
+
+def test_a_mean_is_the_integral_over_its_time():
+    """x(t) = x(2) + what w did; the mean over [0, 2] of a walk differs from x(2) by at most w_bound 2/2."""
+    found = interval(WALK, [(2.0, [Mean(1.0, since=0.0)], None)], prior_time=0.0, **GIVEN)
+    assert found.radii == pytest.approx([0.05 + 0.1 * 1.0], abs=1e-5)
+    assert found.centre == pytest.approx([1.0], abs=1e-5)
+    assert found.verify()
+
+
+def test_a_mean_counts_what_the_input_adds_to_the_output():
+    plant = sd.Plant([[0.0]], [[1.0]], [[0.0]], [[2.0]], states=["level"])
+    record = [(0.0, None, [0.0]), (1.0, None, [1.0]), (2.0, [Mean(3.0, since=0.0)], None)]
+    found = interval(plant, record, prior_time=0.0, w_bound=0.0, v_bound=0.05)
+    assert found.centre == pytest.approx([3.0 - 2.0 * 0.5], abs=1e-6)
+
+
+@pytest.mark.parametrize("maker", [sd.KalmanFilter, sd.SetMembershipEstimator])
+def test_estimators_use_them_in_intervals(maker):
+    estimator = maker(WALK, initial_error=5.0, **GIVEN)
+    estimator.update(0.5, [1.0])
+    estimate = estimator.update(1.5, [Below(0.97)])
+    found = estimate.interval()
+    assert found.upper == pytest.approx([1.02], abs=1e-5)
+    assert found.lower == pytest.approx([0.85], abs=1e-5)
+    later = estimator.update(4.0, [Mean(0.9, since=2.0)])
+    assert later.interval().verify()
+    assert later.interval().radii[0] < 0.16
+    again = estimator.update(4.0, [1.0])
+    assert again.interval().radii[0] < later.interval().radii[0]
+
+
+def test_the_moving_horizon_estimator_and_a_whole_record(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text("time,y1,y1_since\n0.5,1,\n1.5,<0.97,\n4,0.9,2\n")
+    record = sd.read_measurements(path, WALK)
+    found = sd.MovingHorizonEstimator(WALK, horizon=9.0, initial_error=5.0, **GIVEN).run(record)
+    alone = interval(WALK, record, prior_time=0.0, initial_error=5.0, **GIVEN)
+    assert found.estimates[-1].interval().upper == pytest.approx(alone.upper, abs=1e-5)
+
+
+def test_what_cannot_be_used_is_refused():
+    plain = sd.KalmanFilter(WALK)
+    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given for the limit or mean"):
+        plain.update(1.0, [Below(0.5)])
+    assert plain.state.last.t == 0.0
+    bounded = sd.KalmanFilter(WALK, **GIVEN)
+    bounded.update(3.0, [Mean(1.0, since=1.0)])
+    with pytest.raises(ArgumentError, match=r"`since` = 2\.0 of the mean at t = 4\.0 must lie before it"):
+        bounded.update(4.0, [Mean(1.0, since=2.0)])
+    with pytest.raises(ArgumentError, match="`limit` must be"):
+        bounded.update(5.0, [Below(np.inf)])
+
+
+def test_estimators_of_nonlinear_plants_take_plain_numbers():
+    plant = sd.from_linear(WALK)
+    with pytest.raises(ArgumentError, match="this estimator takes plain numbers only"):
+        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, eta=0.1).update(1.0, [Below(0.5)])

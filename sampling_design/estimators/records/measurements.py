@@ -124,7 +124,7 @@ class Measurements(Record):
             found[k, [each.output for each in row]] = True
         return found
 
-    def __iter__(self) -> Iterator[tuple[float, Any, Array | None]]:
+    def __iter__(self) -> Iterator[tuple[float, object, Array | None]]:
         for k in range(len(self)):
             if self.told[k]:
                 y: list[object] = list(self.y[k])

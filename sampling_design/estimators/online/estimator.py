@@ -42,8 +42,8 @@ class Sample(NamedTuple):
     """A time stamp with what came at it: y (NaN where not measured; None for no measurement) and u from then on."""
 
     t: float
-    y: Any = None
-    u: Any = None
+    y: object = None
+    u: object = None
 
 
 class Taken(NamedTuple):

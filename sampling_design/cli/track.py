@@ -25,6 +25,7 @@ from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
+from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.schedules.family import AnySchedule
 
 POINTS_PER_GAP = 12
@@ -77,9 +78,11 @@ def estimate(
     settings.notice(words)
     estimator = _estimator(settings, plant, certificate, inside, horizon, _numbers("--prior", prior), bounds)
     with settings.progress("estimate") as progress:
-        found, curve = (_moved(each, start) for each in _followed(estimator, inside, progress))
+        rows, between, tube = _followed(estimator, inside, progress)
+    found, curve = _moved(rows, start), _moved(between, start)
+    tube = None if tube is None else replace(tube, times=tube.times + start)
     data = {**found.to_dict(), "guarantee": words, "horizon": estimator.horizon}
-    _write(settings, data, found, curve, record)
+    _write(settings, data, found, curve, tube, record)
     settings.show(data, record_table(found), _last(found), f"{words} {found.explain()}")
     if "bounds disproved" in found.status:
         raise typer.Exit(1)
@@ -90,13 +93,14 @@ def _write(
     data: Mapping[str, object],
     found: sd.EstimateRecord,
     curve: sd.EstimateRecord,
+    tube: Tube | None,
     record: sd.Measurements,
 ) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(sd.write_estimates(found, folder / "estimates.csv", origin=record.origin))
         settings.write_json(folder / "estimates.json", data)
-        settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record))
+        settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record, tube=tube))
 
 
 def _moved(record: sd.EstimateRecord, start: float) -> sd.EstimateRecord:
@@ -239,18 +243,23 @@ def _estimator(
 
 def _followed(
     estimator: sd.MovingHorizonEstimator, record: sd.Measurements, progress: Progress
-) -> tuple[sd.EstimateRecord, sd.EstimateRecord]:
-    """Estimates at every row, and the same with the open loop between them."""
-    rows, curve, last = [], [estimator.predict(0.0)], 0.0
+) -> tuple[sd.EstimateRecord, sd.EstimateRecord, Tube | None]:
+    """Estimates at every row, the same with the open loop between them, and the tube that holds the truth there."""
+    rows, curve, last, tubes = [], [estimator.predict(0.0)], 0.0, []
     for k, (t, y, u) in enumerate(record):
         if t > last:
-            curve += [estimator.predict(s) for s in np.linspace(last, t, POINTS_PER_GAP + 1)[1:]]
+            times = np.linspace(last, t, POINTS_PER_GAP + 1)
+            ahead = [estimator.predict(s) for s in times]
+            if ahead[0].proof is not None:
+                tubes.append(ahead[0].proof.tube(times, np.array([each.x for each in ahead])))
+            curve += ahead[1:]
         rows.append(estimator.update(t, y, u))
         if t >= last:
             curve.append(rows[-1])
             last = t
         progress((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
-    return sd.EstimateRecord.collect(estimator.plant, rows), sd.EstimateRecord.collect(estimator.plant, curve)
+    found, open_loop = (sd.EstimateRecord.collect(estimator.plant, each) for each in (rows, curve))
+    return found, open_loop, joined(tubes)
 
 
 def _last(record: sd.EstimateRecord) -> RichTable:

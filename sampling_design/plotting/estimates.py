@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
-import numpy as np
-from matplotlib.axes import Axes
+from datetime import datetime
 
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
+
+from sampling_design._units import SECONDS
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
+from sampling_design.estimators.online.tube import Tube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
 
+Array = npt.NDArray[np.float64]
+
 
 def draw_estimates(
-    record: EstimateRecord, ax: Axes | None = None, measurements: Measurements | None = None
+    record: EstimateRecord,
+    ax: Axes | None = None,
+    measurements: Measurements | None = None,
+    tube: Tube | None = None,
 ) -> Axes | style.Panels:
     """Draw one panel per state: the estimate, the tube that is proven to hold the truth, and what was measured.
 
     A measured output appears in the panel of the state that it reads; ticks at the bottom mark the other samples.
-    With `ax` only the first state is drawn.
+    With `ax` only the first state is drawn. `tube` is what holds the truth between samples, too; without it the
+    ellipsoids are drawn. Where the measurements have dates, so has the axis.
     """
     states = record.plant.states
     if ax is not None:
-        return _panel(ax, record, 0, measurements)
+        return _panel(ax, record, 0, measurements, tube)
     figure, axes = style.new_figure(len(states), row_height=1.7)
     for i, panel in enumerate(axes):
-        _panel(panel, record, i, measurements)
+        _panel(panel, record, i, measurements, tube)
         if i + 1 < len(axes):
             panel.set_xlabel("")
             panel.tick_params(labelbottom=False)
@@ -32,32 +44,61 @@ def draw_estimates(
     return axes
 
 
-def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None) -> Axes:
-    t, x, radius = record.times, record.x[:, i], record.ellipsoid_radii[:, i]
+def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None, tube: Tube | None) -> Axes:
+    when = _Clock(record, measurements)
+    t, x, radius = when(record.times), record.x[:, i], record.ellipsoid_radii[:, i]
     known = np.isfinite(radius) & record.certified
-    low, high = np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
-    ax.fill_between(t, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the truth")
+    s, low, high = t, np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
+    if tube is not None:
+        s, low, high = when(tube.times), tube.lower[:, i], tube.upper[:, i]
+        bounded = np.isfinite(low) & np.isfinite(high)
+        low, high = np.where(bounded, low, np.nan), np.where(bounded, high, np.nan)
+    ax.fill_between(s, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the truth")
     ax.plot(t, x, color=style.ATTAINED, linewidth=1.2, label="estimate")
     failed = np.array([s in FAILURES for s in record.status])
     if failed.any():
         ax.plot(t[failed], x[failed], "x", color=style.FAILED, label="failed")
     if measurements is not None:
-        _readings(ax, record, i, measurements)
-    ax.set_xlabel(style.time_label(record.plant.time_unit))
+        _readings(ax, record, i, measurements, when)
+    when.label(ax)
     ax.set_ylabel(record.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
     return ax
 
 
-def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements) -> None:
+class _Clock:
+    """Times as they stand on the axis: dates where the measurements have them."""
+
+    def __init__(self, record: EstimateRecord, measurements: Measurements | None):
+        self.unit = record.plant.time_unit
+        self.origin = measurements.origin if measurements is not None else ""
+
+    def __call__(self, times: Array) -> Array:
+        if not self.origin:
+            return times
+        start = float(date2num(datetime.fromisoformat(self.origin)))  # type: ignore[no-untyped-call]
+        return np.asarray(start + times * (SECONDS[self.unit] / SECONDS["d"]))
+
+    def label(self, ax: Axes) -> None:
+        """Say what the axis shows."""
+        if not self.origin:
+            ax.set_xlabel(style.time_label(self.unit))
+            return
+        locator = AutoDateLocator()  # type: ignore[no-untyped-call]
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+        ax.set_xlabel("date (UTC)")
+
+
+def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements, when: _Clock) -> None:
     """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
     C = record.plant.C
     reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]
-    drawn = np.isfinite(measurements.y).any(axis=1)
+    drawn = measurements.measured.any(axis=1)
     if reads:
         y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
-        t = np.tile(measurements.times, len(reads))
+        t = np.tile(when(measurements.times), len(reads))
         ax.plot(t, y, ".", color=style.MEASURED, markersize=5, label="measured")
         return
     place = ax.get_xaxis_transform()
-    ax.vlines(measurements.times[drawn], 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)
+    ax.vlines(when(measurements.times[drawn]), 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)

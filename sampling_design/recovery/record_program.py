@@ -184,6 +184,14 @@ class RecordProgram:
                 ends[k] = finer if finer.value < ends[k].value else replace(ends[k], short=finer.short)
         return ends[0], ends[1]
 
+    def after(self, t: float, row: Array) -> float:
+        """Return what w adds to a row between the last time and t at most."""
+        return self._ahead(t, row)[1]
+
+    def end(self, t: float, row: Array) -> End:
+        """Return the upper end of a row from coarse cells."""
+        return self._end(t, row, 0)
+
     def _end(self, t: float, row: Array, level: int) -> End:
         """The upper end of a row, from the program of one level."""
         c, added = self._ahead(t, row)

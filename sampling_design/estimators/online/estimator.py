@@ -14,6 +14,7 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.tube import Tube
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.interval import Interval
 from sampling_design.recovery.readings import Told
@@ -89,6 +90,10 @@ class ProvesIntervals(Protocol):
 
     def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array] | None) -> Interval:
         """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, radius times covariance)."""
+        ...
+
+    def tube(self, times: Array, x: Array) -> Tube:
+        """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
         ...
 
 

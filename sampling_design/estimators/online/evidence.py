@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.online.history import Node
+from sampling_design.estimators.online.tube import Tube, open_tube
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.gap_table import GapTable
 from sampling_design.recovery.interval import Interval, prove
@@ -84,6 +85,12 @@ class Evidence:
             reach = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", rows.matrix, Y, rows.matrix), 0.0))
             outer = np.array([z - reach, z + reach]).T
         return prove(program, t, rows, outer)
+
+    def tube(self, times: Array, x: Array) -> Tube:
+        """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
+        if self._program is None:
+            self._program = self.assumed.program(self._readings())
+        return open_tube(self._program, times, x)
 
     def _readings(self, until: float | None = None) -> Readings:
         nodes = self.nodes[-(REMEMBERED + 1) :]

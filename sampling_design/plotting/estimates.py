@@ -45,7 +45,7 @@ def draw_estimates(
 
 
 def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None, tube: Tube | None) -> Axes:
-    when = _Clock(record, measurements)
+    when = _AxisClock(record, measurements)
     t, x, radius = when(record.times), record.x[:, i], record.ellipsoid_radii[:, i]
     known = np.isfinite(radius) & record.certified
     s, low, high = t, np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
@@ -66,7 +66,7 @@ def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements 
     return ax
 
 
-class _Clock:
+class _AxisClock:
     """Times as they stand on the axis: dates where the measurements have them."""
 
     def __init__(self, record: EstimateRecord, measurements: Measurements | None):
@@ -90,7 +90,7 @@ class _Clock:
         ax.set_xlabel("date (UTC)")
 
 
-def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements, when: _Clock) -> None:
+def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements, when: _AxisClock) -> None:
     """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
     C = record.plant.C
     reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]

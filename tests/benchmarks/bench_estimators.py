@@ -16,6 +16,8 @@ from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window
+from sampling_design.recovery.interval import read_record
+from sampling_design.recovery.record_program import RecordProgram
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
@@ -121,3 +123,27 @@ def test_stream_of_one_hundred_thousand_samples_in_flat_memory(benchmark):
 
     early, late = benchmark.pedantic(stream, rounds=1)
     assert late - early < 8 * 1024
+
+
+def recorded(count=20):
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.3, 1.0, count))
+    return [(float(t), [np.sin(t)], None) for t in times]
+
+
+def test_interval_posed(benchmark):
+    record = recorded()
+    known = RecordProgram(read_record(PLANT, record, 0.05, 0.5, None, None, None)).table
+
+    def posed():
+        program = RecordProgram(read_record(PLANT, record, 0.05, 0.5, None, None, None), known)
+        return program.posed()
+
+    assert benchmark(posed).columns > 0
+
+
+def test_interval_of_one_row(benchmark):
+    """Both ends; the goal is two milliseconds on a quiet machine."""
+    program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
+    ends = benchmark(program.solve, program.readings.times[-1], np.eye(4)[0])
+    assert ends[0].value > -ends[1].value

@@ -33,7 +33,6 @@ _FRONT_DOOR = {
     "recovery.recursion": ("PeriodicGains",),
     "recovery.interval": ("interval",),
     "recovery.record_bounds": ("bounds_from_record",),
-    "recovery.readings": ("Below", "Above", "Mean"),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),
     "certificates.files": ("load_certificate",),

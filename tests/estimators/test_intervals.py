@@ -162,5 +162,6 @@ def test_the_set_membership_estimator_returns_the_centre():
     assert (wrong.status, wrong.certified) == ("bounds disproved", False)
     assert np.isnan(wrong.radii).all()
     assert "contradict the bounds" in wrong.note
-    with pytest.raises(ArgumentError, match="`v_bound` is missing: without it no set is bounded"):
+    refusal = r"`v_bound` is missing: without it no set is bounded\. Give 0 where there is none\."
+    with pytest.raises(ArgumentError, match=refusal):
         sd.SetMembershipEstimator(PLANT, w_bound=0.1)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import Above, Below, Mean
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.recovery.interval import interval
+from sampling_design.recovery.readings import Above, Below, Mean
 
 TANK = sd.Plant(
     [[-0.05]], [[1.0], [1.0]], [[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
@@ -45,7 +45,7 @@ def test_semicolons_and_dates(tmp_path):
         ("24,<,,,0", "blood in line 2 is not a number: ''"),
         ("24,<<1,,,0", "blood in line 2 is not a number: '<1'"),
         ("24,<nan,,,0", "blood in line 2 is not a number: 'nan'"),
-        ("24,1,,3,0", "urine_since in line 2 has no urine beside it"),
+        ("24,1,,3,0", "urine_since in line 2 has no urine beside it. Leave both cells empty."),
         ("24,1,2,24,0", "line 2 begins a composite sample at '24', which is not before its end"),
         ("24,1,2,x,0", "time in line 2 is not a number: 'x'"),
     ],

@@ -41,6 +41,16 @@ class Tube:
 
 
 def open_tube(program: RecordProgram, times: Array, x: Array) -> Tube:
+    """Return the tube over increasing times, as `_opened`; infinite where a flow overflows."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _opened(program, times, x)
+    lost = np.isnan(found.upper) | np.isnan(found.lower)
+    if lost.all():
+        return found
+    return Tube(times, np.where(lost, -np.inf, found.lower), np.where(lost, np.inf, found.upper))
+
+
+def _opened(program: RecordProgram, times: Array, x: Array) -> Tube:
     """Return the tube over increasing times, the first of them the last of the readings; x (N, n) are any estimates.
 
     Notes

@@ -89,11 +89,8 @@ from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval
 from sampling_design.recovery.limit import limit as limit
-from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains
-from sampling_design.recovery.readings import Above as Above
-from sampling_design.recovery.readings import Below as Below
-from sampling_design.recovery.readings import Mean as Mean
 from sampling_design.recovery.record_bounds import bounds_from_record as bounds_from_record
+from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains
 from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.files import read_schedule as read_schedule

@@ -120,8 +120,14 @@ def test_a_file_about_another_plant_is_refused(k, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(claim="observability"), "`claim` must be 'assumption-7', 'family', 'detectability' here"),
-        (lambda d: d.update(claim=["detectability"]), "`claim` must be 'assumption-7', 'family', 'detectability' here"),
+        (
+            lambda d: d.update(claim="observability"),
+            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here",
+        ),
+        (
+            lambda d: d.update(claim=["detectability"]),
+            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here",
+        ),
         (lambda d: d.update(claim="family"), "unknown key 'P' in the certificate"),
         (lambda d: d.update(format="sampling-design/plant/1"), "Is this a certificate file"),
         (lambda d: d.pop("c_w"), "`c_w` is missing in the certificate"),

@@ -7,6 +7,7 @@ serve them all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,6 +56,13 @@ class Atoms:
 
     def __post_init__(self) -> None:
         self.mu = np.zeros((0, len(self.basis)))
+
+    @classmethod
+    def of(cls, reach: Array, mu: Array, gains: Sequence[tuple[Array, ...]], values: Sequence[float]) -> Atoms:
+        """Atoms as they were kept, all of them."""
+        found = cls(np.eye(len(reach)), reach)
+        found.mu, found.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
+        return found
 
     @property
     def whole(self) -> bool:

@@ -22,6 +22,9 @@ from sampling_design.recovery.start import InitialSet
 KEPT = 1e-9
 """Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
 
+SHOWN = 1e-9
+"""What an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits."""
+
 CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
 
@@ -160,6 +163,8 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
     noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
+    rounding = SHOWN * np.abs(witness.plant.C) @ witness.scales()
+    noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
     if bounds.v_ball:
         noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
     return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit), begun)

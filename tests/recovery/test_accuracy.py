@@ -76,7 +76,7 @@ def test_a_witness_shows_nothing_and_is_far_away(found):
         v, x, w = witness.simulate()
         assert np.nanmax(np.abs(v)) <= 0.4 * (1 + 1e-9)
         assert np.max(np.linalg.norm(w, axis=1)) <= 0.02 * (1 + 1e-9)
-        assert x[k] == pytest.approx(found.lower[k], rel=1e-9)
+        assert x[k] == pytest.approx(found.lower[k], rel=2e-9)
         assert "samples read zero" in witness.explain()
 
 

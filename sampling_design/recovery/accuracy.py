@@ -154,8 +154,6 @@ class Accuracy(Gridded):
     def verify(self, rigorous: bool = False) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver.
 
-        Parameters
-        ----------
         rigorous : bool
             In ball arithmetic (extra `rigorous`): True is then a theorem about the doubles of this record; False
             says that it was not decided, as for exact sensors. For endless schedules that show every mode.

@@ -24,6 +24,7 @@ ROOMS = {
     "estimators": "What the state is",
     "nonlinear": "Nonlinear plants",
     "validation": "Whether the promise held",
+    "explorer": "What happens when a sample moves",
     "plotting": "Pictures",
     "cli": "Command line",
 }
@@ -33,7 +34,7 @@ FLOORS = (
     ("recovery",),
     ("design", "certificates"),
     ("estimators",),
-    ("planning", "nonlinear", "validation"),
+    ("planning", "nonlinear", "validation", "explorer"),
     ("plotting",),
     ("cli",),
 )

@@ -129,6 +129,7 @@ _ROOMS = (
     "errors",
     "estimators",
     "evidence",
+    "explorer",
     "nonlinear",
     "observability",
     "planning",

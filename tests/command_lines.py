@@ -93,6 +93,10 @@ COMMANDS = {
     ),
     "plan": (("plant", "wanted"), {}),
     "accuracy": (("plant", "schedule"), {"--w": "0.1", "--v": "0.2", "--of": "position", "--rtol": "0.1"}),
+    "explore": (
+        ("plant", "requirement"),
+        {"--w": "0.1", "--v": "0.2", "--tolerance": "0.1,0.2", "--schedule": "SCHEDULE", "--port": "0"},
+    ),
     "survive": (("plant", "certificate"), {"--longest": "2", "--horizon": "8"}),
     "verify": (("certificate",), {"--plant": "PLANT", "--rigorous": None}),
     "estimate": (
@@ -112,7 +116,8 @@ USUAL = {
 VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "--json", "0x10"]
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
-          "survive": ["--longest", "2"], "design": ["--branches", "1"]}  # fmt: skip
+          "survive": ["--longest", "2"], "design": ["--branches", "1"],
+          "explore": ["--idle", "0.2", "--no-browser"]}  # fmt: skip
 
 
 def drawn(count: int, seed: int) -> list[list[str]]:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design.cli import accuracy, explore, plan, planning, prove, thyroid, track
+from sampling_design.cli import accuracy, explore, plan, planning, prove, thyroid, track, what_if
 from sampling_design.cli.settings import _version, with_common_flags
 
 app = typer.Typer(
@@ -22,8 +22,9 @@ for command in (
     *plan.COMMANDS,
     *planning.COMMANDS,
     *prove.COMMANDS,
-    *explore.COMMANDS,
+    *what_if.COMMANDS,
     *accuracy.COMMANDS,
+    *explore.COMMANDS,
     *track.COMMANDS,
     *thyroid.COMMANDS,
 ):

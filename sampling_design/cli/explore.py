@@ -1,159 +1,73 @@
-"""Commands that ask what if: every schedule of a family, more or fewer samples, a lost sample."""
+"""The command that opens the explorer in a browser."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-import sampling_design as sd
 from sampling_design.cli import reading
-from sampling_design.cli.plan import PlantFile
-from sampling_design.cli.prove import sampling_certificate
-from sampling_design.cli.settings import Settings, record_table, save_picture
+from sampling_design.cli.accuracy import NUMBERS, _numbers
+from sampling_design.cli.plan import PlantFile, schedule_for
+from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 
-def worst_case(
-    settings: Settings,
-    plant_file: PlantFile,
-    window: Annotated[float, typer.Option(help="Window length.")],
-    count: Annotated[int, typer.Option(help="At least so many samples in every window.")],
-    spacing: Annotated[float, typer.Option(help="Least time between two samples.")],
-    rtol: Annotated[float, typer.Option(help="Relative width of the bracket.")] = 0.01,
-    rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
-) -> None:
-    """Bracket the least sigma over every schedule with COUNT samples, SPACING apart, in each WINDOW.
-
-    Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
-    """
-    retained = sd.split_modes(reading.plant(plant_file), settings.decay_rate or 0.0).retained
-    if not retained.n_states:
-        settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
-        return
-    family = sd.SpacedWindows(window, count, spacing)
-    with settings.progress("worst case") as progress:
-        result = sd.worst_case_sigma(
-            retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
-        )
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "worst_case.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "worst_case.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
-    if not result.closed:
-        raise typer.Exit(3)
-    if result.lower == 0:
-        raise typer.Exit(1)
-
-
-def pareto(
+def explore(
     settings: Settings,
     plant_file: PlantFile,
     requirement_file: Annotated[
         Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
-    counts: Annotated[str, typer.Option(help="Samples per period: 8,10,12 or 8-16.")] = "",
-    workers: Annotated[int, typer.Option(help="Processes that design at the same time.")] = 1,
-) -> None:
-    """Design for several counts: what more samples buy. With -o DIR it can be interrupted and resumed.
-
-    Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
-    """
-    plant = reading.plant(plant_file)
-    requirement = reading.requirement(requirement_file)
-    if settings.decay_rate is not None:
-        requirement = requirement.replace(decay_rate=settings.decay_rate)
-    folder = settings.folder()
-    resume = None if folder is None else folder / "pareto.json"
-    processes = None if workers == 1 else workers
-    with settings.progress("pareto") as progress:
-        front = sd.pareto(
-            plant,
-            requirement,
-            _counts(counts),
-            workers=processes,
-            resume=resume,
-            progress=progress,
-            budget=settings.budget,
-        )
-    if folder is not None and resume is not None:
-        settings.wrote(resume)
-        settings.wrote(save_picture(front, folder / "pareto.png"))
-    settings.show(front.to_dict(), record_table(front), front.explain())
-
-
-def losses(
-    settings: Settings,
-    plant_file: PlantFile,
-    requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
+    schedule_file: Annotated[
+        Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule to begin with; default: saved, or even.")
     ] = None,
-    every_period: Annotated[
-        bool, typer.Option("--every-period", help="Leave the sample out of every period, not once.")
-    ] = False,
+    w_bound: Annotated[
+        str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {NUMBERS}")
+    ] = None,
+    v_bound: Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the noise v. {NUMBERS}")] = None,
+    tolerance: Annotated[str | None, typer.Option(help="Error of each state that would do, commas between.")] = None,
+    port: Annotated[int, typer.Option(help="Port on this machine; 0 takes a free one.")] = 0,
+    idle: Annotated[float, typer.Option(help="End when nobody has asked for so many seconds.")] = 3600.0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser.")] = True,
 ) -> None:
-    """Design, then say what the loss of each single sample costs: sigma without it, and what none can exceed.
+    """Drag samples on a time line in the browser and see what they prove; Save writes schedule.csv to -o DIR.
 
-    Example: sampling-design losses examples/plants/oscillator.toml examples/requirements/oscillator.toml
+    Example: sampling-design explore examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
+    from sampling_design.explorer import Bench, serve
+
     plant = reading.plant(plant_file)
     requirement = reading.requirement(requirement_file)
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
-    with settings.progress("losses") as progress:
-        rng = np.random.default_rng(settings.seed)
-        half = settings.budget / 2
-        design = sd.design_schedule(plant, requirement, rng=rng, budget=half, progress=progress)
-        if design.schedule is None:
-            settings.show({"without": []}, design.explain())
-            return
-        result = sd.sample_losses(design, every_period=every_period, budget=half, progress=progress)
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "losses.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "losses.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
+    schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
+    if schedule is not None and not isinstance(schedule, PeriodicSchedule):
+        raise ArgumentError(f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period.")
+    wanted = _numbers("--tolerance", tolerance)
+    bench = Bench(
+        plant,
+        requirement,
+        schedule,
+        w_bound=_numbers("--w-bound", w_bound),
+        v_bound=_numbers("--v-bound", v_bound),
+        tolerance=[wanted] if isinstance(wanted, float) else wanted,
+        folder=settings.folder(),
+    )
+
+    def ready(address: str) -> None:
+        settings.show({"address": address}, f"The explorer is open at {address}")
+        settings.notice("Ctrl-C ends it.")
+        if browser and sys.stdout.isatty():
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(bench, port, idle, ready)
 
 
-def _counts(text: str) -> list[int]:
-    """8,10,12 or 8-16, or both mixed."""
-    found: list[int] = []
-    for part in filter(None, text.split(",")):
-        first, dash, last = part.partition("-")
-        if not first.strip().isdigit() or (dash and not last.strip().isdigit()):
-            raise ArgumentError(f"`--counts` must look like 8,10,12 or 8-16, got {text!r}.")
-        found += range(int(first), int(last or first) + 1)
-    if not found:
-        raise ArgumentError("`--counts` must name at least one number of samples, for example 8-16.")
-    return found
-
-
-def survive(
-    settings: Settings,
-    plant_file: PlantFile,
-    certificate_file: Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")],
-    horizon: Annotated[float | None, typer.Option(help="Horizon to be kept; default: the certificate's.")] = None,
-    longest: Annotated[int, typer.Option(help="Losses are counted among this many samples.")] = 8,
-) -> None:
-    """Say how late samples may come, and how many may be lost, before a certificate no longer holds.
-
-    Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
-    """
-    plant = reading.plant(plant_file)
-    certificate = sampling_certificate(certificate_file, plant)
-    with settings.progress("survive") as progress:
-        result = sd.robustness(
-            plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress
-        )
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "robustness.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "robustness.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (worst_case, pareto, losses, survive)
+COMMANDS: tuple[Callable[..., None], ...] = (explore,)

@@ -1,70 +1,29 @@
-"""worst-case, pareto and losses: what if the schedule were another one."""
+"""explore: a server on loopback that says where it is, and what cannot be opened is said before it is."""
 
 import json
+import socket
 from pathlib import Path
 
-import pytest
+import sampling_design as sd
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
+FILES = (EXAMPLES / "plants" / "oscillator.toml", EXAMPLES / "requirements" / "oscillator.toml")
+ENDS = ("--idle", 0.2, "--no-browser")
 
 
-def test_worst_case_brackets_sigma_and_draws_it(shell, tmp_path):
-    result = shell("worst-case", OSCILLATOR, "--window", 4, "--count", 3, "--spacing", 0.5, "-o", tmp_path)
-    assert result.code == 0
-    data = json.loads((tmp_path / "worst_case.json").read_text())
-    assert data["lower"] <= 0.349882 <= data["upper"] + 1e-6
-    assert (tmp_path / "worst_case.png").read_bytes().startswith(b"\x89PNG")
+def test_it_says_its_address(shell):
+    done = shell("explore", *FILES, "--w", 0.1, "--v", 0.2, "--tolerance", "0.1,0.1", *ENDS, "--json")
+    assert done.code == 0
+    assert json.loads(done.out)["address"].startswith("http://127.0.0.1:")
 
 
-def test_worst_case_of_too_few_samples_is_a_no(shell):
-    assert shell("worst-case", OSCILLATOR, "--window", 4, "--count", 1, "--spacing", 0.5).code == 1
-
-
-def test_infeasible_spacing_says_what_fits(shell):
-    result = shell("worst-case", OSCILLATOR, "--window", 4, "--count", 9, "--spacing", 1)
-    assert result.code == 1
-    assert "What fits" in result.err
-
-
-def test_worst_case_of_a_decaying_plant_needs_no_samples(shell):
-    plant = EXAMPLES / "plants" / "three_compartment.toml"
-    result = shell("worst-case", plant, "--window", 4, "--count", 3, "--spacing", 0.5)
-    assert result.code == 0
-    assert "--decay-rate" in result.out
-
-
-def test_pareto_draws_and_resumes(shell, tmp_path):
-    arguments = ("pareto", OSCILLATOR, "--counts", "2,3", "-o", tmp_path)
-    first = shell(*arguments)
-    assert first.code == 0
-    kept = json.loads((tmp_path / "pareto.json").read_text())
-    assert [p["samples"] for p in kept["points"]] == [2, 3]
-    assert (tmp_path / "pareto.png").exists()
-    again = json.loads(shell("pareto", OSCILLATOR, "--counts", "2-4", "-o", tmp_path, "--json").out)
-    assert again["points"][:2] == kept["points"]
-    assert len(again["points"]) == 3
-
-
-@pytest.mark.parametrize("counts", ["", "a", "3-", "2-b"])
-def test_counts_that_are_none_are_refused(shell, counts):
-    result = shell("pareto", OSCILLATOR, "--counts", counts)
-    assert result.code == 2
-    assert "`--counts` must" in result.err
-
-
-def test_losses_say_what_each_sample_is_worth(shell, tmp_path):
-    requirement = EXAMPLES / "requirements" / "oscillator.toml"
-    result = shell("losses", OSCILLATOR, requirement, "--every-period", "--seed", 1, "-o", tmp_path)
-    assert result.code == 0
-    data = json.loads((tmp_path / "losses.json").read_text())
-    assert data["every_period"] is True
-    assert len(data["without"]) == 4
-    assert all(0 < row["lower"] <= row["bound"] < data["sigma"] for row in data["without"])
-    assert (tmp_path / "losses.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_losses_of_a_decaying_plant_need_no_samples(shell):
-    result = shell("losses", EXAMPLES / "plants" / "three_compartment.toml")
-    assert result.code == 0
-    assert "--decay-rate" in result.out
+def test_what_it_cannot_open_is_refused(shell, tmp_path):
+    once = sd.write_schedule(sd.Schedule([1.0, 2.0], time_unit="s"), tmp_path / "once.csv")
+    other = sd.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), tmp_path / "other.csv")
+    assert "must be a schedule that repeats" in shell("explore", *FILES, "--schedule", once, *ENDS).err
+    assert "must have the period" in shell("explore", *FILES, "--schedule", other, *ENDS).err
+    assert "`port` 70000 cannot be used" in shell("explore", *FILES, "--port", 70000, *ENDS).err
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert f"`port` {port} cannot be used" in shell("explore", *FILES, "--port", port, *ENDS).err
+    assert shell("explore", *FILES, "--idle", 0, "--no-browser").code == 2

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "sampling_design"
-SHIPPED = (".py", ".pyi", ".md", ".typed")
+SHIPPED = (".py", ".pyi", ".md", ".js", ".typed")
 
 
 def wanted(package: Path) -> set[str]:

@@ -18,6 +18,7 @@ FLOORS = {
     "planning": 6,
     "nonlinear": 6,
     "validation": 6,
+    "explorer": 6,
     "plotting": 7,
     "cli": 8,
 }

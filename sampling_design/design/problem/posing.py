@@ -35,7 +35,7 @@ class Resolved(NamedTuple):
 @door
 def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
     """Fill in the defaults, in the plant's time unit; return them with what they rest on."""
-    r = _in_unit(requirement, split.plant.time_unit)
+    r = in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
     retained, count = split.retained, None
     if r.scaled is None:
@@ -97,7 +97,8 @@ def _known(value: float | None) -> float:
     return value
 
 
-def _in_unit(requirement: Requirement, unit: str) -> Requirement:
+def in_unit(requirement: Requirement, unit: str) -> Requirement:
+    """Return the requirement with every time and rate in another unit."""
     if requirement.time_unit in (None, unit):
         return requirement.replace(time_unit=unit)
     c = time_factor(str(requirement.time_unit), unit)

@@ -1,0 +1,300 @@
+"""The samples of one period on a bench: questions about them, answered in plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._files import from_json, to_json
+from sampling_design._record import Plain, short
+from sampling_design.certificates.certify import certify
+from sampling_design.certificates.compare.four_horizons import four_horizons
+from sampling_design.certificates.existence.periodic import certificate_exists, smallest_repair
+from sampling_design.design.design import design_schedule
+from sampling_design.design.problem.posing import in_unit
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.zero_count import zero_count_bound
+from sampling_design.observability.windows.window_sigma import window_sigma
+from sampling_design.plants.modes import split_modes
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.accuracy import accuracy
+from sampling_design.schedules.files import read_schedule, write_schedule
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Answer = dict[str, Plain]
+
+LIVE_BUDGET = 0.5
+"""Seconds that a curve may take while somebody drags; what is proven by then is shown."""
+
+MOST_MARKS = 400
+"""Samples of a period beyond which a time line is no picture any more."""
+
+TOGETHER = 1e-9
+"""Share of the period within which the marks of two sensors are one sample."""
+
+
+class Bench:
+    """A plant, what is required of its schedule, and the samples of a period as they lie now.
+
+    Parameters
+    ----------
+    plant : Plant
+    requirement : Requirement, optional
+    schedule : PeriodicSchedule, optional
+        Where to begin; default: what was saved in `folder` before, else evenly spaced samples.
+    w_bound, v_bound : as for `accuracy`
+        With both, the accuracy of every state is shown as well.
+    tolerance : (n,) array, optional
+        The error of each state that would do, drawn beside its accuracy.
+    folder : path, optional
+        Where `save` writes, and what was saved is found again; default: the current one, where nothing is looked for.
+    words : str
+        What a lecturer wants to be read above the picture.
+
+    Raises
+    ------
+    ArgumentError
+        If the parts do not fit together.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        requirement: Requirement | None = None,
+        schedule: PeriodicSchedule | None = None,
+        *,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        tolerance: npt.ArrayLike | None = None,
+        folder: str | Path | None = None,
+        words: str = "",
+    ) -> None:
+        self.plant = plant
+        self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
+        self.split = split_modes(plant, self.requirement.decay_rate)
+        self.window = float(self.requirement.window or default_window(self.split) or 1.0)
+        self.period = float(self.requirement.period or self.window)
+        self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
+        self.folder = None if folder is None else Path(folder)
+        self.tolerance = None if tolerance is None else _checks.vector("tolerance", tolerance, plant.n_states)
+        self.schedule = self._begin(schedule)
+
+    def _begin(self, given: PeriodicSchedule | None) -> PeriodicSchedule:
+        if given is None and self.folder is not None and (self.folder / "schedule.csv").is_file():
+            found = read_schedule(self.folder / "schedule.csv")
+            if isinstance(found, PeriodicSchedule) and abs(found.period - self.period) <= TOGETHER * self.period:
+                given = found
+        if given is not None:
+            if abs(given.period - self.period) > TOGETHER * self.period:
+                raise ArgumentError(
+                    f"`schedule` must have the period {short(self.period)} that is required, got {short(given.period)}."
+                )
+            return given
+        count = self._count()
+        times = (np.arange(count) + 0.5) * self.period / count
+        return self._scheduled([{"t": float(t), "on": [True] * self.plant.n_outputs} for t in times])
+
+    def _count(self) -> int:
+        wanted = self.requirement.samples or {}
+        for key in ("exactly", "at_least", "at_most"):
+            if key in wanted:
+                return int(wanted[key])
+        retained = self.split.retained
+        return min(zero_count_bound(retained, self.window).samples_needed, 24) if retained.n_states else 1
+
+    def _scheduled(self, marks: Sequence[Mapping[str, object]]) -> PeriodicSchedule:
+        """The schedule of some marks, each with its time and the sensors that are read."""
+        p = self.plant.n_outputs
+        if not 1 <= len(marks) <= MOST_MARKS:
+            raise ArgumentError(f"`marks` must be 1 to {MOST_MARKS} samples, got {len(marks)}. Add one.")
+        found: dict[float, npt.NDArray[np.bool_]] = {}
+        for mark in sorted(marks, key=lambda m: _checks.number("t", m.get("t"))):
+            t = _checks.number("t", mark.get("t")) % self.period
+            on = np.array(mark.get("on"), dtype=bool)
+            if on.shape != (p,):
+                raise ArgumentError(f"`on` must say for each of {p} sensors if it is read, got {mark.get('on')!r}.")
+            near = next((s for s in found if abs(s - t) <= TOGETHER * self.period), t)
+            found[near] = found.get(near, np.zeros(p, dtype=bool)) | on
+        times = sorted(t for t, on in found.items() if on.any())
+        mask = np.array([found[t] for t in times])
+        names = self.plant.outputs.names
+        return PeriodicSchedule.from_times(
+            times,
+            self.period,
+            outputs=None if mask.all() else mask,
+            output_names=None if mask.all() else names,
+            time_unit=self.plant.time_unit,
+        )
+
+    def marks(self) -> list[Plain]:
+        """The samples of a period as they lie now."""
+        mask = self.schedule.outputs
+        on = np.ones((len(self.schedule), self.plant.n_outputs), dtype=bool) if mask is None else mask
+        times = self.schedule.times % self.period
+        return [{"t": float(t), "on": [bool(b) for b in row]} for t, row in zip(times, on, strict=True)]
+
+    def answer(self, question: Mapping[str, object]) -> Answer:
+        """Answer {"ask": ..., "marks": [...]}; what cannot be answered says why in `error`."""
+        verbs: dict[str, Callable[[], Answer]] = {
+            "open": self._open,
+            "sigma": self._sigma,
+            "accuracy": self._accuracy,
+            "design": self._design,
+            "certify": self._certify,
+            "horizons": self._horizons,
+            "save": self._save,
+        }
+        verb = question.get("ask")
+        try:
+            if not isinstance(verb, str) or verb not in verbs:
+                raise ArgumentError(f"`ask` must be one of {', '.join(verbs)}, got {verb!r:.40}.")
+            marks = question.get("marks")
+            if marks is not None:
+                if not isinstance(marks, list) or not all(isinstance(mark, dict) for mark in marks):
+                    raise ArgumentError("`marks` must be a list of samples, each with t and on.")
+                self.schedule = self._scheduled(marks)
+            return {"ask": verb, **{key: _finite(value) for key, value in verbs[verb]().items()}}
+        except SamplingDesignError as error:
+            return {"ask": str(verb), "error": str(error)}
+
+    def _open(self) -> Answer:
+        sensors: list[Plain] = []
+        for name, label in zip(self.plant.outputs.names, self.plant.outputs.labels(), strict=True):
+            access = self.requirement.outputs.get(name)
+            closed = [] if access is None else self._outside(access.available)
+            sensors.append({"name": label, "closed": closed, "cost": 0.0 if access is None else access.cost})
+        return {
+            "name": self.plant.name or "plant",
+            "unit": self.plant.time_unit,
+            "period": self.period,
+            "window": self.window,
+            "forbidden": [[float(a), float(b)] for a, b in self.requirement.forbidden],
+            "sensors": sensors,
+            "states": list(self.plant.states.labels()),
+            "tolerance": None if self.tolerance is None else [float(x) for x in self.tolerance],
+            "bounds": self.w_bound is not None and self.v_bound is not None,
+            "marks": self.marks(),
+            "words": self.words,
+        }
+
+    def _outside(self, available: Array | None) -> list[Plain]:
+        """What is not available, within the period."""
+        if available is None:
+            return []
+        edges = [0.0, *(float(x) for x in np.ravel(available)), self.period]
+        return [[a, b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+
+    def _sigma(self) -> Answer:
+        told = self._rules()
+        if not self.split.retained.n_states:
+            return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
+        found = window_sigma(self.split.retained, self.schedule, self.window, budget=LIVE_BUDGET)
+        shown = found.scaled or found
+        profile = shown.profile
+        return {
+            "t": profile.t.tolist(),
+            "sigma": profile.sigma.tolist(),
+            "piece": profile.piece.tolist(),
+            "lower": shown.lower,
+            "upper": shown.upper,
+            "worst": shown.witness.t,
+            "scaled": found.scaled is not None,
+            "told": [*told, *self._broken(shown.lower)],
+        }
+
+    def _rules(self) -> list[Plain]:
+        """What the requirement says of these samples, where it says no."""
+        told: list[Plain] = []
+        times, gaps = self.schedule.times % self.period, self.schedule.gaps
+        closed = [t for t in times if any(a <= t < b for a, b in self.requirement.forbidden)]
+        for k, (name, access) in enumerate(self.requirement.outputs.items()):
+            column = self.plant.outputs.names.index(name) if name in self.plant.outputs.names else k
+            mask = self.schedule.outputs
+            if access.available is not None:
+                read = times if mask is None else times[mask[:, column]]
+                shut = [t for t in read if not any(a <= t < b for a, b in access.available)]
+                if shut:
+                    told.append(f"{name} cannot be read at {', '.join(short(t, 4) for t in shut[:4])}.")
+        if closed:
+            told.append(f"Closed at {', '.join(short(t, 4) for t in closed[:4])}: no sample is allowed there.")
+        least = self.requirement.spacing
+        if least and len(gaps) and gaps.min() < least * (1 - TOGETHER):
+            at = int(np.argmin(gaps))
+            told.append(
+                f"The samples before and at {short(times[at], 4)} are {short(gaps[at], 4)} apart; "
+                f"at least {short(least, 4)} is required."
+            )
+        return told
+
+    def _broken(self, lower: float) -> list[Plain]:
+        """Why sigma is zero, or nearly: which modes the period does not tell apart, and what would repair it."""
+        existence = certificate_exists(self.split.retained, self.schedule, 0.0)
+        if existence.exists:
+            return [] if lower > 0 else ["Some window holds too few samples: sigma is zero there."]
+        told = f"These samples miss something in every window, however many periods one waits: {existence.reason}."
+        repair = smallest_repair(self.split.retained, self.schedule, 0.0)
+        if repair is not None:
+            t = self.schedule.times[repair["gap"]] % self.period
+            by = repair["to"] - repair["from"]
+            told += f" Move the sample at {short(t, 4)} by {short(by, 3)} and it is seen."
+        return [told]
+
+    def _accuracy(self) -> Answer:
+        if self.w_bound is None or self.v_bound is None:
+            raise ArgumentError("`w_bound` and `v_bound` are needed for the accuracy: give both at the start.")
+        found = accuracy(self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, rtol=0.05)
+        profile = found.profile
+        finite = np.isfinite(found.upper)
+        return {
+            "edges": profile.edges.tolist(),
+            "upper": [row.tolist() if ok else None for row, ok in zip(profile.upper, finite, strict=True)],
+            "worst": [float(x) if ok else None for x, ok in zip(found.upper, finite, strict=True)],
+        }
+
+    def _design(self) -> Answer:
+        count = len(self.schedule)
+        wanted = self.requirement.replace(window=self.window, period=self.period)
+        if wanted.samples is None:
+            wanted = wanted.replace(samples=count)
+        found = design_schedule(self.plant, wanted, branches=0, budget=20.0)
+        if found.schedule is None:
+            return {"said": found.explain(), "marks": self.marks()}
+        self.schedule = found.schedule
+        return {"said": found.explain(), "marks": self.marks()}
+
+    def _certify(self) -> Answer:
+        found = certify(self.plant, self.schedule)
+        return {"said": found.explain(), "passed": bool(found.verify())}
+
+    def _horizons(self) -> Answer:
+        return {"said": four_horizons(self.plant, self.schedule).explain()}
+
+    def _save(self) -> Answer:
+        folder = self.folder or Path()
+        folder.mkdir(parents=True, exist_ok=True)
+        path = write_schedule(self.schedule, folder / "schedule.csv")
+        return {"said": f"Saved: {path}"}
+
+    def answer_json(self, text: str) -> str:
+        """The same for texts; what is no table of plain data is refused in `error`."""
+        try:
+            question = from_json(text, "question")
+        except SamplingDesignError as error:
+            return to_json({"error": str(error)})
+        return to_json(self.answer(question))
+
+
+def _finite(value: Plain) -> Plain:
+    """Plain data that a browser reads: what is no number becomes null."""
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return value

@@ -1,0 +1,258 @@
+/* A time line that a person drags, and what the samples prove while it moves. No dependencies, no requests of its own:
+   `mount(element, ask)` draws into an element and asks through the one function that it is given. */
+
+const SVG = "http://www.w3.org/2000/svg";
+const COLOUR = { measured: "#1f5fa8", proven: "#1e7a3e", attained: "#b35c00", allowed: "#767676", failed: "#c0202c" };
+const LEFT = 125, RIGHT = 14, ROW = 46, CHART = 150;
+const STYLE = `
+.sd { font: 15px/1.45 system-ui, "Helvetica Neue", Arial, sans-serif; color: #1b1b1b; background: #fff; max-width: 900px; padding: 12px; }
+.sd h1 { font-size: 20px; margin: 0 0 2px; } .sd p { margin: 4px 0; }
+.sd svg { width: 100%; height: auto; display: block; touch-action: none; user-select: none; }
+.sd text { font: 12px system-ui, Arial, sans-serif; fill: #1b1b1b; } .sd .soft { fill: #595959; }
+.sd button { font: inherit; margin: 6px 6px 6px 0; padding: 5px 14px; border: 1px solid #1f5fa8; border-radius: 6px; background: #fff; color: #1f5fa8; cursor: pointer; }
+.sd button:hover, .sd button:focus-visible { background: #1f5fa8; color: #fff; } .sd button:disabled { opacity: 0.5; cursor: wait; }
+.sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
+.sd .told { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
+.sd .hint { color: #595959; font-size: 13px; }`;
+
+const short = (x) => (x === null || x === undefined ? "–" : Number(x).toPrecision(4).replace(/\.?0+($|e)/, "$1"));
+
+function node(kind, attributes, parent, text) {
+  const made = document.createElementNS(SVG, kind);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+}
+
+function html(kind, attributes, parent, text) {
+  const made = document.createElement(kind);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+}
+
+function ticks(from, to) {
+  const rough = (to - from) / 6, base = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].map((k) => k * base).find((k) => k >= rough);
+  const found = [];
+  for (let k = Math.ceil(from / step - 1e-9); k * step <= to + 1e-9 * step; k++) found.push(k * step);
+  return found;
+}
+
+export async function mount(element, ask) {
+  const opened = await ask({ ask: "open" });
+  const root = html("div", { class: "sd" }, element);
+  // as many units as there are pixels, so that text keeps its size on a telephone
+  const WIDE = Math.round(Math.min(Math.max((element.clientWidth || 884) - 24, 340), 860));
+  const narrow = WIDE < 600;
+  if (opened.error) return html("p", { class: "told" }, root, opened.error);
+  html("style", {}, root, STYLE);
+  html("h1", {}, root, opened.name);
+  if (opened.words) html("p", { class: "words" }, root, opened.words);
+  const line = node("svg", { role: "group", "aria-label": "samples of one period" }, root);
+  const told = html("p", { class: "told", role: "status", "aria-live": "polite" }, root);
+  const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
+  const buttons = html("div", {}, root);
+  const said = html("p", { class: "said", role: "status", "aria-live": "polite" }, root);
+  const unknown = html("p", { class: "unknown", role: "status" }, root);
+  const errors = opened.bounds ? node("svg", { class: "accuracy", role: "img", "aria-label": "least error that can be guaranteed" }, root) : null;
+  html("p", { class: "hint" }, root, "Drag a sample. Click a row to add one, double-click a sample (or press Delete) to take it away; arrow keys move it; with Shift one sensor moves alone.");
+
+  const { period, sensors, unit } = opened;
+  let marks = opened.marks;
+  const at = (t) => LEFT + ((WIDE - LEFT - RIGHT) * t) / period;
+  const time = (event) => {
+    const box = line.getBoundingClientRect();
+    const t = ((((event.clientX - box.left) * WIDE) / box.width - LEFT) / (WIDE - LEFT - RIGHT)) * period;
+    return Math.min(Math.max(t, 0), period * (1 - 1e-9));
+  };
+  const row = (event) => {
+    const box = line.getBoundingClientRect();
+    const height = sensors.length * ROW + 44;
+    return Math.min(Math.max(Math.floor((((event.clientY - box.top) * height) / box.height - 8) / ROW), 0), sensors.length - 1);
+  };
+
+  /* The newest positions are asked for, and one question is under way. */
+  let busy = false, newest = null;
+  const pressed = [];
+  function send(question, then) {
+    if (question.button) pressed.push([question, then]);
+    else newest = [question, then];
+    next();
+  }
+  async function next() {
+    const [question, then] = busy ? [] : pressed.shift() || newest || [];
+    if (!question) return;
+    if (newest && newest[0] === question) newest = null;
+    busy = true;
+    const answer = await ask(question).catch((error) => ({ error: `No answer: ${error.message || error}` }));
+    busy = false;
+    then(answer);
+    next();
+  }
+
+  function frame(svg, y, height, top, label) {
+    node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y + height, y2: y + height, stroke: "#888" }, svg);
+    if (label) node("text", { x: LEFT - 48, y: y + 14, "text-anchor": "end" }, svg, label);
+    for (const value of ticks(0, top).slice(0, 7)) {
+      const h = y + height - (height * value) / top;
+      node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: h, y2: h, stroke: "#e4e4e4" }, svg);
+      node("text", { x: LEFT - 8, y: h + 4, "text-anchor": "end", class: "soft" }, svg, short(value) === "" ? "0" : short(value));
+    }
+  }
+
+  function drawLine() {
+    const focused = line.querySelector(".mark:focus");
+    const kept = focused ? focused.dataset.key : null;
+    const height = sensors.length * ROW + 44;
+    line.setAttribute("viewBox", `0 0 ${WIDE} ${height}`);
+    line.replaceChildren();
+    sensors.forEach((sensor, k) => {
+      const y = 8 + k * ROW;
+      node("rect", { x: LEFT, y, width: WIDE - LEFT - RIGHT, height: ROW - 6, fill: "#f3f6fa", class: "row" }, line);
+      for (const [a, b] of [...opened.forbidden, ...sensor.closed])
+        node("rect", { x: at(a), y, width: Math.max(at(b) - at(a), 0), height: ROW - 6, fill: "#c9c9c9" }, line);
+      node("text", { x: LEFT - 8, y: y + ROW / 2, "text-anchor": "end" }, line, sensor.name);
+    });
+    for (const t of ticks(0, period)) node("text", { x: at(t), y: height - 22, "text-anchor": "middle", class: "soft" }, line, t === 0 ? "0" : short(t));
+    node("text", { x: WIDE - RIGHT, y: height - 5, "text-anchor": "end", class: "soft" }, line, `time in the period [${unit}]`);
+    marks.forEach((mark, m) =>
+      mark.on.forEach((on, k) => {
+        if (!on) return;
+        const shut = [...opened.forbidden, ...sensors[k].closed].some(([a, b]) => a <= mark.t && mark.t < b);
+        const colour = shut ? COLOUR.failed : COLOUR.measured, y = 8 + k * ROW;
+        const made = node("g", { class: "mark", tabindex: 0, role: "slider", "aria-label": `${sensors[k].name} at`, "aria-valuenow": short(mark.t), "data-key": `${m}-${k}` }, line);
+        node("line", { x1: at(mark.t), x2: at(mark.t), y1: y, y2: y + ROW - 6, stroke: colour, "stroke-width": 3 }, made);
+        node("circle", { cx: at(mark.t), cy: y + ROW / 2 - 3, r: 9, fill: colour, stroke: "#fff", "stroke-width": 2 }, made);
+        node("title", {}, made, `${sensors[k].name} at ${short(mark.t)} ${unit}`);
+        made.addEventListener("pointerdown", (event) => grab(event, m, k));
+        made.addEventListener("dblclick", () => remove(m, k));
+        made.addEventListener("keydown", (event) => key(event, m, k));
+      })
+    );
+    if (kept) line.querySelector(`[data-key="${kept}"]`)?.focus();
+  }
+
+  function single(m, k) {
+    if (marks[m].on.filter(Boolean).length === 1) return m;
+    marks[m].on[k] = false;
+    marks.push({ t: marks[m].t, on: sensors.map((_, j) => j === k) });
+    return marks.length - 1;
+  }
+
+  let dragged = false;
+  function grab(event, m, k) {
+    event.preventDefault();
+    const own = event.shiftKey ? single(m, k) : m;
+    const move = (e) => { dragged = true; marks[own].t = time(e); drawLine(); live(); };
+    const drop = () => {
+      window.removeEventListener("pointermove", move);
+      window.removeEventListener("pointerup", drop);
+      if (dragged) settled();
+      setTimeout(() => (dragged = false), 0);
+    };
+    window.addEventListener("pointermove", move);
+    window.addEventListener("pointerup", drop);
+  }
+
+  function remove(m, k) {
+    marks[m].on[k] = false;
+    marks = marks.filter((mark) => mark.on.some(Boolean));
+    drawLine();
+    settled();
+  }
+
+  function key(event, m, k) {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (step) marks[m].t = (((marks[m].t + (step * period) / 200) % period) + period) % period;
+    else if (event.key === "Delete" || event.key === "Backspace") return remove(m, k);
+    else return undefined;
+    event.preventDefault();
+    drawLine();
+    return settled();
+  }
+
+  line.addEventListener("click", (event) => {
+    if (dragged || !event.target.classList.contains("row")) return;
+    const k = row(event);
+    marks.push({ t: time(event), on: sensors.map((_, j) => j === k) });
+    drawLine();
+    settled();
+  });
+
+  function drawSigma(answer) {
+    told.textContent = answer.error || answer.told.join(" ");
+    chart.replaceChildren();
+    chart.setAttribute("viewBox", `0 0 ${WIDE} ${CHART + (narrow ? 66 : 50)}`);
+    if (answer.error || !answer.t.length) return;
+    const highest = Math.max(...answer.sigma), top = highest > 0 ? 1.15 * highest : 1, from = answer.t[0], to = answer.t[answer.t.length - 1];
+    const x = (t) => LEFT + ((WIDE - LEFT - RIGHT) * (t - from)) / (to - from || 1), y = (s) => 10 + CHART - (CHART * s) / top;
+    frame(chart, 10, CHART, top, answer.scaled ? "scaled sigma" : "sigma");
+    let path = "";
+    answer.t.forEach((t, i) => (path += `${i && answer.piece[i] === answer.piece[i - 1] ? "L" : "M"}${x(t).toFixed(2)} ${y(answer.sigma[i]).toFixed(2)}`));
+    node("path", { d: path, fill: "none", stroke: COLOUR.measured, "stroke-width": 2, class: "curve" }, chart);
+    node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(answer.lower), y2: y(answer.lower), stroke: COLOUR.proven, "stroke-width": 2, "stroke-dasharray": "7 4" }, chart);
+    node("circle", { cx: x(Math.min(Math.max(answer.worst, from), to)), cy: y(answer.upper), r: 5, fill: "#fff", stroke: COLOUR.attained, "stroke-width": 2 }, chart);
+    for (const t of ticks(from, to)) node("text", { x: x(t), y: CHART + 26, "text-anchor": "middle", class: "soft" }, chart, t === 0 ? "0" : short(t));
+    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${short(opened.window)} ${unit}: sigma ≥ ${short(answer.lower)}`);
+    node("text", { x: WIDE - RIGHT, y: CHART + (narrow ? 60 : 44), "text-anchor": "end", class: "soft" }, chart, `end of the window [${unit}]`);
+  }
+
+  function drawAccuracy(answer) {
+    errors.replaceChildren();
+    unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : "";
+    if (answer.error) return;
+    const one = 90;
+    errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 24}`);
+    opened.states.forEach((state, k) => {
+      const y0 = 20 + k * (one + 26), upper = answer.upper[k];
+      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: an error of ${short(answer.worst[k])} can be guaranteed` : `${state}: nothing can ever be guaranteed`);
+      if (!upper) return;
+      const wanted = opened.tolerance ? opened.tolerance[k] : 0, top = 1.15 * Math.max(...upper, wanted);
+      const from = answer.edges[0], to = answer.edges[answer.edges.length - 1];
+      const x = (t) => LEFT + ((WIDE - LEFT - RIGHT) * (t - from)) / (to - from), y = (s) => y0 + one - (one * s) / top;
+      frame(errors, y0, one, top, "");
+      let path = `M${x(from)} ${y(0)}`;
+      upper.forEach((s, i) => (path += `L${x(answer.edges[i]).toFixed(2)} ${y(s).toFixed(2)}L${x(answer.edges[i + 1]).toFixed(2)} ${y(s).toFixed(2)}`));
+      const good = !wanted || Math.max(...upper) <= wanted;
+      node("path", { d: `${path}L${x(to)} ${y(0)}Z`, fill: good ? COLOUR.proven : COLOUR.failed, "fill-opacity": 0.25, stroke: good ? COLOUR.proven : COLOUR.failed }, errors);
+      if (wanted) node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(wanted), y2: y(wanted), stroke: "#000", "stroke-dasharray": "3 3" }, errors);
+    });
+  }
+
+  const live = () => send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
+  function settled() {
+    send({ ask: "sigma", marks }, (answer) => {
+      drawSigma(answer);
+      if (errors && !answer.error) send({ ask: "accuracy", marks }, drawAccuracy);
+    });
+  }
+
+  for (const [name, verb] of [["Design", "design"], ["Certify", "certify"], ["Horizons", "horizons"], ["Save", "save"]]) {
+    const button = html("button", { "data-verb": verb, type: "button" }, buttons, name);
+    button.addEventListener("click", () => {
+      button.disabled = true;
+      said.textContent = "…";
+      send({ ask: verb, marks, button: true }, (answer) => {
+        button.disabled = false;
+        said.textContent = answer.error || answer.said;
+        if (answer.marks) { marks = answer.marks; drawLine(); settled(); }
+      });
+    });
+  }
+  drawLine();
+  settled();
+  return root;
+}
+
+/* In a notebook: questions go through the model, answers come back by their number. */
+async function render({ model, el }) {
+  let number = 0;
+  const open = new Map();
+  model.on("msg:custom", (message) => { open.get(message.number)?.(message.answer); open.delete(message.number); });
+  await mount(el, (question) => new Promise((resolve) => { number++; open.set(number, resolve); model.send({ number, question }); }));
+}
+
+export default { render };

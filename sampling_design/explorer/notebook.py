@@ -1,0 +1,73 @@
+"""The explorer in a notebook, through anywidget."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+import numpy.typing as npt
+
+from sampling_design._door import door
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.errors import MissingExtraError
+from sampling_design.explorer.bench import Bench
+from sampling_design.explorer.server import MODULE
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+if TYPE_CHECKING:
+    from anywidget import AnyWidget
+
+
+class Wishes(TypedDict, total=False):
+    """What a `Bench` takes beside plant, requirement and schedule."""
+
+    w_bound: npt.ArrayLike
+    v_bound: npt.ArrayLike
+    tolerance: npt.ArrayLike
+    folder: str
+    words: str
+
+
+@door
+def explore(
+    plant: Plant | Bench,
+    requirement: Requirement | None = None,
+    schedule: PeriodicSchedule | None = None,
+    **wishes: Unpack[Wishes],
+) -> AnyWidget:
+    """Return a time line of samples to drag, with what they prove; a notebook shows it (extra `explore`).
+
+    Parameters
+    ----------
+    plant : Plant or Bench
+        A bench is shown as it stands, and holds afterwards what was dragged.
+    requirement, schedule, wishes
+        As for `Bench`.
+
+    Returns
+    -------
+    anywidget.AnyWidget
+        Its `bench.schedule` is the schedule as it lies now.
+
+    Raises
+    ------
+    MissingExtraError
+        If anywidget is not installed.
+    """
+    try:
+        import anywidget
+    except ImportError:
+        raise MissingExtraError("anywidget", "explore") from None
+
+    bench = plant if isinstance(plant, Bench) else Bench(plant, requirement, schedule, **wishes)
+
+    widget = type("Explorer", (anywidget.AnyWidget,), {"_esm": MODULE.read_text(), "__module__": __name__})()
+    widget.bench = bench
+
+    def heard(_: object, message: dict[str, object], buffers: object) -> None:
+        question = message.get("question")
+        answer = bench.answer(question if isinstance(question, dict) else {})
+        widget.send({"number": message.get("number"), "answer": answer})
+
+    widget.on_msg(heard)
+    return widget

@@ -1,0 +1,94 @@
+"""Ready-made benches for lectures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sampling_design._door import door
+from sampling_design.design.problem.requirement import OutputAccess, Requirement
+from sampling_design.errors import ArgumentError
+from sampling_design.explorer.bench import Bench
+from sampling_design.plants.library import oscillator
+from sampling_design.plants.plant import Plant, Signals
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+
+def _pathological() -> Bench:
+    turn = float(2 * np.pi)
+    return Bench(
+        oscillator(),
+        Requirement(window=turn, period=turn),
+        PeriodicSchedule.from_times([1.0, 1.0 + np.pi], turn, time_unit="s"),
+        w_bound=0.02,
+        v_bound=0.1,
+        words="Two samples half a turn apart see the same thing twice. Move one of them, a little and then a lot.",
+    )
+
+
+def _even() -> Bench:
+    rates = [1.0, 2.5]
+    A = np.zeros((4, 4))
+    for k, rate in enumerate(rates):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, rate], [-rate, 0.0]]
+    plant = Plant(A, [[1.0, 0.0, 1.0, 0.0]], time_unit="s", outputs=["sum"], name="two tones")
+    return Bench(
+        plant,
+        Requirement(window=8.0, period=8.0, samples=6, spacing=0.2),
+        PeriodicSchedule(np.full(6, 8.0 / 6), time_unit="s"),
+        words="Six samples, evenly spaced. Can you do better by hand? Then press Design.",
+    )
+
+
+def _laboratory() -> Bench:
+    day = 2 * np.pi / 24
+    plant = Plant(
+        [[0.0, day, 0.0], [-day, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
+        time_unit="h",
+        states=Signals(["rhythm", "quadrature", "level"], ["nmol/l"] * 3),
+        outputs=Signals(["nurse", "laboratory"], ["nmol/l"] * 2),
+        name="hormone with a daily rhythm",
+    )
+    open_hours = {
+        "nurse": OutputAccess(np.array([[7.0, 22.0]])),
+        "laboratory": OutputAccess(np.array([[9.0, 16.0]]), 5.0),
+    }
+    mask = [[True, False], [True, True], [True, False]]
+    return Bench(
+        plant,
+        Requirement(window=24.0, period=24.0, outputs=open_hours),
+        PeriodicSchedule.from_times(
+            [8.0, 11.0, 20.0], 24.0, outputs=mask, output_names=("nurse", "laboratory"), time_unit="h"
+        ),
+        w_bound=0.01,
+        v_bound=0.1,
+        tolerance=[0.5, 0.5, 0.25],
+        words="Two sensors with opening hours. Which sample is worth most for the level, and which for the rhythm?",
+    )
+
+
+SCENES = {"pathological": _pathological, "even": _even, "laboratory": _laboratory}
+"""Each scene by its name: pathological sampling, design against even spacing, two sensors with opening hours."""
+
+
+@door
+def scene(name: str) -> Bench:
+    """Return the bench of a ready-made scene.
+
+    Parameters
+    ----------
+    name : str
+        One of `SCENES`.
+
+    Returns
+    -------
+    Bench
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such scene.
+    """
+    if name not in SCENES:
+        raise ArgumentError(f"`name` must be one of {', '.join(SCENES)}, got {name!r}.")
+    return SCENES[name]()

@@ -1,0 +1,160 @@
+"""The explorer on this machine's loopback: its page, its one module, and answers for whoever has the token."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.explorer.bench import Bench
+
+MODULE = Path(__file__).with_name("explorer.js")
+LARGEST = 1_000_000
+"""Bytes of a question; 400 samples of 30 sensors take a tenth of it."""
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>Explorer</title></head><body><main id="explorer"></main>
+<script type="module" nonce="{nonce}">
+import {{ mount }} from "/explorer.js?token={token}";
+const ask = async (question) => {{
+  const answer = await fetch("/ask", {{
+    method: "POST",
+    headers: {{ "Content-Type": "application/json", "X-Token": "{token}" }},
+    body: JSON.stringify(question),
+  }});
+  if (!answer.ok) throw new Error(`the explorer on this machine says ${{answer.status}}`);
+  return answer.json();
+}};
+mount(document.getElementById("explorer"), ask);
+</script></body></html>
+"""
+
+
+class Server(ThreadingHTTPServer):
+    """Answers on loopback, to its own name and to the token of its address."""
+
+    daemon_threads = True
+
+    def __init__(self, bench: Bench, port: int = 0) -> None:
+        super().__init__(("127.0.0.1", port), Handler)
+        self.bench, self.token = bench, secrets.token_urlsafe(24)
+        self.turn = threading.Lock()
+        self.asked = time.monotonic()
+        self.timeout = 0.2
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A browser that has gone away is no defect; anything else is told."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+    @property
+    def address(self) -> str:
+        """What a browser opens."""
+        return f"http://127.0.0.1:{self.server_port}/?token={self.token}"
+
+
+class Handler(BaseHTTPRequestHandler):
+    """GET the page and its module, POST a question."""
+
+    server: Server
+    timeout = 30
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the terminal belongs to whoever started the explorer."""
+
+    def do_GET(self) -> None:
+        """Send the page or the module."""
+        parts = urlsplit(self.path)
+        given = parse_qs(parts.query).get("token", [""])[0]
+        if not self._welcome(given):
+            return
+        if parts.path == "/":
+            nonce = secrets.token_urlsafe(12)
+            page = PAGE.format(token=self.server.token, nonce=nonce)
+            policy = (
+                f"default-src 'none'; script-src 'self' 'nonce-{nonce}'; connect-src 'self'; "
+                "style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+            )
+            self._send(200, "text/html; charset=utf-8", page.encode(), policy)
+        elif parts.path == "/explorer.js":
+            self._send(200, "text/javascript; charset=utf-8", MODULE.read_bytes())
+        else:
+            self._send(404, "text/plain", b"There is nothing here.\n")
+
+    def do_POST(self) -> None:
+        """Answer a question; one at a time, since the samples on the bench are one."""
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit() or int(length) > LARGEST:
+            self.close_connection = True
+            self._send(413, "text/plain", b"A question has a length, and not so large a one.\n")
+            return
+        text = self.rfile.read(int(length))
+        if not self._welcome(self.headers.get("X-Token", "")):
+            return
+        if urlsplit(self.path).path != "/ask":
+            self._send(404, "text/plain", b"There is nothing here.\n")
+            return
+        with self.server.turn:
+            answer = self.server.bench.answer_json(text.decode("utf-8", "replace"))
+        self._send(200, "application/json", answer.encode())
+
+    def _welcome(self, token: str) -> bool:
+        """Whether this is for us: under our own name (no other site's name may lead here) and with our token."""
+        own = {f"127.0.0.1:{self.server.server_port}", f"localhost:{self.server.server_port}"}
+        good = self.headers.get("Host") in own and secrets.compare_digest(token.encode(), self.server.token.encode())
+        if good:
+            self.server.asked = time.monotonic()
+        else:
+            self._send(403, "text/plain", b"Open the address that the explorer printed when it began.\n")
+        return good
+
+    def _send(self, status: int, kind: str, body: bytes, policy: str = "default-src 'none'") -> None:
+        self.send_response(status)
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(len(body))),
+            ("Cache-Control", "no-store"),
+            ("Content-Security-Policy", policy),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+        ):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+
+def serve(bench: Bench, port: int = 0, idle: float = 3600.0, ready: Callable[[str], object] = print) -> None:
+    """Serve the explorer until nobody has asked for `idle` seconds, or an interrupt.
+
+    Parameters
+    ----------
+    bench : Bench
+    port : int
+        0 takes a free one.
+    idle : float [s]
+    ready : callable
+        Called with the address once it can be opened.
+
+    Raises
+    ------
+    ArgumentError
+        If `idle` is not positive, or the port is taken or none.
+    """
+    idle = _checks.positive("idle", idle)
+    try:
+        opened = Server(bench, port)
+    except (OSError, OverflowError) as error:
+        raise ArgumentError(f"`port` {port} cannot be used here ({error}). Take another, or 0 for any.") from None
+    with opened as server:
+        ready(server.address)
+        while time.monotonic() - server.asked < idle:
+            server.handle_request()

@@ -1,0 +1,162 @@
+"""A person at the explorer: drags a sample, sees the curve change, designs, saves, comes back; also on a phone."""
+
+import re
+import statistics
+import threading
+import time
+
+import pytest
+
+import sampling_design as sd
+from sampling_design.explorer import Bench, scene
+from sampling_design.explorer.server import Server
+
+TURN = 6.283185307179586
+
+
+@pytest.fixture
+def explorer():
+    """Return open(bench): a page that shows it, at its address."""
+    running = []
+
+    def start(bench):
+        server = Server(bench)
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        running.append((server, thread))
+        return server.address
+
+    yield start
+    for server, thread in running:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def visit(page, address):
+    page.goto(address)
+    page.wait_for_selector(".sigma .lower")
+
+
+def until(page, holds, seconds=60.0):
+    """Wait for an expression; the page's own rules forbid what playwright's waiting would evaluate in it."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(holds):
+        assert time.monotonic() < end, f"never: {holds}"
+        page.wait_for_timeout(30)
+
+
+def proven(page):
+    return float(re.search(r"≥ ([\d.e+-]+)", page.locator(".sigma .lower").text_content())[1])
+
+
+def drag(page, mark, by, steps=12):
+    box = page.locator(".mark").nth(mark).locator("circle").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(steps):
+        page.mouse.move(x + by * (k + 1) / steps, y)
+        yield
+    page.mouse.up()
+
+
+def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
+    visit(page, explorer(scene("pathological")))
+    assert "aliased" in page.locator(".told").text_content()
+    assert "Move the sample at" in page.locator(".told").text_content()
+    assert proven(page) == pytest.approx(0.0, abs=1e-9)
+    shot(page, "explorer-broken")
+    curves = []
+    for _ in drag(page, 1, -90):
+        page.wait_for_timeout(60)
+        curves.append(page.locator(".sigma .curve").get_attribute("d"))
+    assert len(set(curves)) > 6, "the curve does not follow while the sample moves"
+    until(page, "document.querySelector('.told').textContent === ''")
+    assert proven(page) > 0.1
+    page.wait_for_selector(".accuracy path")
+    assert "can be guaranteed" in page.locator(".accuracy").text_content()
+    shot(page, "explorer-mended")
+    assert page.away == []
+    assert page.broken == []
+
+
+def test_the_newest_position_wins_and_one_question_is_under_way(explorer, page):
+    visit(page, explorer(scene("pathological")))
+    page.evaluate(
+        """() => { const real = window.fetch; window.most = 0; window.now = 0; window.sent = 0;
+        window.fetch = async (...a) => { window.sent++; window.most = Math.max(window.most, ++window.now);
+          await new Promise((r) => setTimeout(r, 150));
+          const answer = await real(...a); window.now--; return answer; }; }"""
+    )
+    for _ in drag(page, 1, -120, steps=40):
+        pass
+    until(page, "window.now === 0 && document.querySelector('.told').textContent === ''")
+    assert page.evaluate("window.most") == 1
+    assert page.evaluate("window.sent") < 15
+
+
+def test_design_save_and_reload(explorer, page, shot, tmp_path):
+    wish = sd.Requirement(window=8.0, period=8.0, samples=6, spacing=0.2)
+    bench = Bench(scene("even").plant, wish, folder=tmp_path)
+    address = explorer(bench)
+    visit(page, address)
+    before = proven(page)
+    page.get_by_role("button", name="Design").click()
+    until(page, "document.querySelector('.said').textContent.includes('sigma')")
+    until(page, f"!document.querySelector('.lower').textContent.includes('≥ {before:.4g}')")
+    assert proven(page) > 1.05 * before
+    shot(page, "explorer-designed")
+    page.get_by_role("button", name="Save").click()
+    until(page, "document.querySelector('.said').textContent.includes('Saved')")
+    saved = sd.read_schedule(tmp_path / "schedule.csv")
+    assert saved.times == pytest.approx(bench.schedule.times)
+    designed = proven(page)
+    page.reload()
+    page.wait_for_selector(".sigma .lower")
+    assert proven(page) == pytest.approx(designed, rel=1e-3)
+    assert page.locator(".mark").count() == 6
+
+
+def test_samples_are_added_removed_and_moved_by_the_keyboard(explorer, page):
+    visit(page, explorer(scene("laboratory")))
+    count = page.locator(".mark").count()
+    row = page.locator(".row").first.bounding_box()
+    page.mouse.click(row["x"] + 0.6 * row["width"], row["y"] + 10)
+    until(page, f"document.querySelectorAll('.mark').length === {count + 1}")
+    page.locator(".mark").last.dblclick()
+    until(page, f"document.querySelectorAll('.mark').length === {count}")
+    first = page.locator(".mark").first
+    at = first.get_attribute("aria-valuenow")
+    first.focus()
+    page.keyboard.press("ArrowRight")
+    until(page, f"document.querySelector('.mark').getAttribute('aria-valuenow') !== '{at}'")
+    assert page.evaluate("document.activeElement.classList.contains('mark')")
+    page.keyboard.press("Delete")
+    until(page, f"document.querySelectorAll('.mark').length < {count}")
+
+
+def test_a_phone_shows_all_of_it(explorer, page, shot):
+    page.set_viewport_size({"width": 390, "height": 844})
+    visit(page, explorer(scene("laboratory")))
+    page.wait_for_selector(".accuracy path")
+    wide = (
+        "[...document.querySelectorAll('.sd *')].every((n) => n.getBoundingClientRect().right <= window.innerWidth + 1)"
+    )
+    assert page.evaluate(wide)
+    shot(page, "phone-explorer")
+
+
+def test_the_page_is_ready_and_follows_quickly(explorer, page):
+    """Printed, not judged: how long from a move to its curve, in milliseconds."""
+    visit(page, explorer(scene("pathological")))
+    page.evaluate(
+        """() => { const real = window.fetch; window.took = [];
+        window.fetch = async (...a) => { const t = performance.now(); const answer = await real(...a);
+          window.took.push(performance.now() - t); return answer; }; }"""
+    )
+    for _ in drag(page, 1, -100, steps=20):
+        page.wait_for_timeout(40)
+    took = page.evaluate("window.took")
+    assert len(took) >= 5
+    print(f"a question takes {statistics.median(took):.0f} ms (median of {len(took)})")

@@ -1,0 +1,152 @@
+"""What the explorer answers is what the verbs say, and what is no question changes nothing."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, MissingExtraError
+from sampling_design.explorer import SCENES, Bench, explore, scene
+
+TURN = 2 * np.pi
+PLANT = sd.named_plant("oscillator")
+
+
+def marks(*times, sensors=1):
+    return [{"t": float(t), "on": [True] * sensors} for t in times]
+
+
+def test_the_curve_is_the_proven_one():
+    bench = Bench(PLANT, sd.Requirement(window=5.0, period=TURN))
+    found = bench.answer({"ask": "sigma", "marks": marks(0.5, 2.0, 4.0)})
+    schedule = sd.PeriodicSchedule.from_times([0.5, 2.0, 4.0], TURN, time_unit="s")
+    assert found["lower"] == sd.window_sigma(PLANT, schedule, 5.0).lower
+    assert found["told"] == []
+    assert bench.schedule.times == pytest.approx(schedule.times)
+
+
+def test_what_broke_is_said_with_its_repair():
+    bench = scene("pathological")
+    (told,) = bench.answer({"ask": "sigma"})["told"]
+    assert "aliased" in told
+    assert "Move the sample at" in told
+    assert bench.answer({"ask": "sigma", "marks": marks(1.0, 2.5)})["told"] == []
+    (told,) = bench.answer({"ask": "sigma", "marks": marks(1.0)})["told"]
+    assert "too few samples" in told or "miss something" in told
+
+
+def test_rules_of_the_requirement_are_said():
+    wish = sd.Requirement(window=8.0, period=8.0, spacing=1.0, forbidden=[[2.0, 3.0]])
+    told = Bench(PLANT, wish).answer({"ask": "sigma", "marks": marks(2.5, 3.2, 6.0)})["told"]
+    assert any("Closed at 2.5" in t for t in told)
+    assert any("0.7 apart; at least 1 is required" in t for t in told)
+    told = scene("laboratory").answer({"ask": "sigma", "marks": marks(3.0, 12.0, sensors=2)})["told"]
+    assert any("nurse cannot be read at 3" in t for t in told)
+
+
+def test_marks_of_two_sensors_at_one_time_are_one_sample():
+    bench = scene("laboratory")
+    bench.answer({"ask": "open", "marks": [{"t": 9.0, "on": [True, False]}, {"t": 9.0, "on": [False, True]}]})
+    assert len(bench.schedule) == 1
+    assert bench.schedule.outputs is None
+
+
+def test_accuracy_is_told_state_by_state_and_needs_bounds():
+    bench = scene("pathological")
+    assert "hides" in bench.answer({"ask": "accuracy"})["error"]
+    seen = bench.answer({"ask": "accuracy", "marks": marks(1.0, 2.5)})
+    known = sd.accuracy(PLANT, bench.schedule, w_bound=0.02, v_bound=0.1, rtol=0.05)
+    assert seen["worst"] == pytest.approx(known.upper)
+    assert len(seen["edges"]) == len(seen["upper"][0]) + 1
+    assert "`w_bound` and `v_bound`" in Bench(PLANT).answer({"ask": "accuracy"})["error"]
+
+
+def test_a_design_moves_the_marks_and_is_found_again_after_saving(tmp_path):
+    wish = sd.Requirement(window=TURN, period=TURN, samples=3)
+    bench = Bench(PLANT, wish, folder=tmp_path)
+    designed = bench.answer({"ask": "design", "marks": marks(0.1, 0.2, 0.3)})
+    assert "sigma >=" in designed["said"]
+    assert len(designed["marks"]) == 3
+    assert "Saved" in bench.answer({"ask": "save", "marks": designed["marks"]})["said"]
+    again = Bench(PLANT, wish, folder=tmp_path)
+    assert [m["t"] for m in again.marks()] == pytest.approx([m["t"] for m in designed["marks"]])
+
+
+def test_certificate_and_horizons_are_said_in_words():
+    bench = Bench(PLANT, sd.Requirement(window=TURN, period=TURN), sd.PeriodicSchedule([TURN / 2] * 2, time_unit="s"))
+    assert "no certificate" in bench.answer({"ask": "certify"})["error"]
+    found = bench.answer({"ask": "certify", "marks": marks(0.5, 2.0, 4.0)})
+    assert found["passed"] is True
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        {},
+        {"ask": "delete"},
+        {"ask": ["sigma"]},
+        {"ask": "sigma", "marks": "all"},
+        {"ask": "sigma", "marks": []},
+        {"ask": "sigma", "marks": [{"t": "soon", "on": [True]}]},
+        {"ask": "sigma", "marks": [{"t": 1.0, "on": [True, False]}]},
+        {"ask": "sigma", "marks": [{"t": 1.0, "on": "yes"}]},
+        {"ask": "sigma", "marks": [{"t": 1.0, "on": [False]}]},
+        {"ask": "sigma", "marks": marks(*range(500))},
+    ],
+)
+def test_what_is_no_question_is_refused_and_changes_nothing(question):
+    bench = Bench(PLANT, sd.Requirement(window=4.0, samples=3))
+    before = bench.marks()
+    assert bench.answer(question)["error"]
+    assert bench.marks() == before
+    assert json.loads(bench.answer_json("[1, 2"))["error"]
+
+
+def test_a_bench_refuses_what_does_not_fit():
+    with pytest.raises(ArgumentError, match="`schedule` must have the period"):
+        Bench(PLANT, sd.Requirement(period=4.0), sd.PeriodicSchedule([1.0], time_unit="s"))
+    with pytest.raises(ArgumentError, match="`on` must say for each of 1 sensors"):
+        Bench(PLANT)._scheduled([{"t": 1.0, "on": [True, True]}])
+    with pytest.raises(ArgumentError, match="are needed for the accuracy"):
+        Bench(PLANT)._accuracy()
+    with pytest.raises(ArgumentError, match="`name` must be one of"):
+        scene("opera")
+    with pytest.raises(ArgumentError, match="`tolerance`"):
+        Bench(PLANT, tolerance=[0.1])
+
+
+def test_requirements_in_another_unit_are_converted():
+    bench = Bench(PLANT, sd.Requirement(window=0.1, period=0.1, time_unit="min"))
+    assert bench.period == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_opens_with_words(name):
+    opened = scene(name).answer({"ask": "open"})
+    assert opened["words"]
+    assert len(opened["marks"]) >= 2
+    assert len(json.dumps(opened)) < 10_000
+
+
+def test_a_plant_that_decays_needs_no_samples():
+    found = Bench(sd.Plant([[-1.0]], [[1.0]]), sd.Requirement(window=1.0)).answer({"ask": "sigma"})
+    assert found["lower"] is None
+    assert "No samples" in found["told"][0] or "decay" in found["told"][0]
+
+
+def test_a_notebook_gets_the_same_answers(monkeypatch):
+    widget = explore(scene("pathological"))
+    sent = []
+    widget.send = lambda message, *_: sent.append(message)
+    widget._handle_custom_msg({"number": 3, "question": {"ask": "sigma", "marks": marks(1.0, 2.5)}}, [])
+    widget._handle_custom_msg({"number": 4}, [])
+    assert [m["number"] for m in sent] == [3, 4]
+    assert sent[0]["answer"]["lower"] > 0.5
+    assert sent[1]["answer"]["error"]
+    assert widget.bench.schedule.times == pytest.approx([1.0, 2.5])
+    assert "export default" in widget._esm
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with pytest.raises(MissingExtraError, match="anywidget"):
+        explore(PLANT)

@@ -1,0 +1,85 @@
+"""The server answers its own name and its own token, and nobody else."""
+
+import http.client
+import json
+import threading
+import time
+
+import pytest
+
+from sampling_design.errors import ArgumentError
+from sampling_design.explorer import scene, serve
+from sampling_design.explorer.server import LARGEST, Server
+
+
+@pytest.fixture(scope="module")
+def server():
+    with Server(scene("pathological")) as made:
+        thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
+
+
+def ask(server, method="GET", path="/", body=None, **headers):
+    link = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    named = {key.replace("_", "-"): value for key, value in headers.items()}
+    link.request(method, path, body, named)
+    answer = link.getresponse()
+    found = answer.status, answer.read().decode(), dict(answer.getheaders())
+    link.close()
+    return found
+
+
+def test_the_page_and_its_module_come_with_the_token_and_load_nothing_else(server):
+    status, page, headers = ask(server, path=f"/?token={server.token}")
+    assert status == 200
+    assert "http" not in page
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    status, module, _ = ask(server, path=f"/explorer.js?token={server.token}")
+    assert status == 200
+    assert "export default" in module
+    assert "import " not in module
+    assert ask(server, path=f"/etc/passwd?token={server.token}")[0] == 404
+
+
+def test_a_question_is_answered(server):
+    status, text, _ = ask(server, "POST", "/ask", '{"ask": "sigma"}', X_Token=server.token)
+    assert status == 200
+    assert json.loads(text)["ask"] == "sigma"
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [("/ask", {}), ("/ask", {"X_Token": "guess"}), ("/ask", {"X_Token": "", "Host": "127.0.0.1"})],
+)
+def test_without_the_token_nothing_is_answered(server, path, headers):
+    assert ask(server, "POST", path, '{"ask": "open"}', **headers)[0] == 403
+    assert ask(server, path="/")[0] == 403
+    assert ask(server, path="/explorer.js?token=")[0] == 403
+
+
+def test_another_sites_name_for_this_machine_is_refused(server):
+    own = f"127.0.0.1:{server.server_port}"
+    assert ask(server, path=f"/?token={server.token}", Host="evil.example")[0] == 403
+    assert ask(server, path=f"/?token={server.token}", Host=own)[0] == 200
+
+
+def test_a_question_too_large_is_refused(server):
+    assert ask(server, "POST", "/ask", X_Token=server.token, Content_Length=str(LARGEST + 1))[0] == 413
+
+
+def test_it_listens_on_loopback_only(server):
+    assert server.server_address[0] == "127.0.0.1"
+
+
+def test_it_ends_when_nobody_asks():
+    seen, began = [], time.monotonic()
+    serve(scene("pathological"), idle=0.3, ready=seen.append)
+    assert 0.3 <= time.monotonic() - began < 20
+    assert seen[0].startswith("http://127.0.0.1:")
+    with pytest.raises(ArgumentError, match="cannot be used here"):
+        serve(scene("pathological"), port=70_000)
+    with pytest.raises(ArgumentError, match="`idle`"):
+        serve(scene("pathological"), idle=0.0)

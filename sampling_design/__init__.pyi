@@ -6,6 +6,7 @@ from sampling_design import design as design
 from sampling_design import errors as errors
 from sampling_design import estimators as estimators
 from sampling_design import evidence as evidence
+from sampling_design import explorer as explorer
 from sampling_design import nonlinear as nonlinear
 from sampling_design import observability as observability
 from sampling_design import planning as planning

@@ -41,6 +41,8 @@ class SampleLosses(Table):
         can touch, plus one.
     every_period : bool
         Whether the sample is missing from every period, or from a single one.
+    time_unit : str or None
+        Unit of the times.
     """
 
     times: Array
@@ -49,6 +51,7 @@ class SampleLosses(Table):
     upper: Array
     bound: Array
     every_period: bool
+    time_unit: str | None = None
 
     @property
     def price(self) -> Array:
@@ -144,7 +147,9 @@ def sample_losses(
         _bounds(design, every_period, began + seconds), lower
     )  # a bound may round to just below a tight proof
     lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
-    return SampleLosses(design.schedule.times, design.sigma, lower, upper, bound, every_period)
+    return SampleLosses(
+        design.schedule.times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit
+    )
 
 
 def _bounds(design: ScheduleDesign, every_period: bool, deadline: float) -> Array:

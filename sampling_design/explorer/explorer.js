@@ -2,7 +2,7 @@
    `mount(element, ask)` draws into an element and asks through the one function that it is given. */
 
 const SVG = "http://www.w3.org/2000/svg";
-const COLOUR = { measured: "#1f5fa8", proven: "#1e7a3e", attained: "#b35c00", allowed: "#767676", failed: "#c0202c" };
+const COLOUR = { measured: "#2b6398", proven: "#20793e", attained: "#9b6205", allowed: "#767676", failed: "#910d11" };
 const LEFT = 125, RIGHT = 14, ROW = 46, CHART = 150;
 const STYLE = `
 .sd { font: 15px/1.45 system-ui, "Helvetica Neue", Arial, sans-serif; color: #1b1b1b; background: #fff; max-width: 900px; padding: 12px; }
@@ -208,7 +208,7 @@ export async function mount(element, ask) {
     errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 24}`);
     opened.states.forEach((state, k) => {
       const y0 = 20 + k * (one + 26), upper = answer.upper[k];
-      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: an error of ${short(answer.worst[k])} can be guaranteed` : `${state}: nothing can ever be guaranteed`);
+      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: at most ${short(answer.worst[k])} off can be guaranteed` : `${state}: nothing can ever be guaranteed`);
       if (!upper) return;
       const wanted = opened.tolerance ? opened.tolerance[k] : 0, top = 1.15 * Math.max(...upper, wanted);
       const from = answer.edges[0], to = answer.edges[answer.edges.length - 1];

@@ -21,7 +21,7 @@ def draw_accuracy(
     `tolerance` is a wanted error for each row; standard deviations are dashed where the record has them.
     """
     count = len(result.rows)
-    axes = list(np.ravel(np.asarray(ax, dtype=object))) if ax is not None else _stack(count)
+    axes = _panels(count) if ax is None else style.Panels(np.ravel(np.asarray(ax, dtype=object)))
     profile = result.profile
     for k, one in zip(range(count), axes, strict=False):
         label = result.rows.labels()[k]
@@ -72,17 +72,15 @@ def draw_accuracy(
     )
     finite = [one for k, one in enumerate(axes[:count]) if np.isfinite(result.upper[k])]
     if finite:
-        finite[0].legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize="small", frameon=False, borderaxespad=0.2
-        )
+        style.legend(finite[0])
     return axes
 
 
-def _stack(count: int) -> list[Axes]:
-    first = style.new_axes(None, height=1.0 + 1.9 * count)
-    figure = first.figure
-    first.remove()
-    return list(np.ravel(figure.subplots(count, 1, sharex=True)))
+def _panels(count: int) -> style.Panels:
+    _, axes = style.new_figure(count, row_height=2.3)
+    for one in axes[:-1]:
+        one.tick_params(labelbottom=False)
+    return axes
 
 
 def draw_shadow(result: Shadow, ax: Axes | None = None) -> Axes:

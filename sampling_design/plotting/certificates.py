@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import shorten
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -35,7 +37,7 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     ax.vlines(curve.samples, low, low * (high / low) ** 0.04, color=style.TRUTH, linewidth=0.8)
     ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
     ax.set_ylabel("least information relative to P1")
-    ax.legend(loc="upper right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax
 
 
@@ -56,29 +58,41 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
     ax.set_xlabel(style.time_label(plant.time_unit, "time since the last sample"))
     ax.set_ylabel("prior weight over information kept")
     ax.set_title(certificate.family.explain(), loc="left", fontsize="medium")
-    ax.legend(loc="lower right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax
 
 
 def draw_four_horizons(horizons: FourHorizons, ax: Axes | None = None) -> Axes | style.Panels:
-    """Draw the four horizons as bars on a log axis; below them, in a figure of its own, the information curve."""
+    """Draw the four horizons as dots on a log axis; below them, in a figure of its own, the information curve."""
     if ax is not None:
-        return _bars(horizons, ax)
+        return _dots(horizons, ax)
     if not horizons.certificate.plant.n_states:
-        return _bars(horizons, style.new_axes())
+        return _dots(horizons, style.new_axes())
     _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.3))
-    return style.Panels([_bars(horizons, top), draw_certificate(horizons.certificate, bottom)])
+    return style.Panels([_dots(horizons, top), draw_certificate(horizons.certificate, bottom)])
 
 
-def _bars(horizons: FourHorizons, ax: Axes) -> Axes:
-    known = [(row, colour) for row, colour in zip(horizons.rows, _COLOURS, strict=True) if row.minimum is not None]
-    rows, colours = zip(*known, strict=True)
-    lengths = [max(row.minimum, 1e-12) for row in rows]
-    bars = ax.barh(range(len(rows)), lengths, color=colours, height=0.6)
-    ax.bar_label(bars, [short(row.minimum, 4) for row in rows], padding=4, fontsize="small")
-    ax.set_yticks(range(len(rows)), [row.name for row in rows])
-    ax.invert_yaxis()
+def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
+    """One row each: a dot where a horizon is known, else why there is none."""
+    known = [row.minimum for row in horizons.rows if row.minimum is not None]
+    lengths = [max(length, 1e-12) for length in known] or [1.0]
+    low, high = 10 ** np.floor(np.log10(0.8 * min(lengths))), 10 ** np.ceil(np.log10(1.25 * max(lengths)))
+    for k, (row, colour) in enumerate(zip(horizons.rows, _COLOURS, strict=True)):
+        if row.minimum is None:
+            why = f"not available: {row.note}" if row.note else "not available"
+            ax.text(
+                1.2 * low, k, shorten(why, 90, placeholder=" ..."), va="center", fontsize="small", color=style.ALLOWED
+            )
+            continue
+        at = max(row.minimum, 1e-12)
+        ax.hlines(k, low, at, color=style.ALLOWED, linewidth=0.8, linestyle=":")
+        ax.plot([at], [k], "o", color=colour, markersize=9)
+        ax.annotate(
+            short(row.minimum, 4), (at, k), xytext=(9, 0), textcoords="offset points", va="center", fontsize="small"
+        )
+    ax.set_yticks(range(len(horizons.rows)), [row.name for row in horizons.rows])
+    ax.set_ylim(len(horizons.rows) - 0.4, -0.6)
     ax.set_xscale("log")
-    ax.set_xlim(0.5 * min(lengths), 3.0 * max(lengths))
+    ax.set_xlim(low, high * (1.6 if known and max(known) > 0.5 * high else 1.0))
     ax.set_xlabel(style.time_label(horizons.certificate.plant.time_unit, "horizon M must exceed"))
     return ax

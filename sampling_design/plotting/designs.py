@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
@@ -31,8 +33,8 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None) -> Axes | style.
     draw_window_sigma(shown, bottom)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
-    bottom.legend(loc="upper right", fontsize="small", frameon=False, ncols=2)
-    bottom.set_ylim(0.0, 1.3 * max(result.upper_bound, float(shown.profile.sigma.max())))
+    style.legend(bottom, 2)
+    style.from_below(bottom, shown.lower, max(result.upper_bound, float(shown.profile.sigma.max())))
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])
 
@@ -41,5 +43,17 @@ def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> 
     draw_schedule(schedule, ax)
     for cycle in (0.0, schedule.period):
         for start, stop in result.requirement.forbidden:
-            ax.axvspan(cycle + start, cycle + stop, color=style.ALLOWED, alpha=0.35, linewidth=0)
+            ax.axvspan(cycle + start, cycle + stop, color=style.ALLOWED, alpha=0.3, linewidth=0, zorder=0)
+        for k, name in enumerate(result.plant.outputs.names):
+            access = result.requirement.outputs.get(name)
+            if access is not None and access.available is not None and schedule.outputs is not None:
+                for start, stop in closed(access.available, schedule.period):
+                    span = [(cycle + start, stop - start)]
+                    ax.broken_barh(span, (k - 0.4, 0.8), color=style.ALLOWED, alpha=0.3, linewidth=0, zorder=0)
     return ax
+
+
+def closed(available: npt.NDArray[np.float64], period: float) -> list[tuple[float, float]]:
+    """What lies between the opening hours of a period."""
+    edges = [0.0, *np.ravel(available).tolist(), period]
+    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]

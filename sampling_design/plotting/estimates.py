@@ -55,6 +55,7 @@ def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements 
         low, high = np.where(bounded, low, np.nan), np.where(bounded, high, np.nan)
     ax.fill_between(s, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the truth")
     ax.plot(t, x, color=style.ATTAINED, linewidth=1.2, label="estimate")
+    _not_ruled_by_the_start(ax, low, high)
     failed = np.array([s in FAILURES for s in record.status])
     if failed.any():
         ax.plot(t[failed], x[failed], "x", color=style.FAILED, label="failed")
@@ -64,6 +65,24 @@ def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements 
     ax.set_ylabel(record.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
     return ax
+
+
+START = 0.25
+"""Share of the tube, the first one, that does not rule the axis: a wide start would flatten all that follows."""
+STRETCH = 1.5
+
+
+def _not_ruled_by_the_start(ax: Axes, low: Array, high: Array) -> None:
+    """Limit the y axis by what comes after the start, where the start alone would stretch it by half."""
+    known = np.isfinite(low) & np.isfinite(high)
+    low, high = low[known], high[known]
+    kept = slice(int(np.ceil(START * low.size)), None)
+    if not low[kept].size:
+        return
+    bottom, top = float(low[kept].min()), float(high[kept].max())
+    if top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom):
+        room = 0.15 * (top - bottom)
+        ax.set_ylim(bottom - room, top + room)
 
 
 class _AxisClock:

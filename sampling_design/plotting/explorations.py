@@ -25,7 +25,7 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(style.time_label(result.time_unit, "time in the window"))
     ax.set_ylabel("output")
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
-    ax.legend(loc="upper right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax
 
 
@@ -44,13 +44,15 @@ def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes:
     counts = [p.samples for p in points]
     sigma, bound = np.array([p.sigma for p in points]), np.array([p.upper_bound for p in points])
     ax.fill_between(counts, sigma, bound, color=style.ALLOWED, alpha=0.4, linewidth=0)
-    ax.plot(counts, bound, "--", color=style.TRUTH, linewidth=1.0, label="no schedule exceeds")
-    ax.plot(counts, sigma, "o-", color=style.PROVEN, label="proven sigma of the design")
+    ax.plot(
+        counts, bound, "_--", color=style.TRUTH, linewidth=1.0, markersize=14, label="no schedule exceeds", zorder=3
+    )
+    ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
     ax.set_ylim(bottom=0.0)
     ax.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
     ax.set_xlabel("samples per period")
     ax.set_ylabel("sigma")
-    ax.legend(loc="lower right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax
 
 
@@ -61,9 +63,9 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.plot(losses.times, losses.lower, "o", color=style.FAILED, label="without this sample (proven)")
     ax.plot(losses.times, losses.bound, "_", color=style.TRUTH, markersize=10, label="no schedule of one fewer exceeds")
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {short(losses.sigma, 4)}")
-    ax.set_ylim(0.0, 1.2 * max(losses.sigma, float(np.max(losses.bound))))
-    ax.set_xlabel("time of the lost sample")
+    ax.set_ylim(0.0, 1.1 * max(losses.sigma, float(np.max(losses.bound))))
+    ax.set_xlabel(style.time_label(losses.time_unit, "time of the lost sample"))
     ax.set_ylabel("sigma")
     ax.set_title("missing in every period" if losses.every_period else "missed once", loc="left")
-    ax.legend(loc="lower right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax

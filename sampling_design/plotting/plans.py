@@ -68,8 +68,8 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     goal = [goal for goal in result.goals if goal.guaranteed][k]
     assert result.accuracy is not None
     profile, period = result.accuracy.profile, result.schedule.period
-    for cycle in (-period, 0.0):
-        ax.stairs(profile.upper[k], profile.edges + cycle, baseline=None, color=style.PROVEN, label="guaranteed")
+    for cycle, label in ((-period, None), (0.0, "guaranteed")):
+        ax.stairs(profile.upper[k], profile.edges + cycle, baseline=None, color=style.PROVEN, label=label)
     ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
     if result.bound.ratio is not None:
         level = result.bound.ratio.level * goal.tolerance
@@ -83,9 +83,7 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     ax.set_ylim(0.0, 1.25 * max(goal.tolerance, float(np.max(profile.upper[k]))))
     ax.set_ylabel(f"{goal.name}\n[{goal.unit}]" if goal.unit else goal.name)
     ax.set_xlabel(style.time_label(result.plant.time_unit))
-    handles, labels = ax.get_legend_handles_labels()
-    first = dict(zip(labels, handles, strict=True))
-    ax.legend(first.values(), first.keys(), loc="lower right", fontsize="small", frameon=False, ncols=3)
+    style.legend(ax)
 
 
 def _days(result: Plan, ax: Axes) -> None:

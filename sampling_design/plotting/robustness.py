@@ -15,12 +15,16 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
     """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
     if ax is not None:
         return _radii(result, ax)
-    figure, (top, bottom) = style.new_figure(2)
-    _radii(result, top)
-    _losses(result, bottom)
     lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated) or "none"
-    figure.suptitle(f"timing error up to {short(result.radius, 4)}, losses up to {lost}")
-    return style.Panels([top, bottom])
+    words = f"timing error up to {short(result.radius, 4)}, losses: {lost}"
+    # a panel of losses only where some were tried with a lambda to show
+    found = any(np.isfinite(loss.lam) for loss in result.losses)
+    figure, panels = style.new_figure(2 if found else 1, row_height=2.8)
+    _radii(result, panels[0])
+    if found:
+        _losses(result, panels[1])
+    figure.suptitle(words)
+    return panels
 
 
 def _radii(result: Robustness, ax: Axes) -> Axes:
@@ -34,7 +38,7 @@ def _radii(result: Robustness, ax: Axes) -> Axes:
     _limit(result, ax)
     ax.axvline(result.radius, color=style.PROVEN, linewidth=1.0)
     ax.set_xlabel(style.time_label(result.certificate.plant.time_unit, "timing error of every sample"))
-    ax.legend(loc="lower right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax
 
 

@@ -24,6 +24,7 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(-0.6, len(names) - 0.4)
     ax.set_xlabel(style.time_label(schedule.time_unit))
+    style.dates(ax, schedule.time_unit, schedule.origin)
     gaps = schedule.gaps
     if gaps.size:
         ax.set_title(f"{len(schedule)} samples, gaps {short(gaps.min(), 4)} to {short(gaps.max(), 4)}", loc="left")

@@ -26,7 +26,7 @@ def draw_figure(figure: PatientFigure, ax: Axes | None = None) -> Axes | style.P
         _row(figure.of, figure.number, state, row)
         row.label_outer()
     whole.suptitle(figure.explain())
-    axes[0].legend(loc="best", fontsize="small", frameon=False, ncols=3)
+    style.legend(axes[0])
     return axes
 
 
@@ -44,7 +44,7 @@ def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Pa
     for state, row in enumerate(axes):
         _row(run, 2 if state in _MEASURED else 3, state, row)
         row.label_outer()
-    axes[0].legend(loc="best", fontsize="small", frameon=False, ncols=3)
+    style.legend(axes[0])
     whole.suptitle(run.explain(), fontsize="medium")
     return axes
 

@@ -29,7 +29,7 @@ def draw_validation(report: ValidationReport, ax: Axes | None = None) -> Axes | 
         if i + 1 < count:
             panel.set_xlabel("")
             panel.tick_params(labelbottom=False)
-    axes[1].legend(loc="upper right", fontsize="small", frameon=False, ncols=2)
+    style.legend(axes[1])
     return axes
 
 
@@ -52,7 +52,7 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(f"error: {report.norm}", fontsize="small")
-    ax.legend(loc="lower left", fontsize="x-small", framealpha=0.85, edgecolor="none", ncols=2)
+    style.legend(ax, 3)
     return ax
 
 
@@ -88,7 +88,7 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
     bottom.set_ylim(bottom=0.0)
     bottom.set_xlabel(style.time_label(log.time_unit, f"end of the window of length {short(log.planned_sigma.window)}"))
     bottom.set_ylabel("sigma (state at window's start)")
-    bottom.legend(loc="upper right", fontsize="small", frameon=False)
+    style.legend(bottom)
     return style.Panels([top, bottom])
 
 

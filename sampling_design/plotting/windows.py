@@ -24,8 +24,8 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None) -> Axes:
     face = style.ATTAINED if result.witness.side == "at" else "none"
     label = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
     ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=label)
-    ax.set_ylim(bottom=0.0)
+    style.from_below(ax, min(result.lower, float(profile.sigma.min())), float(profile.sigma.max()))
     ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
     ax.set_ylabel("sigma (state at window's start)")
-    ax.legend(loc="upper right", fontsize="small", frameon=False)
+    style.legend(ax)
     return ax

@@ -1,14 +1,18 @@
 """Pictures: what they show is what the record says, and they are written whole or not at all."""
 
 import struct
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import sampling_design as sd
 from sampling_design import plotting
+from sampling_design.certificates.compare.robustness import Losses, TimingTrial
 from sampling_design.errors import ArgumentError
+from sampling_design.plotting import style
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -56,11 +60,18 @@ def test_a_certificate_is_drawn_above_its_promise():
     assert "touches" not in ax.get_ylabel()
 
 
-def test_four_horizons_are_bars_with_their_lengths():
+def test_four_horizons_are_dots_at_their_lengths_and_say_why_one_is_missing():
     horizons = sd.four_horizons(OSCILLATOR, SCHEDULE)
     top, bottom = plotting.draw(horizons)
-    drawn = [bar.get_width() for bar in top.patches]
+    drawn = [line.get_xdata()[0] for line in top.lines]
     assert drawn == pytest.approx([row.minimum for row in horizons.rows])
+    low, high = top.get_xlim()
+    assert low < min(drawn)
+    assert max(drawn) < high
+    first = replace(horizons.rows[0], minimum=None, note="the hypotheses fail")
+    one = plotting.draw(replace(horizons, rows=(first, *horizons.rows[1:])), Figure().subplots())
+    assert len(one.lines) == 3
+    assert "not available: the hypotheses fail" in [t.get_text() for t in one.texts]
     assert [t.get_text() for t in top.get_yticklabels()] == [row.name for row in horizons.rows]
     assert bottom.has_data()
 
@@ -83,8 +94,6 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
 
 
 def test_pictures_are_drawn_on_given_axes():
-    from matplotlib.figure import Figure
-
     axes = Figure().subplots(3, 1)
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
     for record, ax in zip((SCHEDULE, design, design.window), axes, strict=True):
@@ -113,3 +122,97 @@ def test_what_has_no_picture_is_refused(tmp_path):
     with pytest.raises(ArgumentError, match="`record` has no schedule to draw"):
         plotting.draw(nothing)
     assert list(tmp_path.iterdir()) == []
+
+
+def linear(colour):
+    value = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+SIGHTS = {
+    "full": np.eye(3),
+    "without green": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+    "without red": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+}
+"""What is left of linear red, green and blue (Machado, Oliveira and Fernandes 2009, severity 1)."""
+
+
+@pytest.mark.parametrize("sight", SIGHTS)
+def test_the_colours_differ_for_every_sight_and_stand_out_from_white(sight):
+    names = ("MEASURED", "PROVEN", "ATTAINED", "FAILED", "TRUTH", "ALLOWED")
+    colours = [linear(getattr(style, name)) for name in names]
+    assert all(1.05 / (np.dot(c, [0.2126, 0.7152, 0.0722]) + 0.05) >= 4.5 for c in colours)
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+    def lab(c):
+        ratio = to_xyz @ np.clip(np.array(SIGHTS[sight]) @ c, 0, 1) / [0.9505, 1.0, 1.089]
+        x, y, z = np.where(ratio > 0.008856, np.cbrt(ratio), 7.787 * ratio + 16 / 116)
+        return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+    apart = [np.linalg.norm(lab(a) - lab(b)) for k, a in enumerate(colours) for b in colours[:k]]
+    assert min(apart) > 15
+
+
+def shown_legends(axes):
+    for ax in axes if isinstance(axes, list) else [axes]:
+        if ax.get_legend() is not None:
+            ax.figure.canvas.draw()
+            yield ax, ax.get_legend().get_window_extent(), ax.get_window_extent()
+
+
+def test_no_legend_lies_on_a_curve():
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
+    worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
+    known = sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
+    seen = 0
+    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known):
+        for ax, legend, inside in shown_legends(record.plot()):
+            seen += 1
+            assert legend.y0 >= inside.y1 - 2, type(record).__name__
+            title = ax._left_title.get_window_extent()
+            assert not ax.get_title(loc="left") or title.y0 >= legend.y1 - 4, type(record).__name__
+    assert seen == 6
+
+
+def test_the_axis_begins_below_the_curve_and_not_far_from_it():
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    bottom = design.plot()[1]
+    low, high = bottom.get_ylim()
+    curve = np.concatenate([line.get_ydata() for line in bottom.lines])
+    assert low <= curve.min()
+    assert curve.max() <= high
+    assert curve.min() < low + 0.75 * (high - low)
+
+
+def test_dates_are_written_where_the_time_of_zero_is_known():
+    made = {"time_unit": "h", "origin": "2026-03-02T08:00:00+00:00"}
+    ax = sd.Schedule([0.0, 24.0, 60.0], **made).plot()
+    ax.figure.canvas.draw()
+    labels = [t.get_text() for t in ax.get_xticklabels()]
+    assert "Tue 03 Mar" in labels
+    ticks = dict(zip(labels, ax.get_xticks(), strict=True))
+    assert ticks["Tue 03 Mar"] == pytest.approx(16.0)  # midnight, sixteen hours after eight o'clock
+    assert "2026-03-02" in ax.get_xlabel()
+    assert sd.Schedule([0.0, 1.0], time_unit="h").plot().get_xlabel() == "time [h]"
+
+
+def test_robustness_shows_no_empty_panel():
+    trial = TimingTrial(0.1, 2.0, True)
+    certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
+    known = sd.robustness(OSCILLATOR, certificate, budget=1.0)
+    none = replace(known, trials=(trial,), losses=(Losses(1, 3, np.inf, False),))
+    some = replace(known, trials=(trial,), losses=(Losses(1, 3, np.inf, False), Losses(1, 8, 3.0, True)))
+    assert len(none.plot()) == 1
+    assert len(some.plot()) == 2
+
+
+def test_a_wide_start_does_not_rule_the_axis_of_estimates():
+    certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
+    record = sd.simulate_record(OSCILLATOR, SCHEDULE, 30.0, v_bound=0.1, w_bound=0.01, rng=np.random.default_rng(0))
+    bounds = {"w_bound": 0.01, "v_bound": 0.1, "initial_error": 100.0}
+    estimates = sd.MovingHorizonEstimator(OSCILLATOR, certificate, **bounds).run(record.measurements)
+    low, high = estimates.plot()[0].get_ylim()
+    wide, later = estimates.ellipsoid_radii[0, 0], estimates.ellipsoid_radii[len(estimates.times) // 2 :, 0].max()
+    assert high - low < wide
+    assert high >= later

@@ -43,6 +43,7 @@ WRITTEN |= {
     "contributing",
     "changelog",
     "installation",
+    "first_hour",
     "gallery",
     "exercises",
     "glossary",

@@ -81,6 +81,7 @@ def _broken(place: Path, name: str, content: bytes) -> dict[str, Path]:
 
 
 COMMANDS = {
+    "new": ((), {"--rhythm": "24", "--decay": "2,3", "--open": "7-19", "--samples": "3", "--period": "48"}),
     "info": (("plant",), {"--window": "4"}),
     "design": (("plant", "requirement"), {"--samples": "3", "--branches": "1", "--start": "2026-01-01"}),
     "sigma": (("plant", "schedule"), {"--window": "4", "--rigorous": None}),
@@ -117,7 +118,7 @@ VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", 
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
           "survive": ["--longest", "2"], "design": ["--branches", "1"],
-          "explore": ["--idle", "0.2", "--no-browser"]}  # fmt: skip
+          "explore": ["--idle", "0.2", "--no-browser"], "new": [tempfile.mkdtemp(), "--force"]}  # fmt: skip
 
 
 def drawn(count: int, seed: int) -> list[list[str]]:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design.cli import accuracy, explore, plan, planning, prove, thyroid, track, what_if
+from sampling_design.cli import accuracy, explore, new, plan, planning, prove, thyroid, track, what_if
 from sampling_design.cli.settings import _version, with_common_flags
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ app = typer.Typer(
     "3 a solver failed or a budget ran out; 70 a defect of this program; 130 interrupted.",
 )
 for command in (
+    *new.COMMANDS,
     *plan.COMMANDS,
     *planning.COMMANDS,
     *prove.COMMANDS,

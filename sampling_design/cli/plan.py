@@ -44,6 +44,13 @@ def info(
     if split.retained.n_states:
         count = sd.zero_count_bound(split.retained, window_length(settings, split, window))
         tables += [record_table(count), count.explain()]
+        left = plant.n_states - split.retained.n_states
+        if left:
+            tables.append(
+                f"To determine the state means here: its {split.retained.n_states} retained directions. "
+                f"The other {left} fade by themselves and need no samples; "
+                "with a larger --decay-rate some of them are counted too."
+            )
         data["counts"] = count.to_dict()
     settings.show(data, *tables)
 

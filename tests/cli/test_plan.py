@@ -3,8 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design import read_schedule
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -182,3 +184,10 @@ def test_where_to_write_is_settled_before_anything_is_designed(shell, tmp_path, 
     result = shell("design", plant("oscillator"), *more)
     assert result.code == 2
     assert "taken" in result.err or "needs a folder" in result.err
+
+
+def test_info_says_what_determining_the_state_means_where_most_of_it_decays(shell, tmp_path):
+    sd.write_plant(sd.Plant(np.diag([0.0, -1.0, -2.0, -3.0]), np.ones((1, 4))), tmp_path / "plant.toml")
+    told = " ".join(shell("info", tmp_path / "plant.toml").out.split())
+    assert "To determine the state means here: its 1 retained directions. The other 3 fade by themselves" in told
+    assert "To determine the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out

@@ -118,7 +118,8 @@ VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", 
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
           "survive": ["--longest", "2"], "design": ["--branches", "1"],
-          "explore": ["--idle", "0.2", "--no-browser"], "new": [tempfile.mkdtemp(), "--force"]}  # fmt: skip
+          "explore": ["--idle", "0.2", "--no-browser"],
+          "new": [tempfile.mkdtemp(), "--force", "--rhythm", "24"]}  # fmt: skip
 
 
 def drawn(count: int, seed: int) -> list[list[str]]:

@@ -314,7 +314,7 @@ def floors_picture(package: Path) -> str:
     places = {}
     for level, rooms in enumerate(FLOORS):
         for k, room in enumerate(rooms):
-            x = width / 2 + (k - (len(rooms) - 1) / 2) * 330
+            x = width / 2 + (k - (len(rooms) - 1) / 2) * min(330, (width - 190) / max(len(rooms) - 1, 1))
             places[room] = (x, (top - 1 - level) * height + 40)
     lines = []
     for (here, other), count in sorted(imports_between(package).items()):

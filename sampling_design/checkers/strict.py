@@ -21,6 +21,7 @@ Tree = dict[str, Any]
 """A table as a file holds it or a reader made it; the type of each key's value is not what a dictionary can say."""
 
 MOST_BYTES = 100_000_000  # of one file; a family certificate of 400 nodes and 20 states has 5 million
+MOST_ITEMS = 20_000_000  # values of one file
 MOST_DEPTH = 20  # lists and tables inside each other; certificates have six levels
 MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
 
@@ -44,9 +45,52 @@ def shown(value: object) -> str:
     if value is None:
         return "nothing (null)"
     kind = names.get(type(value), "")
-    # a long whole number has no text: the interpreter refuses to write it
-    text = "a whole number of many digits" if type(value) is int and abs(value) > MOST_WHOLE else f"{value!r}"
-    return f"{kind} {text[:40]}{'...' * (len(text) > 40)}".strip()
+    try:
+        long = isinstance(value, int) and abs(value) > MOST_WHOLE
+        text = "a whole number of many digits" if long else " ".join(repr(value).split())
+    except (ValueError, RecursionError):  # the interpreter writes no number of thousands of digits, and no deep list
+        text = ""
+    return f"{kind} {text[:40]}{'...' * (len(text) > 40)}".strip() or f"a {type(value).__name__}"
+
+
+# --- plain data ------------------------------------------------------------------------------------------------------
+
+
+def plain(value: object) -> Any:
+    """The same data in tables, lists, texts, truth values, null and finite numbers, whatever Python held them in.
+
+    BadFile for anything else: what holds itself or is too deep or large, numbers that no double holds.
+    """
+    return _plain(value, "", [], [0])
+
+
+def _plain(value: object, place: str, around: list[int], items: list[int]) -> Any:
+    items[0] += 1
+    if items[0] > MOST_ITEMS:
+        raise refuse("", f"holds more than {MOST_ITEMS} values")
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, (int, float)):
+        number(value, place)
+        return int(value) if isinstance(value, int) else float(value)
+    if isinstance(value, str):
+        return unicode(str(value))
+    if not isinstance(value, (Mapping, list, tuple)):
+        raise refuse(place, f"must be plain data, got a {type(value).__name__}")
+    if id(value) in around:
+        raise refuse(place, "must not hold itself")
+    if len(around) >= MOST_DEPTH:
+        raise refuse("", f"is nested more than {MOST_DEPTH} levels deep")
+    inside = [*around, id(value)]
+    if not isinstance(value, Mapping):
+        return [_plain(item, f"{place}[{k}]", inside, items) for k, item in enumerate(value)]
+    keys = [unicode(text(key, f"a key of {place or 'the file'}")) for key in value]
+    return {
+        key: _plain(item, f"{place}.{key}" if place else key, inside, items)
+        for key, item in zip(keys, value.values(), strict=True)
+    }
 
 
 # --- text ------------------------------------------------------------------------------------------------------------
@@ -91,9 +135,15 @@ def unique(pairs: list[tuple[str, object]]) -> Tree:
         keys = [key for key, _ in pairs]
         raise refuse("", f"key {next(key for key in keys if keys.count(key) > 1)!r} occurs twice")
     for word in (word for pair in pairs for word in pair if isinstance(word, str)):
-        if any("\ud800" <= letter <= "\udfff" for letter in word):
-            raise refuse("", f"holds the text {word!a}, which is not Unicode")
+        unicode(word)
     return result
+
+
+def unicode(word: str) -> str:
+    """The text, if it is one that a file can hold."""
+    if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
+        raise refuse("", f"holds the text {word[:40]!a}, which is not Unicode")
+    return word
 
 
 def no_constant(word: str) -> float:
@@ -184,7 +234,8 @@ def word(*known: str) -> Reader:
     def read(value: object, place: str) -> str:
         if not isinstance(value, str) or value not in known:
             expected = repr(known[0]) if len(known) == 1 else f"one of {', '.join(known)}"
-            sentence = f"must be {expected}, got {value!r:.60}"
+            came = f"{value!r:.60}" if isinstance(value, str) else shown(value)
+            sentence = f"must be {expected}, got {came}"
             raise refuse(place, sentence)
         return str(value)
 

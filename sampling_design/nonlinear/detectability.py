@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim
 from sampling_design.nonlinear.model import NonlinearPlant, own_box
@@ -139,7 +140,7 @@ def check_detectability(
     ----------
     plant : NonlinearPlant
     schedule : Schedule or PeriodicSchedule
-        Generates the sets K_i; the pairs take them in turn.
+        Generates the sets K_i; the pairs take them in turn. An output that is not measured at a sample is free there.
     start : (lower, upper), optional
         Box from which initial states are drawn, uniformly. Default: the plant's box of states, if finite.
     P1, P2, Qw, R, Qv : arrays, optional
@@ -246,17 +247,19 @@ class _Study:
 
     def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:
         """Return least ratio, where, the scaled difference there, and the growth in P2; None if the pair leaves X."""
-        samples = times.between(0.0, self.duration).times
+        within = times.between(0.0, self.duration)
+        samples = within.times
         grid = _grid(self.duration, self.step, samples)
         loud = 0.0 if rng.random() < QUIET_SHARE else rng.random()
         one, other = (self._trajectory(grid, loud, rng) for _ in range(2))
         if one is None or other is None:
             return None
         x, w, v, y = (a - b for a, b in zip(one, other, strict=True))
-        sampled = np.isin(grid, samples)
-        ratio = ratios(grid, x, w, v, y, sampled, P1, self.weights)
+        measured = np.zeros(y.shape, dtype=np.bool_)
+        measured[np.isin(grid, samples)] = True if within.outputs is None else within.outputs
+        ratio = ratios(grid, x, w, v, y, measured, P1, self.weights)
         j = int(np.argmin(ratio))
-        growth = 1 / float(ratios(grid, x, w, v, y, sampled, self.weights.P2, self.weights).min())
+        growth = 1 / float(ratios(grid, x, w, v, y, measured, self.weights.P2, self.weights).min())
         return float(ratio[j]), float(grid[j]), x[j], growth
 
     def _trajectory(
@@ -310,19 +313,25 @@ def ratios(
     w: Array,
     v: Array,
     y: Array,
-    sampled: npt.NDArray[np.bool_],
+    measured: npt.NDArray[np.bool_],
     P1: Array,
     weights: NonlinearWeights,
 ) -> Array:
     """Return, at each grid time, right side over left side of (16) for differences of one pair, all scaled.
 
-    At a sample the smaller of the values before and after it counts; infinite where the states agree.
+    `measured` says of each grid time and output whether it is measured then; what is not is free, and so is its noise
+    where each output has its own. At a sample the smaller of the values before and after it counts; infinite where the
+    states agree.
     """
     eta = weights.eta
     right = np.empty(grid.size)
     gaps = np.diff(grid)
     gain = _square(w[:-1], weights.Qw) * discounted_length(eta, gaps)
-    jump = np.where(sampled, _square(y, weights.R) + _square(v, weights.Qv), 0.0)
+    jump = np.zeros(grid.size)
+    for pattern in np.unique(measured[measured.any(axis=1)], axis=0):
+        at = (measured == pattern).all(axis=1)
+        Qv = marginal(weights.Qv, pattern) if v.shape[1] == pattern.size else weights.Qv
+        jump[at] = _square(y[at], marginal(weights.R, pattern)) + _square(v[at], Qv)
     total = float(x[0] @ weights.P2 @ x[0])
     for j in range(grid.size):
         if j:

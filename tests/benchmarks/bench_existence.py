@@ -1,4 +1,4 @@
-"""Random plants and schedules: does `certificate_exists` say what 50 digits say? `python bench_existence.py [count]`.
+"""Random plants and schedules: does `certificate_exists` say what 50 digits say? `bench_existence.py [count] [first]`.
 
 Plants of up to 9 states with Jordan blocks, stiff modes and hidden modes, one or two outputs, in random coordinates
 and units (1e-12 to 1e12 for every state and output, 1e-9 to 1e9 for time); a third of the schedules alias something.
@@ -51,11 +51,11 @@ def verdicts(seed: int) -> tuple[str, float, float, float]:
     )
 
 
-def main(count: int) -> None:
-    """Print the counts."""
+def main(count: int, first: int = 0) -> None:
+    """Print the counts of the seeds from `first` on."""
     counts: Counter[str] = Counter()
     slowest = 0.0
-    for seed in range(count):
+    for seed in range(first, first + count):
         verdict, truth, margin, spent = verdicts(seed)
         counts[verdict] += 1
         slowest = max(slowest, spent)
@@ -65,4 +65,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    main(*(int(word) for word in sys.argv[1:3] or ["500"]))

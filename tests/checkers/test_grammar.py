@@ -173,3 +173,61 @@ def test_what_floats_can_not_decide_says_so():
         definite("P", np.eye(41) - 1 / 41, np.ones(41))
     with pytest.raises(Refused, match="the graph does not hold the family: at node 3, why"):
         need(False, 3, "why")
+
+
+def _deep(levels):
+    found = []
+    for _ in range(levels):
+        found = [found]
+    return found
+
+
+def _itself():
+    found = []
+    found.append(found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        (_itself(), "must not hold itself"),
+        ({"a": _itself()}, "must not hold itself"),
+        (_deep(30), "is nested more than 20 levels deep"),
+        (_deep(5000), "is nested more than 20 levels deep"),
+        ([[10**5000, 1.0]], "must be a number that a double holds, got a whole number of many digits"),
+        (-(10**5000), "must be a number that a double holds, got a whole number of many digits"),
+        ([float("nan")], "must be finite, got nan"),
+        (np.float64("nan"), "must be finite, got nan"),
+        (np.array([[1.0, np.inf]]), "must be finite, got inf"),
+        (1j, "must be plain data, got a complex"),
+        (object(), "must be plain data, got a object"),
+        ({1, 2}, "must be plain data, got a set"),
+        ({1: 2.0}, "must be a string, got 1"),
+        ("\ud800", "which is not Unicode"),
+    ],
+    ids=lambda value: "" if isinstance(value, str) else type(value).__name__,
+)
+@pytest.mark.parametrize(
+    "place", [("more",), ("lam",), ("times",), ("plant", "matrices", "A"), ("solver", "details", "x")]
+)
+def test_what_only_python_can_hold_is_a_sentence(place, value, sentence):
+    """Data need not come from a file: what no file holds is refused as what a file holds wrongly."""
+    table = altered = json.loads(text())
+    for key in place[:-1]:
+        table = table[key]
+    table[place[-1]] = value
+    found = check(altered)
+    assert found["verdict"] == "bad file"
+    assert sentence in found["reason"]
+    assert "\n" not in found["reason"]
+    for holds in (value, [value], {"a": value}):
+        assert "\n" not in strict.shown(holds)  # readers of other files show it too
+
+
+def test_numbers_of_arrays_are_those_of_lists():
+    altered = json.loads(text())
+    for key in ("P1", "P2", "Qw", "R", "Qv"):
+        altered[key] = np.array(altered[key])
+    altered["eta"] = np.float64(altered["eta"])
+    assert check(altered)["passed"]

@@ -143,3 +143,8 @@ def test_growth_beyond_all_numbers_within_a_lap(growth):
     found = certificate_exists(blind, PeriodicSchedule([3.0, 7.0]), 0.4)
     assert not found.exists
     assert found.eigenvalue == pytest.approx(0.1)
+
+
+def test_a_covariance_that_rounding_makes_singular_has_not_settled():
+    assert periodic._change(np.ones((2, 2)), np.eye(2)) == np.inf
+    assert periodic._change(np.eye(2), 1.5 * np.eye(2)) == pytest.approx(0.5)

@@ -21,9 +21,10 @@ def test_both_sides_are_those_of_plain_sums():
     times = np.array([0.0, 0.3, 0.5, 1.1, 2.0])
     x, w, v, y = (rng.standard_normal((5, k)) for k in (2, 1, 3, 3))
     sampled = np.array([True, False, True, True, False])
+    measured = np.repeat(sampled[:, None], 3, axis=1)
     half = [rng.standard_normal((k, k)) for k in (2, 2, 1, 3, 3)]
     P1, P2, Qw, Qv, R = (a @ a.T + np.eye(len(a)) for a in half)
-    found = ratios(times, x, w, v, y, sampled, P1, NonlinearWeights(P2, Qw, Qv, R, 0.4))
+    found = ratios(times, x, w, v, y, measured, P1, NonlinearWeights(P2, Qw, Qv, R, 0.4))
     sides = oracle.inequality(times, x, w, v, y, sampled, P1, P2, Qw, R, Qv, 0.4)
     assert found == pytest.approx(sides[:, 1] / sides[:, 0], rel=1e-6)
 
@@ -99,3 +100,31 @@ def test_bad_arguments_are_refused():
         check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, pairs=0)
     with pytest.raises(ArgumentError, match="`P1` must be positive definite"):
         check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, P1=-np.eye(2))
+
+
+def test_an_output_that_is_not_measured_says_nothing():
+    """The inequality counts what the mask lets through: as with the output left out of the plant at those samples."""
+    rng = np.random.default_rng(8)
+    times = np.array([0.0, 0.4, 1.0, 1.7])
+    x, w, v, y = (rng.standard_normal((4, k)) for k in (2, 1, 2, 2))
+    half = [rng.standard_normal((k, k)) for k in (2, 2, 1, 2, 2)]
+    P1, P2, Qw, Qv, R = (a @ a.T + np.eye(len(a)) for a in half)
+    first = np.array([True, False, True, True])
+    measured = np.stack([first, 0 * first], axis=1).astype(bool)
+    found = ratios(times, x, w, v, y, measured, P1, NonlinearWeights(P2, Qw, Qv, R, 0.4))
+    alone = [1 / np.linalg.inv(W)[:1, :1] for W in (Qv, R)]  # the covariance of what is measured, inverted
+    sides = oracle.inequality(times, x, w, v[:, :1], y[:, :1], first, P1, P2, Qw, alone[1], alone[0], 0.4)
+    assert found == pytest.approx(sides[:, 1] / sides[:, 0], rel=1e-6)
+
+
+def test_a_mask_that_hides_an_output_gives_another_verdict():
+    # x' = x; only the first output sees it, and it is never measured
+    plant = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [x[0] + v[0], v[1]],
+                           {"states": 1, "disturbances": 1, "outputs": 2})  # fmt: skip
+    given = {"start": ([-1.0], [1.0]), "eta": 0.2, "duration": 3.0, "pairs": 6, "R": 100 * np.eye(2)}
+    given |= {"P1": [[0.1]], "P2": [[1.0]], "Qv": 100 * np.eye(2)}
+    hidden = check_detectability(plant, PeriodicSchedule([0.5], outputs=[[0, 1]]), **given)
+    assert check_detectability(plant, PeriodicSchedule([0.5]), **given).holds
+    assert not hidden.holds
+    # without disturbance nothing but the prior is left
+    assert hidden.ratio == pytest.approx(10 * np.exp(-2.2 * 3.0), rel=1e-6)

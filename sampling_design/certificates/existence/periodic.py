@@ -303,11 +303,18 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
                     return False
             if cycle % SETTLING == SETTLING - 1:
                 # relative in every direction: what grows slowly may hide beside what is large
-                gain = np.linalg.eigvals(np.linalg.solve(last, Y - last))
-                if np.max(np.abs(gain)) <= SETTLED:
+                if _change(last, Y) <= SETTLED:
                     return True
                 last = Y
     return False
+
+
+def _change(last: Array, Y: Array) -> float:
+    """How far Y is from `last`, relative to it, where that is most; infinite where rounding hides it."""
+    try:
+        return float(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(last, Y - last)))))
+    except np.linalg.LinAlgError:
+        return float("inf")
 
 
 def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSchedule, eta: float) -> str:

@@ -135,7 +135,7 @@ def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None
     clock = Clock(budget) if work is None else CountedClock(budget, work)
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
-        with precision():
+        with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
             found |= _decided(data, clock)
     except Unproven as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}

@@ -125,11 +125,25 @@ class Frame:
             raise self.undecided("it takes more work than one check may do")
 
     def inverse_of(self, P: Array) -> tuple[Array, Array]:
-        """Y = L' P^-1 L of a stack of P, from above, and its band."""
-        l, inverse = np.abs(self.L), np.abs(np.linalg.inv(P))
-        lost = dominating(8 * self.n * EPS * (l.T @ inverse @ np.abs(P) @ inverse @ l))
-        Y = self.L.T @ np.linalg.solve(P, np.broadcast_to(self.L, P.shape))
-        return (Y + turned(Y)) / 2 + lost, 2 * lost
+        """Y = L' P^-1 L of a stack of P, from above, and its band.
+
+        Y = Z'Z with M Z = L and M M' = P but for what the factor lost: P^-1 itself would lose the condition twice.
+        """
+        try:
+            M = np.linalg.cholesky(P)
+        except np.linalg.LinAlgError:
+            raise self.undecided("a weight is nearly singular") from None
+        m, inverse = np.abs(M), np.abs(np.linalg.inv(M)) * (1 + 1e-3)
+        loose = (self.n + 6) * EPS * size(inverse @ m @ turned(m) @ turned(inverse))[..., None, None]
+        if not np.all(loose < 1 / 4):
+            raise self.undecided("a weight is too ill-conditioned for doubles")
+        Z = np.linalg.solve(M, np.broadcast_to(self.L, P.shape))
+        z, rest = np.abs(Z), np.abs(M @ Z - self.L)
+        wrong = inverse @ (rest + (self.n + 4) * EPS * (m @ np.abs(Z) + np.abs(self.L)))
+        both = turned(wrong) @ (z + wrong)
+        lost = dominating(both + turned(both) + (self.n + 4) * EPS * (turned(z) @ z))
+        Y = (turned(Z) @ Z + lost) * (1 + 2 * loose)
+        return Y, 2 * lost + 4 * loose * Y
 
     def whitened(self, patterns: Mask) -> tuple[Array, Array, Array]:
         """C in units where V = I for each pattern (unused rows 0); bounds of the rows' errors; of V, relative."""

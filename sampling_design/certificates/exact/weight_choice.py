@@ -65,19 +65,25 @@ SEARCH_WORK, RATE_WORK = 5e6, 3e6
 shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on every machine."""
 STEP_WORK = 30
 """Work of one step of a descent, per variable, beside that of its windows."""
+MODERATE = float(np.log(1e6))
+"""ln of the lambda up to which a proof in doubles is easy: rounding counts about as much less than it as it grows."""
 COMPARED = 1.15
 """Shapes whose horizon is within this factor of the best one's are compared by their exact lambda."""
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Weights found: P2 in the coordinates of the search, eta, ln(lam)/eta by its windows, and how the search ended."""
+    """Weights found: P2 in the coordinates of the search, eta, ln(lam)/eta by its windows, and how the search ended.
+
+    A `spare` one is a first guess at another rate, for where nothing at the best rate can be proven.
+    """
 
     P2: Array
     eta: float
     value: float
     iterations: int = 0
     status: str = "first guess"
+    spare: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,7 +405,15 @@ def choose_weights(
             last = made if above else last
     shapes += [(0.0, Choice(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
     report(0.9, "proof")
-    return [_ordered(search, shapes, budget) for budget in budgets]
+    others = [guess for guess in guesses if guess.eta != best.eta]
+    return [_ordered(search, shapes, budget) + _spare(search, others, budget) for budget in budgets]
+
+
+def _spare(search: WeightSearch, guesses: list[Choice], budget: float) -> list[Choice]:
+    """The guesses at other rates, scaled to the budget: those of moderate lambda first, then by their horizons."""
+    found = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
+    spare = [replace(choice, spare=True) for choice in found if choice is not None]
+    return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:

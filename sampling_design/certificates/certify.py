@@ -233,6 +233,10 @@ def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: f
         solver = replace(solver, details={**solver.details, "lambda": spare})
     P2, Qw, R, Qv = proof.weights
     P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
+    try:
+        _checks.definite("P1", P1, proof.plant.n_states)
+    except ArgumentError as error:
+        raise UndecidedError(f"undecided: P1 = P2/lambda cannot be held in doubles ({error})") from None
     return Certificate(
         proof.plant, proof.schedule, P1=P1, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=proof.eta, lam=lam, lam_samples=lam_samples,
         margin=STATED_MARGIN, witness=seen, solver=solver,

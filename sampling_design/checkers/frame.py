@@ -285,7 +285,9 @@ class Frame:
         # K is right but for a residual of its equation K M = Y C', M >= I: of second order
         rounding = 4 * (self.n + C.shape[-2]) * EPS * (size(k @ sizes) + size(y @ turned(c)))
         short = size(K @ M - Y @ turned(C)) + rounding
-        more = size(K) ** 2 * self.loose[at] + short**2
+        # it is that of V, not of the true V: nothing is known from below where that may be much smaller
+        loose = np.where(self.loose[at] < 1 / 4, self.loose[at], np.inf)
+        more = size(K) ** 2 * loose + 2 * (short + size(K) * loose) ** 2
         # the gain is that of Y, not of the true Y: of second order in E
         twice = 1 + size(E) * size(C) ** 2
         return np.asarray(

@@ -140,6 +140,14 @@ def test_the_seeds_hold_every_case():
     assert any(floats == "undecided" and balls != "undecided" for floats, balls in found)
 
 
+def test_noise_that_is_only_known_from_above_makes_no_answer_false():
+    """R of condition 1e9: its inverse leaves open how small the noise is, and once made a "no" of what is true."""
+    data, _ = drawn(79)
+    assert np.linalg.cond(data["R"]) > 1e9
+    assert verdict_of(data).verdict == "undecided"
+    assert verify_rigorously(data, work=Work(EFFORT)).passed
+
+
 def test_a_checker_that_drops_directions_breaks_the_law(monkeypatch):
     """What the law is for: a disturbance of little weight counts for nothing, by a tolerance."""
 

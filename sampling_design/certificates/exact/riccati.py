@@ -27,6 +27,8 @@ MERGED_RTOL = 1e-5
 MAX_DOUBLINGS = 40
 LONGEST_WALK = 4000
 """Samples that are followed one by one where the composition of periods is lost in rounding."""
+JUMP = 5
+"""Periods that are followed between two jumps."""
 MAX_STEPS = 100_000
 LONGEST_REFINED = 200
 """Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
@@ -104,20 +106,54 @@ def periodic_riccati_solution(problem: WindowProblem) -> Array:
 
 
 def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The periodic solution by following it: slower, but no composition of periods is lost in rounding."""
+    """The periodic solution by following it: slower, but no composition of periods is lost in rounding.
+
+    Every `JUMP` periods it jumps to where the gains of the last one would settle (a step of Newton's method, from
+    above): sums of positive terms alone.
+    """
     Y = np.eye(problem.size)
-    for _ in range(LONGEST_WALK // problem.count + 1):
+    for lap in range(1, LONGEST_WALK // problem.count + 2):
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
-            around = _around(problem, flows, Y)
-        if not np.isfinite(around).all():
-            break
-        if _settled(Y, around[-1], STEADY_RTOL):
-            return around
-        Y = around[-1]
+            around, whole, added = _with_gains(problem, flows, Y)
+            if not np.isfinite(around).all():
+                break
+            if _settled(Y, around[-1], STEADY_RTOL):
+                return around
+            jumps = lap % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
+            following = _summed(whole, added) if jumps else around[-1]
+            if jumps and _settled(Y, following, REPEATED_RTOL):  # what is left is of second order
+                return _around(problem, flows, following)
+        Y = following
     raise SolverError(
         "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
     )
+
+
+def _with_gains(problem: WindowProblem, flows: tuple[Array, Array], Y: Array) -> tuple[Array, Array, Array]:
+    """Y after each sample of a period, and the period with these gains as the map Y -> `whole` Y `whole`' + `added`."""
+    whole, added = np.eye(problem.size), np.zeros((problem.size, problem.size))
+    result = np.empty((problem.count, problem.size, problem.size))
+    for i in range(problem.count):
+        F, W = flows[0][i], flows[1][i]
+        Y, whole, added = push(Y, F, W), F @ whole, push(added, F, W)
+        for row in problem.rows[i]:
+            cross = Y @ row
+            gain = cross / (1 + cross @ row)
+            left, noise = np.eye(problem.size) - np.outer(gain, row), np.outer(gain, gain)
+            Y, whole, added = push(Y, left, noise), left @ whole, push(added, left, noise)
+        result[i] = Y
+    return result, whole, added
+
+
+def _summed(whole: Array, added: Array) -> Array:
+    """The sum over k of whole^k added whole'^k, by doubling."""
+    for _ in range(MAX_DOUBLINGS):
+        more = whole @ added @ whole.T
+        added, whole = symmetrise(added + more), whole @ whole
+        if not np.any(np.abs(more) > np.finfo(float).eps * np.abs(added)):
+            break
+    return added
 
 
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:

@@ -60,7 +60,7 @@ DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
-SEARCH_WORK, RATE_WORK = 5e6, 3e6
+SEARCH_WORK, RATE_WORK = 4e6, 3e6
 """Work, about microseconds, after which the search of weights (of a rate alone) ends with the best that it has: any
 shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on every machine."""
 STEP_WORK = 30

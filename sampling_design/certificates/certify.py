@@ -17,7 +17,8 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, followed
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.efforts import LOOK_WORK, Efforts
+from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
@@ -32,10 +33,8 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
-from sampling_design.observability.meeting import meet
 from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import SamplingFamily
@@ -52,12 +51,6 @@ FINER = 4
 """How much finer the second look for a missed peak is than the first."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
-LOOK_WORK = 2e6
-"""Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
-what they have met by then is tried. Counted and not timed, so that a call gives the same on every machine."""
-CHECK_WORK, BALL_WORK, ONE_CHECK = 3e6, 3e6, 1e6
-"""Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats; once more
-as much for the spare choices."""
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
@@ -111,13 +104,6 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: Canonical) -> tuple[floa
     except CertificateError:
         low, high = rate_range(plant, schedule)
         return low * canon.time, high * canon.time
-
-
-class Efforts:
-    """What all the looks and proofs for one certificate may do together."""
-
-    def __init__(self) -> None:
-        self.looks, self.floats, self.balls = Work(2 * LOOK_WORK), Work(CHECK_WORK), Work(BALL_WORK)
 
 
 class _Proof:
@@ -178,10 +164,10 @@ class _Proof:
         anywhere, at_samples = self.peaks
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
-            verdict = verdict_of(made.to_dict(), efforts.floats.share(ONE_CHECK))
+            verdict = verdict_of(made.to_dict(), efforts.check())
             if verdict.inequality == "witness" and not verdict.passed:  # true, but its replay is lost in rounding
                 made = replace(made, witness=None)
-                verdict = verdict_of(made.to_dict(), efforts.floats.share(ONE_CHECK))
+                verdict = verdict_of(made.to_dict(), efforts.check())
             handed = verdict.verdict == "undecided" and room == 1.0 and not efforts.balls.over
             if handed and find_spec("flint") is not None:
                 verdict = verify_rigorously(made.to_dict(), np.inf, efforts.balls)
@@ -507,20 +493,3 @@ def _first_proven(
         if efforts.floats.over:
             break
     raise failed[0]
-
-
-def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
-    """Return the schedule in the plant's terms.
-
-    Raises
-    ------
-    ArgumentError
-        If they do not fit, or the schedule holds no sample later than time 0.
-    """
-    if not isinstance(plant, Plant):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    schedule = meet(plant, schedule)
-    endless = isinstance(schedule, PeriodicSchedule)  # whose period comes again, though its first sample be at time 0
-    if not len(schedule) or (schedule.times[-1] == 0 and not endless):
-        raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
-    return schedule

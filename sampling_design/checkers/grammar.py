@@ -253,8 +253,6 @@ CLAIMS: dict[str, Reader] = {
 
 def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability | Inclusion:
     """Return the certificate in the plain data of a file, or raise BadFile."""
-    if not isinstance(data, Mapping):
-        raise refuse("", f"must hold one table, got {type(data).__name__}")
     data = plain(data)
     if data.get("format") != FORMAT:
         raise refuse("format", f"must be {FORMAT!r}, got {data.get('format')!r:.60}. Is this a certificate file?")

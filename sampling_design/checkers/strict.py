@@ -56,15 +56,18 @@ def shown(value: object) -> str:
 # --- plain data ------------------------------------------------------------------------------------------------------
 
 
-def plain(value: object) -> Any:
+def plain(value: Mapping[str, object]) -> dict[str, object]:
     """The same data in tables, lists, texts, truth values, null and finite numbers, whatever Python held them in.
 
     BadFile for anything else: what holds itself or is too deep or large, numbers that no double holds.
     """
-    return _plain(value, "", [], [0])
+    if not isinstance(value, Mapping):
+        raise refuse("", f"must hold one table, got {type(value).__name__}")
+    found = _plain(value, "", [], [0])
+    return found if isinstance(found, dict) else {}
 
 
-def _plain(value: object, place: str, around: list[int], items: list[int]) -> Any:
+def _plain(value: object, place: str, around: list[int], items: list[int]) -> object:
     items[0] += 1
     if items[0] > MOST_ITEMS:
         raise refuse("", f"holds more than {MOST_ITEMS} values")

@@ -18,7 +18,7 @@ from sampling_design import (
     tradeoff_curve,
 )
 from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import weight_choice
+from sampling_design.certificates.exact import efforts, weight_choice
 from sampling_design.certificates.paper import proof_constants
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
@@ -96,7 +96,7 @@ def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
 
     found = room._Proof.found
     monkeypatch.setattr(room._Proof, "found", lambda self, finer: low(found(self, finer)))
-    monkeypatch.setattr(room, "CHECK_WORK", 0.0)
+    monkeypatch.setattr(efforts, "CHECK_WORK", 0.0)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
 

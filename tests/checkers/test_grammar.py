@@ -231,3 +231,18 @@ def test_numbers_of_arrays_are_those_of_lists():
         altered[key] = np.array(altered[key])
     altered["eta"] = np.float64(altered["eta"])
     assert check(altered)["passed"]
+
+
+def test_data_of_too_many_values_are_refused(monkeypatch):
+    monkeypatch.setattr(strict, "MOST_ITEMS", 10)
+    assert "holds more than 10 values" in check(json.loads(text()))["reason"]
+
+
+def test_weights_that_no_factor_holds_are_undecided():
+    made = grammar.certificate(json.loads(text()))
+    numbers = problem(made.plant, made.weights)
+    frame = Frame(numbers, numbers.P2, "x", np.ones((1, 1), bool))
+    with pytest.raises(Undecided, match="a weight is nearly singular"):
+        frame.inverse_of(-np.eye(2)[None])
+    with pytest.raises(Undecided, match="a weight is too ill-conditioned for doubles"):
+        frame.inverse_of(np.array([[[1.0, 1.0], [1.0, 1 + 4e-16]]]))

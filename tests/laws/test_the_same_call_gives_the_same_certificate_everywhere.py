@@ -8,13 +8,13 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design._ball_flow import OutOfTime
-from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import weight_choice
+from sampling_design.certificates.exact import efforts, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import default_weights
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import CountedClock, verify_rigorously
 from sampling_design.checkers.work import Work
+from sampling_design.errors import UndecidedError
 
 CLOCKS = ("thread_time", "process_time", "perf_counter", "monotonic")
 RNG = np.random.default_rng(5)
@@ -79,7 +79,7 @@ def test_balls_end_where_their_work_does():
 
 
 def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):
-    monkeypatch.setattr(room, "ONE_CHECK", 1.0)
-    monkeypatch.setattr(room, "BALL_WORK", 1.0)
-    with pytest.raises(room.UndecidedError, match="it takes more work than one check may do"):
+    monkeypatch.setattr(efforts, "ONE_CHECK", 1.0)
+    monkeypatch.setattr(efforts, "BALL_WORK", 1.0)
+    with pytest.raises(UndecidedError, match="it takes more work than one check may do"):
         certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6))

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Record, short
-from sampling_design.certificates.certify import chosen, met
+from sampling_design.certificates.certify import chosen
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.window_problem import AnySchedule
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant

@@ -1,4 +1,4 @@
-"""Weights as given, or by default from the scales of the plant's signals."""
+"""Weights as given, or by default from the scales of the plant's signals; the schedule as given."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
@@ -33,3 +37,20 @@ def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> tuple[Array, 
         _checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
         _checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
     )
+
+
+def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+    """Return the schedule in the plant's terms.
+
+    Raises
+    ------
+    ArgumentError
+        If they do not fit, or the schedule holds no sample later than time 0.
+    """
+    if not isinstance(plant, Plant):
+        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
+    schedule = meet(plant, schedule)
+    endless = isinstance(schedule, PeriodicSchedule)  # whose period comes again, though its first sample be at time 0
+    if not len(schedule) or (schedule.times[-1] == 0 and not endless):
+        raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
+    return schedule

@@ -81,6 +81,8 @@ _FRONT_DOOR = {
     "planning.requirement": ("PlanRequirement",),
     "planning.requirement_file": ("read_plan_requirement",),
     "planning.plan": ("plan",),
+    "planning.files": ("load_plan",),
+    "planning.next_sample": ("next_sample",),
     "design.design": ("design_schedule",),
     "design.schedule_design": ("ScheduleDesign",),
     "design.losses": ("sample_losses",),

@@ -74,6 +74,8 @@ from sampling_design.observability.windows.sampled import observability_matrix a
 from sampling_design.observability.windows.sampled import sigma_min as sigma_min
 from sampling_design.observability.windows.window_sigma import window_sigma as window_sigma
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma as worst_case_sigma
+from sampling_design.planning.files import load_plan as load_plan
+from sampling_design.planning.next_sample import next_sample as next_sample
 from sampling_design.planning.plan import plan as plan
 from sampling_design.planning.requirement import PlanRequirement as PlanRequirement
 from sampling_design.planning.requirement_file import read_plan_requirement as read_plan_requirement

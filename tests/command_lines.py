@@ -22,6 +22,7 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.cli.settings import NO_BUDGET
+from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
 from tests.front_door import EXAMPLES, MEMORY
 
@@ -48,6 +49,7 @@ def files() -> dict[str, Path]:
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
+    made["planned.json"] = save_plan(sd.plan(plant, wanted, budget=5.0), place / "planned.json")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())
     made |= {"missing": place / "nosuch.toml", "folder": place, "device": Path("/dev/null"), "": Path("")}
@@ -93,6 +95,7 @@ COMMANDS = {
         {"--eta": "0.4", "--noise-budget": "3", "--jitter": "0.01", "--gap-range": "0.9 1.1", "--detectability": None},
     ),
     "plan": (("plant", "wanted"), {}),
+    "next": (("planned",), {"--now": "1.5"}),
     "accuracy": (("plant", "schedule"), {"--w": "0.1", "--v": "0.2", "--of": "position", "--rtol": "0.1"}),
     "explore": (
         ("plant", "requirement"),
@@ -113,6 +116,7 @@ COMMANDS = {
 USUAL = {
     "plant": "plant.toml", "schedule": "schedule.csv", "requirement": "requirement.toml",
     "certificate": "certificate.json", "measurements": "measurements.csv", "wanted": "wanted.toml",
+    "planned": "planned.json",
 }  # fmt: skip
 VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "--json", "0x10"]
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],

@@ -104,6 +104,18 @@ def things() -> dict[str, Any]:
     }
 
 
+@functools.cache
+def _small_plan() -> Any:
+    return sd.plan(things()["plant"], things()["wanted"], budget=5.0)
+
+
+@functools.cache
+def _plan_file() -> Path:
+    from sampling_design.planning.files import save_plan
+
+    return save_plan(_small_plan(), folder() / "plan.json")
+
+
 FILES = ("plant.toml", "schedule.csv", "requirement.toml", "certificate.json", "measurements.csv", "stamps.csv")
 
 
@@ -182,6 +194,8 @@ def special() -> dict[str, dict[str, Any]]:
         "read_plant": {"path": place / "plant.toml"},
         "read_schedule": {"path": place / "schedule.csv"},
         "plan": {"requirement": t["wanted"], "budget": 5.0},
+        "next_sample": {"plan": _small_plan(), "record": None, "now": 0.0},
+        "load_plan": {"path": _plan_file()},
         "PlanRequirement": {"accuracy": {"position": 0.6}, "window": None},
         "PlanRequirement.replace": {"changes": {"raster": 0.8}},
         "read_plan_requirement": {"path": EXAMPLES / "plans" / "oscillator.toml"},

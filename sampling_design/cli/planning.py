@@ -1,4 +1,4 @@
-"""Commands that make a calendar and say when to sample next: plan."""
+"""Commands that make a calendar and say when to sample next: plan, next."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 import typer
 from rich.table import Table
 
 import sampling_design as sd
+from sampling_design._checks import number
+from sampling_design._units import SECONDS
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.dates import PlanDates, plan_dates
+from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.requirement_file import requirement_and_plant
+from sampling_design.planning.sheet import write_sheet
+from sampling_design.schedules.time_stamps import parse_date
 
 
 def plan(
@@ -25,6 +33,8 @@ def plan(
     requirement_file: Annotated[
         Path | None, typer.Argument(metavar="REQUIREMENT", help="Plan requirement (.toml).")
     ] = None,
+    periods: Annotated[int, typer.Option(help="Periods that the calendar is written out for.")] = 4,
+    person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
 ) -> None:
     """Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.
 
@@ -37,20 +47,87 @@ def plan(
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
     with settings.progress("plan") as progress:
         result = sd.plan(plant, requirement, budget=settings.budget, progress=progress)
-    _write(settings, result)
-    settings.show(result.to_dict(), record_table(result), _times(result), result.explain())
+    dates = None
+    if requirement.calendar is not None and result.keeps:
+        dates = plan_dates(result, periods)
+    _write(settings, result, dates, person)
+    tables: list[Table | str] = [record_table(result), _times(result), result.explain()]
+    if dates is not None and dates.exceptions:
+        tables += [record_table(dates), dates.explain()]
+    settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":
         raise typer.Exit(3)
 
 
-def _write(settings: Settings, result: Plan) -> None:
+def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: str) -> None:
     folder = settings.folder()
     if folder is None:
         return
-    settings.write_json(folder / "plan.json", result.to_dict())
+    settings.wrote(save_plan(result, folder / "plan.json"))
     settings.wrote(sd.write_plant(result.plant, folder / "plant.toml"))
     settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
     settings.wrote(save_picture(result, folder / "plan.png"))
+    if dates is not None and dates.entries and result.requirement.calendar is not None:
+        real, zone = dates.schedule(), result.requirement.calendar.zone
+        title = f"{result.plant.name or 'plant'}: sample"
+        settings.wrote(sd.write_calendar_csv(real, folder / "calendar.csv", zone=zone))
+        settings.wrote(sd.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone))
+        settings.wrote(write_sheet(dates, folder / "sheet.html", person=person))
+
+
+def next_sample(
+    settings: Settings,
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (plan.json).")],
+    measurements_file: Annotated[
+        Path | None, typer.Argument(metavar="MEASUREMENTS", help="What was measured so far (.csv).")
+    ] = None,
+    now: Annotated[
+        str | None,
+        typer.Option(metavar="DATE", help="Local date, or time since the start; default: the last sample."),
+    ] = None,
+) -> None:
+    """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
+
+    Example: sampling-design next out/plan.json --now 2026-03-03T09:00
+    """
+    result = load_plan(plan_file)
+    record = None
+    if measurements_file is not None:
+        record = _record(result, measurements_file)
+    found = sd.next_sample(result, record, now=_now(result, now))
+    folder = settings.folder()
+    if folder is not None:
+        settings.write_json(folder / "next.json", found.to_dict())
+    settings.show(found.to_dict(), record_table(found), found.explain())
+    if not np.isfinite(found.latest):
+        raise typer.Exit(1)
+
+
+next_sample.__name__ = "next"
+
+
+def _record(result: Plan, path: Path) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
+    """The measurements in clock time since the plan's start."""
+    rows = reading.measurements(path, result.plant, result.schedule.origin)
+    calendar, unit = result.requirement.calendar, result.plant.time_unit
+    if calendar is None:
+        return list(rows)
+    return [(calendar.clock(t * SECONDS[unit] / 60) * 60 / SECONDS[unit], y, u) for t, y, u in rows]
+
+
+def _now(result: Plan, text: str | None) -> float | None:
+    """A date, or a number in the plant's time unit."""
+    if text is None:
+        return None
+    calendar = result.requirement.calendar
+    try:
+        return number("--now", float(text))
+    except ValueError:
+        if calendar is None:
+            raise ArgumentError(f"`--now` must be a number of {result.plant.time_unit}, got {text!r}.") from None
+    date = parse_date("--now", text, calendar.zone)
+    minutes = (date - calendar.instant(0.0)).total_seconds() / 60
+    return calendar.clock(minutes) * 60 / SECONDS[result.plant.time_unit]
 
 
 def _times(result: Plan) -> Table:
@@ -63,4 +140,4 @@ def _times(result: Plan) -> Table:
     return table("Samples of one period", [f"time [{unit}]" if calendar is None else "local time", "sensors"], rows)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (plan,)
+COMMANDS: tuple[Callable[..., None], ...] = (plan, next_sample)

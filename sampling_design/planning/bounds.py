@@ -150,6 +150,8 @@ class _Prover:
 def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
     """What a proof's multipliers prove, worked out anew; no solver."""
     model = cover.model(pool.attacks, list(proof.keys), proof.level)
+    if not _fits(proof.tree, model.b.size, cover.columns):
+        return -np.inf
 
     def below(tree: CostTree, low: Array, high: Array) -> float:
         if isinstance(tree, CostBranch):
@@ -161,6 +163,14 @@ def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
         return proven(model, np.maximum(y, 0.0), low, high)
 
     return cover.lifted(below(proof.tree, np.zeros(cover.columns), np.ones(cover.columns)))
+
+
+def _fits(tree: CostTree, rows: int, columns: int) -> bool:
+    """Whether a tree names only rows and variables that there are."""
+    if isinstance(tree, CostBranch):
+        inside = 0 <= tree.variable < columns
+        return inside and _fits(tree.without, rows, columns) and _fits(tree.given, rows, columns)
+    return all(0 <= row < rows for row in tree.rows)
 
 
 def out_of_reach(

@@ -132,6 +132,11 @@ class OpeningCalendar(Record):
         """Real minutes from the start to a clock time."""
         return (self.instant(clock).astimezone(UTC) - self.instant(0.0).astimezone(UTC)) / timedelta(minutes=1)
 
+    def clock(self, elapsed: float) -> float:
+        """Minutes of clock since the start at which so many real minutes have passed."""
+        real = self.instant(0.0).astimezone(UTC) + timedelta(minutes=elapsed)
+        return (real.astimezone(time_zone(self.zone)).replace(tzinfo=None) - self.first) / timedelta(minutes=1)
+
     def is_open(self, clock: float, own: WeekHours | None = None, *, holidays: bool = False) -> bool:
         """Whether the place (and a sensor with hours of its own) is open at a clock time; holidays if asked."""
         there = self.local(clock)

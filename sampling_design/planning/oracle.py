@@ -36,12 +36,12 @@ class Oracle:
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
         """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`."""
-        guaranteed = [g for g, goal in enumerate(self.problem.goals) if goal.guaranteed]
+        goals = list(range(len(self.problem.goals)))
         worst, found = 0.0, []
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        for k in np.argsort(-gaps, kind="stable").tolist() if guaranteed else []:
-            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), guaranteed):
+        for k in np.argsort(-gaps, kind="stable").tolist():
+            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), goals):
                 found.append(attack)
                 worst = max(worst, attack.reach)
             if worst > above:
@@ -55,7 +55,7 @@ class Oracle:
         window = self._window(chosen, last, self.back)
         best: list[HiddenMotion] = []
         for g in goals:
-            looks = [(self._reach(window, offset, g), offset) for offset in self._offsets(g, last, length)]
+            looks = [(self.reach(window, offset, g), offset) for offset in self._offsets(g, last, length)]
             attack = self._attack(window, last, max(looks)[1], g) if looks else None
             best += [attack] if attack is not None else []
         return best
@@ -83,7 +83,7 @@ class Oracle:
         before, back = 0.0, 2 * length
         while True:
             window = self._window(chosen, last, back)
-            now = max(self._reach(window, length, g) for g in goals)
+            now = max(self.reach(window, length, g) for g in goals)
             if (now <= before * (1 + SETTLED) and now > 0) or len(window.knots) >= MOST_KNOTS:
                 break
             before, back = now, 2 * back
@@ -96,7 +96,7 @@ class Oracle:
             ahead = ahead @ self.motion.F
         return np.asarray(ahead)
 
-    def _reach(self, window: RasterWindow, offset: int, g: int) -> float:
+    def reach(self, window: RasterWindow, offset: int, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
         self.solves += 1
         value = window.reach(self._ahead(offset, g)) + self._push(offset, g)

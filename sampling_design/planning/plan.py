@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover
@@ -99,8 +99,6 @@ def plan(
     >>> found.samples, found.bound.cost.value
     (2, 2.0)
     """
-    if not requirement.accuracy:
-        raise ArgumentError("`requirement` names no accuracy.")
     problem = pose_plan(plant, requirement)
     seconds = np.inf if budget is None else _checks.positive("budget", budget)
     run = _Planning(problem, time.perf_counter() + seconds, progress)
@@ -129,7 +127,7 @@ class _Planning:
             search.found.chosen, search.found.complete = None, False
             search.cheapest(1 - margin, ROUNDS)
             chosen = everything if search.found.chosen is None else search.found.chosen
-            best = self._proven(chosen)
+            best = self._ratios(chosen)
             if best[1].max(initial=0.0) <= 1 or search.late:
                 break
         assert best is not None
@@ -151,10 +149,15 @@ class _Planning:
         search.seed(worst * 0.9)
         search.improve(ROUNDS)
         assert search.found.chosen is not None
-        proof, ratios = self._proven(search.found.chosen)
+        proof, ratios = self._ratios(search.found.chosen)
         limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
         ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys)
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
+
+    def _ratios(self, chosen: Mask) -> tuple[Accuracy, Array]:
+        """The proof of a choice, and its ratios to the tolerances."""
+        proof = accuracy_of(self.problem, chosen)
+        return proof, reached(self.problem, proof) / [g.tolerance for g in self.problem.goals]
 
     def _densest(self) -> Mask:
         """As much as hours and spacing allow, from the first allowed time on."""
@@ -213,24 +216,34 @@ class _Planning:
             {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
         )
 
-    def _proven(self, chosen: Mask) -> tuple[Accuracy | None, Array]:
-        """The proof of a choice, and its ratios to the tolerances."""
-        problem, rows = self.problem, [g.row for g in self.problem.goals if g.guaranteed]
-        schedule = problem.schedule(chosen)
-        v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 0.0), (len(schedule), 1))
-        proof = accuracy(
-            problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
-        )
-        return proof, reached(problem, proof) / [g.tolerance for g in problem.goals]
-
     def _record(self, chosen: Mask, proof: Accuracy | None, bound: PlanBound) -> Plan:
-        assert proof is not None
-        return Plan(
-            self.problem.plant,
-            self.problem.requirement,
-            self.problem.schedule(chosen),
-            proof,
-            freeze(reached(self.problem, proof)),
-            bound,
-            status="complete" if self.search.found.complete else "budget",
-        )
+        return _plan(self.problem, chosen, proof, bound, "complete" if self.search.found.complete else "budget")
+
+
+def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy:
+    """The proof of a choice."""
+    rows = [goal.row for goal in problem.goals]
+    schedule = problem.schedule(chosen)
+    measured = np.isfinite(problem.v_bound)
+    v = np.tile(np.where(measured, problem.v_bound, 1.0), (len(schedule), 1))
+    return accuracy(
+        problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
+    )
+
+
+def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:
+    """The plan of a choice, its accuracy proven."""
+    return _plan(problem, chosen, accuracy_of(problem, chosen), bound, status)
+
+
+def _plan(problem: PlanProblem, chosen: Mask, proof: Accuracy | None, bound: PlanBound, status: str) -> Plan:
+    assert proof is not None
+    return Plan(
+        problem.plant,
+        problem.requirement,
+        problem.schedule(chosen),
+        proof,
+        freeze(reached(problem, proof)),
+        bound,
+        status=status,
+    )

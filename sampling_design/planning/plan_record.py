@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import SECONDS
-from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.motion import motion_of
@@ -40,12 +39,10 @@ class Plan(Record):
     schedule : PeriodicSchedule
         Times since the start of the period, with the outputs of each sample; its origin is the calendar's start.
     accuracy : Accuracy or None
-        The proof for the guaranteed goals, in their order.
+        The proof for the goals, in their order.
     reached : (g,) array
         What the plan proves for each goal, in the goal's unit, at the times that it asks for.
     bound : PlanBound
-    design : ScheduleDesign or None
-        Where sigma is what was asked for, the design behind the plan.
     status : str
         "complete" where nothing better can be found on the raster (to the search's accuracy), else "budget".
     """
@@ -56,7 +53,6 @@ class Plan(Record):
     accuracy: Accuracy | None
     reached: Array
     bound: PlanBound
-    design: ScheduleDesign | None = None
     status: str = "complete"
     history: tuple[str, ...] = field(default=())
 
@@ -116,8 +112,6 @@ class Plan(Record):
         problem = self.problem
         if not problem.is_admissible(self.chosen):
             return False
-        if self.design is not None:
-            return self.design.verify()
         if self.accuracy is not None and not (
             self.accuracy.verify() and np.allclose(reached(problem, self.accuracy), self.reached, rtol=1e-6)
         ):
@@ -152,22 +146,17 @@ class Plan(Record):
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
         for value, goal in zip(self.reached, self.goals, strict=True):
             unit = f" {goal.unit}" if goal.unit else ""
-            word = "guaranteed" if goal.guaranteed else "standard deviation"
-            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({word}, {goal.at})"
+            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.at})"
             if self.bound.ratio is not None and len(self.goals) == 1:
                 text += f"; no plan of this cost below {short(self.bound.ratio.level * goal.tolerance, 4)}"
             rows.append((goal.name, text))
         if self.bound.ratio is not None and len(self.goals) > 1:
             level = short(self.bound.ratio.level, 4)
             rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
-        if self.design is not None:
-            rows += [("sigma", short(self.design.sigma)), ("no schedule exceeds", short(self.design.upper_bound))]
         return [*rows, ("status", self.status)]
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""
-        if self.design is not None:
-            return self.design.explain()
         unit = "" if self.problem.counts else f" for {short(self.cost)}"
         parts = [f"{g.name} within {short(v, 3)}{' ' + g.unit if g.unit else ''}" for v, g in
                  zip(self.reached, self.goals, strict=True)]  # fmt: skip
@@ -211,18 +200,15 @@ def limit_of(problem: PlanProblem, cost: float) -> float:
 
 
 def reached(problem: PlanProblem, proof: Accuracy) -> Array:
-    """What an accuracy proves for each guaranteed goal at the times that it asks for."""
-    values, k = [], 0
-    for goal in problem.goals:
-        if not goal.guaranteed:
-            continue
+    """What an accuracy proves for each goal at the times that it asks for."""
+    values = []
+    for k, goal in enumerate(problem.goals):
         if goal.at == "all times":
             values.append(float(proof.upper[k]))
         elif goal.at == "after each sample":
             values.append(float(np.max(proof.at_samples[k])))
         else:
             values.append(max(_at(proof, k, float(step) * problem.step, problem.period) for step in goal.steps))
-        k += 1
     return np.array(values)
 
 

@@ -37,7 +37,6 @@ class Goal:
     row: Array
     unit: str
     tolerance: float
-    guaranteed: bool
     at: str  # "all times", "after each sample" or "given times"
     steps: Array  # raster times of "given times"
 
@@ -71,7 +70,6 @@ class PlanProblem:
     sensor_spacing: npt.NDArray[np.intp]
     longest_use: npt.NDArray[np.intp]
     v_bound: Array
-    v_std: Array
     most_samples: float
     most_cost: float
 
@@ -182,7 +180,6 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         sensor_spacing=np.array(in_step, dtype=np.intp),
         longest_use=np.array(used, dtype=np.intp),
         v_bound=np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms]),
-        v_std=np.array([np.inf if t.noise_std is None else t.noise_std for t in terms]),
         most_samples=np.inf if requirement.samples is None else float(requirement.samples),
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
@@ -244,9 +241,11 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
         if not isinstance(goal.at, str):
             at = "given times"
             steps = np.array([t * time_factor(unit, plant.time_unit) / step for t in goal.at])
-        found.append(
-            Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, goal.kind == "guaranteed", at, np.round(steps))
-        )
+            if np.any(np.abs(steps - np.round(steps)) > WHOLE):
+                raise ArgumentError(
+                    f"`accuracy.{name}.at` must name times on the raster of {step!r}, got {goal.when()}."
+                )
+        found.append(Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps)))
     return found
 
 
@@ -254,14 +253,13 @@ def _check_bounds(
     plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], goals: tuple[Goal, ...]
 ) -> None:
     """Refuse goals whose bounds are missing."""
-    for guaranteed, bound, noise in ((True, "w_bound", "noise_bound"), (False, "w_std", "noise_std")):
-        wanting = [goal.name for goal in goals if goal.guaranteed == guaranteed]
-        if not wanting:
-            continue
-        kind = "guaranteed" if guaranteed else "standard deviation"
-        if getattr(requirement, bound) is None:
-            raise ArgumentError(f"`{bound}` is missing: accuracy of {wanting[0]} ({kind}) needs it; 0 for none.")
-        if guaranteed and any(t.noise_bound == 0 for t in terms):
-            raise ArgumentError("`noise_bound` must be positive in a plan, got 0: give the sensor's resolution.")
-        if all(getattr(t, noise) is None for t in terms):
-            raise ArgumentError(f"`sensors` have no `{noise}`: accuracy of {wanting[0]} ({kind}) needs it.")
+    if not goals:
+        raise ArgumentError(
+            "`requirement` names no accuracy. Without bounds, `design_schedule` designs for sigma instead."
+        )
+    if requirement.w_bound is None:
+        raise ArgumentError(f"`w_bound` is missing: accuracy of {goals[0].name} needs it; 0 for none.")
+    if any(t.noise_bound == 0 for t in terms):
+        raise ArgumentError("`noise_bound` must be positive in a plan, got 0: give the sensor's resolution.")
+    if all(t.noise_bound is None for t in terms):
+        raise ArgumentError(f"`sensors` have no `noise_bound`: accuracy of {goals[0].name} needs it.")

@@ -21,7 +21,6 @@ Duration: TypeAlias = float | str
 Bound: TypeAlias = float | Sequence[float] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
-KINDS = ("guaranteed", "standard deviation")
 TIMES = ("all times", "until the next", "after each sample")
 AIMS = ("cheapest", "most accurate")
 _DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
@@ -50,9 +49,7 @@ class AccuracyGoal(Record):
     Parameters
     ----------
     tolerance : float
-        In the row's unit, > 0.
-    kind : str
-        "guaranteed": no error is ever larger; "standard deviation": of the best linear estimate under white noise.
+        In the row's unit, > 0: no error of some estimate is ever larger.
     at : str or sequence of float
         "all times" (the same: "until the next" sample), "after each sample", or times of the period from its start on.
     row : (n,) array, optional
@@ -65,13 +62,11 @@ class AccuracyGoal(Record):
     """
 
     tolerance: float
-    kind: str = "guaranteed"
     at: str | Sequence[float] = "all times"
     row: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
-        _word("kind", self.kind, KINDS)
         if isinstance(self.at, str):
             _word("at", self.at, TIMES)
         else:
@@ -84,16 +79,16 @@ class AccuracyGoal(Record):
         return self.at if isinstance(self.at, str) else "at " + short(list(self.at))
 
     def _rows(self) -> list[tuple[str, str]]:
-        return [("tolerance", short(self.tolerance)), ("kind", self.kind), ("at", self.when())]
+        return [("tolerance", short(self.tolerance)), ("at", self.when())]
 
     def explain(self) -> str:
         """Say the goal in words."""
-        return f"Within {short(self.tolerance)} ({self.kind}), {self.when()}."
+        return f"Within {short(self.tolerance)}, {self.when()}."
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         at: Plain = self.at if isinstance(self.at, str) else list(self.at)
-        data: dict[str, Plain] = {"tolerance": self.tolerance, "kind": self.kind, "at": at}
+        data: dict[str, Plain] = {"tolerance": self.tolerance, "at": at}
         return data if self.row is None else {**data, "row": self.row.tolist()}
 
 
@@ -106,9 +101,7 @@ class SensorTerms(Record):
     price : float
         Of one measurement, >= 0.
     noise_bound : float, optional
-        No error of a measurement is larger; needed for guaranteed accuracy.
-    noise_std : float, optional
-        Standard deviation of one measurement; needed for accuracy as a standard deviation.
+        No error of a measurement is larger; needed of at least one sensor.
     hours : dict of str to list of (str, str), optional
         Own opening hours by weekday ("Mon": [("08:00", "12:00")]), within those of the calendar.
     longest_use : int, optional
@@ -124,16 +117,14 @@ class SensorTerms(Record):
 
     price: float = 0.0
     noise_bound: float | None = None
-    noise_std: float | None = None
     hours: Mapping[str, object] | None = None
     longest_use: int | None = None
     spacing: Duration | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "price", _checks.nonnegative("price", self.price))
-        for key in ("noise_bound", "noise_std"):
-            value = getattr(self, key)
-            object.__setattr__(self, key, None if value is None else _checks.nonnegative(key, value))
+        if self.noise_bound is not None:
+            object.__setattr__(self, "noise_bound", _checks.nonnegative("noise_bound", self.noise_bound))
         if self.longest_use is not None:
             object.__setattr__(self, "longest_use", _checks.whole("longest_use", self.longest_use))
         if self.hours is not None:
@@ -141,7 +132,7 @@ class SensorTerms(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("price", short(self.price))]
-        for key in ("noise_bound", "noise_std", "longest_use"):
+        for key in ("noise_bound", "longest_use"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), short(value))]
         return rows + ([] if self.spacing is None else [("spacing", f"{self.spacing}")])
@@ -153,7 +144,7 @@ class SensorTerms(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; what was not given is left out."""
         data: dict[str, Plain] = {"price": self.price}
-        for key in ("noise_bound", "noise_std", "longest_use", "spacing"):
+        for key in ("noise_bound", "longest_use", "spacing"):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         return data if self.hours is None else {**data, "hours": _plain_hours(self.hours)}
@@ -185,15 +176,11 @@ class PlanRequirement(Record):
         these is given.
     w_bound : float or (q,) sequence, optional
         Bound on the disturbance, as for `accuracy`.
-    w_std : float or (q,) sequence, optional
-        Square root of the intensity of the white disturbance, for standard deviations.
     sensors : dict of str to SensorTerms or dict
         By name of the output; an output without terms is free, and measured without error bound if none is given.
     calendar : OpeningCalendar or dict, optional
     time_unit : str, optional
         Unit of all times that are plain numbers; None means the plant's.
-    sigma : dict, optional
-        Without accuracy: the keys `samples`, `window` of a sigma design.
 
     Raises
     ------
@@ -205,7 +192,7 @@ class PlanRequirement(Record):
     >>> terms = {"position": {"noise_bound": 0.1}}
     >>> wanted = PlanRequirement({"position": 0.5}, period=8.0, w_bound=0.02, sensors=terms)
     >>> print(wanted.explain())
-    Cheapest samples that keep position within 0.5 (guaranteed, all times).
+    Cheapest samples that keep position within 0.5 (all times).
     """
 
     _reader: ClassVar[str] = "read_plan_requirement"
@@ -218,11 +205,9 @@ class PlanRequirement(Record):
     visit_price: float = 0.0
     aim: str | None = None
     w_bound: Bound = None
-    w_std: Bound = None
     sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None
-    window: Duration | None = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -240,7 +225,7 @@ class PlanRequirement(Record):
         own["visit_price"] = _checks.nonnegative("visit_price", self.visit_price)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key in ("period", "raster", "spacing", "window"):
+        for key in ("period", "raster", "spacing"):
             if getattr(self, key) is not None:
                 duration(key, getattr(self, key), self.time_unit or "h")
         if self.aim is not None:
@@ -270,19 +255,17 @@ class PlanRequirement(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, the tree of the requirement file; what was not given is left out."""
         data: dict[str, Plain] = {"format": FORMAT}
-        for key in ("period", "raster", "spacing", "samples", "cost_limit", "aim", "time_unit", "window"):
+        for key in ("period", "raster", "spacing", "samples", "cost_limit", "aim", "time_unit"):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         data |= {"visit_price": self.visit_price} if self.visit_price else {}
-        for key in ("w_bound", "w_std"):
-            value = getattr(self, key)
-            data |= {} if value is None else {key: np.asarray(value, dtype=float).tolist()}
+        data |= {} if self.w_bound is None else {"w_bound": np.asarray(self.w_bound, dtype=float).tolist()}
         data["accuracy"] = {name: goal.to_dict() for name, goal in self.accuracy.items()}
         data["sensors"] = {name: terms.to_dict() for name, terms in self.sensors.items()}
         return data if self.calendar is None else {**data, "calendar": self.calendar.to_dict()}
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.kind}, {g.when()})") for k, g in self.accuracy.items()]
+        rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.when()})") for k, g in self.accuracy.items()]
         for key in ("period", "raster", "spacing", "samples", "cost_limit"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
@@ -291,9 +274,9 @@ class PlanRequirement(Record):
 
     def explain(self) -> str:
         """Say the requirement in words."""
-        goals = ", ".join(f"{k} within {short(g.tolerance)} ({g.kind}, {g.when()})" for k, g in self.accuracy.items())
+        goals = ", ".join(f"{k} within {short(g.tolerance)} ({g.when()})" for k, g in self.accuracy.items())
         if not goals:
-            return "Samples that see every state as well as possible (sigma)."
+            return "Nothing that must be known."
         if self.aim == AIMS[0]:
             return f"Cheapest samples that keep {goals}."
         limits = [f"{self.samples} samples"] if self.samples is not None else []

@@ -24,7 +24,7 @@ from sampling_design.checkers.strict import (
     word,
 )
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
+from sampling_design.planning.requirement import AIMS, FORMAT, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 
@@ -54,11 +54,11 @@ def _by_name(read: object, value: object, place: str) -> dict[str, object]:
 
 
 _HOURS = list_of(list_of(text, 2))
-_GOAL = table({"tolerance": positive}, {"kind": word(*KINDS), "at": _when, "row": list_of(number)})
+_GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number)})
 _SENSOR = table(
     {},
     {
-        **dict.fromkeys(("price", "noise_bound", "noise_std"), nonnegative),
+        **dict.fromkeys(("price", "noise_bound"), nonnegative),
         "hours": lambda value, place: _by_name(_HOURS, value, place),
         "longest_use": count,
         "spacing": _duration,
@@ -71,13 +71,12 @@ _CALENDAR = table(
 _TREE = table(
     {"format": word(FORMAT)},
     {
-        **dict.fromkeys(("period", "raster", "spacing", "window"), _duration),
+        **dict.fromkeys(("period", "raster", "spacing"), _duration),
         "samples": count,
         "cost_limit": positive,
         "visit_price": nonnegative,
         "aim": word(*AIMS),
         "w_bound": _bound,
-        "w_std": _bound,
         "accuracy": lambda value, place: _by_name(
             lambda goal, at: _GOAL(goal, at) if isinstance(goal, Mapping) else positive(goal, at), value, place
         ),

@@ -20,7 +20,7 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw when which sensor is read (on `ax` alone if given), and below it the accuracy of every goal."""
     if ax is not None:
         return _sensors(result, ax)
-    goals = [goal for goal in result.goals if goal.guaranteed] if result.accuracy is not None else []
+    goals = result.goals if result.accuracy is not None else ()
     sensors = result.problem.allowed.shape[1]
     figure, axes = style.new_figure(
         1 + len(goals), row_height=2.1, ratios=(0.5 + 0.28 * sensors, *(1.0 for _ in goals))
@@ -64,8 +64,8 @@ def _sensors(result: Plan, ax: Axes) -> Axes:
 
 
 def _goal(result: Plan, k: int, ax: Axes) -> None:
-    """The accuracy of one guaranteed goal over the period, with its tolerance."""
-    goal = [goal for goal in result.goals if goal.guaranteed][k]
+    """The accuracy of one goal over the period, with its tolerance."""
+    goal = result.goals[k]
     assert result.accuracy is not None
     profile, period = result.accuracy.profile, result.schedule.period
     for cycle, label in ((-period, None), (0.0, "guaranteed")):

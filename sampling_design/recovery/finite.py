@@ -26,6 +26,12 @@ NO_ERROR = 1e-9
 UNSEEN = 1e-9
 """A free direction counts as unseen if its samples are below this share of what the strongest one shows."""
 
+LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
+"""Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
+
+BEYOND = 1e3
+"""A state's scale is at most so many times what is known of it at the start."""
+
 MEMORY = 64
 """Samples back that the reach follows; an error bounded there serves as a start."""
 
@@ -52,7 +58,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         after.append(updated(P, H.T @ H))
         if j < len(lengths):
             P = F[j] @ after[j] @ F[j].T + W[j]
-    L = np.array([np.linalg.cholesky(X + 1e-13 * np.diag(np.diag(X))) for X in after])
+    L = np.array([_root(X) for X in after])
     samples = []
     for j, H in enumerate(rows):
         gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
@@ -75,6 +81,18 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     )
 
 
+def _root(P: Array) -> Array:
+    """A root of a covariance, for coordinates only: where rounding has made it indefinite, a little is added."""
+    d = np.sqrt(np.diag(P))
+    R = P / np.outer(d, d)
+    for share in LITTLE:
+        try:
+            return np.asarray(d[:, None] * np.linalg.cholesky((R + R.T) / 2 + share * np.eye(d.size)))
+        except np.linalg.LinAlgError:
+            continue
+    return np.diag(d)
+
+
 def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance: Array) -> Array:
     """Diagonal D: between what w reaches and what samples see, else what is known at the start."""
     pairs = min(len(F), len(rows))
@@ -83,7 +101,9 @@ def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance:
         return D
     known = np.linalg.norm(initial.S * balance, axis=0)
     driven = np.any(W != 0, axis=(0, 2))
-    return np.where(driven | (known == 0), D, 1 / np.where(known > 0, known, 1.0))
+    size = 1 / np.where(known > 0, known, 1.0)
+    # what a sample shows only after it has decayed is known far better from the start and from w
+    return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
 
 
 def _opening(initial: InitialSet, D: Array) -> Array:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.planning import plan
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
@@ -41,3 +42,17 @@ def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
     assert "`PLANT` is missing" in result.err
     with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
         plan(Settings("plan"), tmp_path / "wanted.toml")
+
+
+def test_a_plan_says_by_when_to_sample_next(shell, tmp_path):
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", tmp_path / "out")
+    plan_file = tmp_path / "out" / "plan.json"
+    result = shell("next", plan_file, "--now", "0.5", "-o", tmp_path / "out")
+    assert result.code == 0
+    assert "Next draw by " in result.out
+    assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
+    wrong = shell("next", plan_file, "--now", "tomorrow")
+    assert wrong.code == 2
+    with pytest.raises(ArgumentError, match="`--now` must be a number of"):
+        next_command(Settings("next"), plan_file, now="tomorrow")

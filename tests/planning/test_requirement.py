@@ -20,8 +20,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
     [
         ({"accuracy": len}, "`accuracy` must be a table of goals by row, got"),
         ({"accuracy": {"x1": 0.0}}, "accuracy.x1.* must be positive"),
-        ({"accuracy": {"x1": {"tolerance": 1.0, "kind": "sure"}}}, "`kind` must be one of 'guaranteed'"),
-        ({"accuracy": {"x1": {"kind": "guaranteed"}}}, r"`accuracy.x1.tolerance` is missing"),
+        ({"accuracy": {"x1": {"at": "all times"}}}, r"`accuracy.x1.tolerance` is missing"),
         ({"accuracy": {"x1": {"tolerance": 1.0, "at": "noon"}}}, "`at` must be one of 'all times'"),
         ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),
         ({"sensors": {"p": {"prize": 3}}}, "Did you mean 'price'"),
@@ -48,6 +47,8 @@ def test_a_wrong_value_is_refused_in_one_sentence(wrong, words):
         ({"raster": 0.3}, "`raster` must divide the period"),
         ({"period": 100.0, "raster": 1.0, "calendar": WEEK}, "`period` must be whole weeks"),
         ({"sensors": {"p": {"noise_bound": 0.1, "hours": {"Mon": [["08:00", "09:00"]]}}}}, "needs a `calendar`"),
+        ({"accuracy": {"x1": {"tolerance": 1.0, "at": [0.3]}}, "raster": 1.0}, "must name times on the raster of"),
+        ({"accuracy": {}}, "names no accuracy. Without bounds, `design_schedule`"),
         ({"w_bound": None}, "`w_bound` is missing: accuracy of x1"),
         ({"sensors": {}}, "`sensors` have no `noise_bound`"),
         ({"sensors": {"p": {"noise_bound": 0.0}}}, "`noise_bound` must be positive"),

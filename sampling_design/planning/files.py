@@ -1,0 +1,185 @@
+"""Plan files: what was asked, when to measure, and the evidence of the bounds; accuracy is worked out anew."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from sampling_design._door import door
+from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design.checkers.strict import (
+    BadFile,
+    Reader,
+    anything,
+    count,
+    flag,
+    list_of,
+    matrix,
+    number,
+    or_nothing,
+    positive,
+    refuse,
+    table,
+    word,
+)
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.bounds import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.evidence import PlanBound, attack_of
+from sampling_design.planning.motion import Motion, motion_of
+from sampling_design.planning.plan import proven_plan
+from sampling_design.planning.plan_record import FORMAT, Plan
+from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.requirement_file import plan_requirement_from_dict
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.schedules.files import schedule_from_dict
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+SAME = 1e-3
+"""Figures in a file may differ from those worked out anew by this share: solvers of other machines."""
+
+MOST_TREE = 10_000
+
+_ATTACK = table(
+    {
+        "goal": count,
+        "end": count,
+        "at_sample": flag,
+        "reach": positive,
+        "knots": list_of(count),
+        "states": matrix(),
+        "w": matrix(),
+    }
+)
+_NODE = table({}, {"variable": count, "multipliers": list_of(list_of(number, 2))})
+_PROOF = table({"level": positive, "value": number, "rows": list_of(list_of(count, 2)), "tree": list_of(_NODE)})
+_TREE: Reader = table(
+    {
+        "format": word(FORMAT),
+        "status": word("complete", "budget"),
+        "plant": anything,
+        "requirement": anything,
+        "schedule": anything,
+        "reached": list_of(positive),
+        "cost": number,
+        "ratio": positive,
+        "attacks": list_of(_ATTACK),
+        "no_better_than": or_nothing(_PROOF),
+        "no_cheaper_than": or_nothing(_PROOF),
+    },
+    whole="the plan",
+)
+
+
+@door
+def save_plan(plan: Plan, path: str | os.PathLike[str]) -> Path:
+    """Write a plan as JSON, whole or not at all; return the path.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : path
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    return write_text(path, to_json(plan.to_dict()))
+
+
+@door
+def load_plan(path: str | os.PathLike[str]) -> Plan:
+    """Read a plan; what it guarantees is worked out anew, so that a file never says more than can be proven.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Plan
+        Its bounds are as in the file: `verify()` works them out.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, of another format, or says other figures than its own schedule gives.
+    """
+    where = os.fspath(path)
+    data = from_json(read_text(where), where)
+    try:
+        tree = _TREE(data, "")
+        plant = plant_from_dict(tree["plant"], f"{where}: plant")
+        requirement = plan_requirement_from_dict(tree["requirement"], f"{where}: requirement")
+        schedule = schedule_from_dict(tree["schedule"])
+        if not isinstance(schedule, PeriodicSchedule):
+            raise refuse("schedule", "must be periodic")
+        problem = pose_plan(plant, requirement)
+        chosen = problem.chosen(schedule)
+        if not problem.is_admissible(chosen):
+            raise refuse("schedule", "does not keep the hours, spacings or limits of the requirement")
+        bound = _bound(problem, motion_of(problem), tree)
+        found = proven_plan(problem, chosen, bound, tree["status"])
+        for key, mine in (("reached", found.reached), ("cost", found.cost), ("ratio", found.ratio)):
+            given = np.asarray(tree[key])
+            if given.shape != np.shape(mine) or not np.allclose(given, mine, rtol=SAME):
+                raise refuse(
+                    key, f"is {given.tolist()!r:.40} where the schedule gives {np.asarray(mine).tolist()!r:.40}"
+                )
+        return found
+    except BadFile as error:
+        raise FileFormatError(f"{where}: cannot be used: {error}.", where) from None
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
+
+
+def _bound(problem: PlanProblem, motion: Motion, tree: Mapping[str, object]) -> PlanBound:
+    attacks = tree["attacks"]
+    assert isinstance(attacks, list)
+    for k, attack in enumerate(attacks):
+        knots, steps, q = attack["knots"], len(attack["w"]), motion.G.shape[1]
+        rising = all(a < b for a, b in pairwise(knots)) and knots[:1] == [0]
+        shaped = attack["w"].shape == (steps, q) and attack["states"].shape == (len(knots), motion.n)
+        if not rising or not shaped or knots[-1] > steps or attack["goal"] >= len(problem.goals):
+            raise refuse(f"attacks[{k}]", "has knots, states, w or a goal that do not fit together")
+    found = tuple(attack_of(problem, motion, attack) for attack in attacks)
+    return PlanBound(
+        found,
+        _proof(tree["no_better_than"], len(found), "no_better_than"),
+        _proof(tree["no_cheaper_than"], len(found), "no_cheaper_than"),
+    )
+
+
+def _proof(data: object, attacks: int, place: str) -> CostProof | None:
+    if data is None:
+        return None
+    assert isinstance(data, Mapping)
+    if len(data["tree"]) > MOST_TREE or any(row[0] >= attacks for row in data["rows"]):
+        raise refuse(place, "has a tree beyond all measure, or rows of no attack")
+    nodes = iter(data["tree"])
+    tree = _tree(nodes, place)
+    if next(nodes, None) is not None:
+        raise refuse(place, "has nodes beside its tree")
+    return CostProof(data["level"], data["value"], tuple((a, e) for a, e in data["rows"]), tree)
+
+
+def _tree(nodes: Iterator[Mapping[str, object]], place: str, depth: int = 0) -> CostTree:
+    """A tree from the walk through it."""
+    node = next(nodes, None)
+    if node is None or len(node) != 1 or depth > 400:
+        raise refuse(place, "has a tree that is cut off")
+    variable = node.get("variable")
+    if isinstance(variable, int):
+        return CostBranch(variable, _tree(nodes, place, depth + 1), _tree(nodes, place, depth + 1))
+    pairs = node["multipliers"]
+    assert isinstance(pairs, list)
+    return CostLeaf(tuple(int(row) for row, _ in pairs), tuple(float(value) for _, value in pairs))

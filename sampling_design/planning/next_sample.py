@@ -1,0 +1,325 @@
+"""The next sample: the latest time that keeps the tolerances now and leaves the plan able to keep them afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._door import door
+from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.sequence import (
+    SampleSequence,
+    looks_back,
+    planned,
+    proven_ratio,
+    worst_ratio,
+)
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+NEAR = 0.998
+"""A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
+
+TRIES = 12
+"""Times proven, each a step of the raster earlier than the one before, until one is."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NextSample(Record):
+    """When to sample next, at the latest.
+
+    Attributes
+    ----------
+    plan : Plan
+    now : float
+        [the plant's time unit] since the start of the plan.
+    latest : float
+        With the sensors `outputs`; after it the plan's own times follow. -inf: no time keeps the tolerances any more.
+    outputs : tuple of str
+    alone : dict of str to float
+        For each sensor of the plan, the latest time if that sensor is all that is read then.
+    best : float
+        The time up to `latest`, with `best_outputs`, after which the worst accuracy is least.
+    ratio : float
+        What is proven of `latest`: accuracy over tolerance, from now on and for ever after.
+    proven : bool
+    """
+
+    plan: Plan
+    now: float
+    latest: float
+    outputs: tuple[str, ...]
+    alone: dict[str, float]
+    best: float
+    best_outputs: tuple[str, ...]
+    ratio: float
+    proven: bool
+
+    def date(self, t: float) -> datetime | None:
+        """Local date of a time, where the plan has a calendar."""
+        calendar = self.plan.requirement.calendar
+        return None if calendar is None or not np.isfinite(t) else calendar.instant(self.plan.minutes(t))
+
+    def when(self, t: float) -> str:
+        """A time in words: local where there is a calendar."""
+        if not np.isfinite(t):
+            return "never"
+        date = self.date(t)
+        return f"{short(t)} {self.plan.plant.time_unit}" if date is None else f"{date:%a %d %b %H:%M}"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("now", self.when(self.now)), ("latest", f"{self.when(self.latest)}, {', '.join(self.outputs)}")]
+        rows += [(f"{name} alone", f"by {self.when(t)}") for name, t in self.alone.items()]
+        rows.append(("best", f"{self.when(self.best)}, {', '.join(self.best_outputs)}"))
+        return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def explain(self) -> str:
+        """Say when to sample."""
+        if not np.isfinite(self.latest):
+            return "No allowed sample keeps the tolerances any more: sample as soon as the place is open."
+        alone = [f"{name} alone by {self.when(t)}" for name, t in self.alone.items() if np.isfinite(t)]
+        alone = alone if len(self.plan.plant.outputs.names) > 1 else []
+        return "; ".join([f"Next draw by {self.when(self.latest)} ({', '.join(self.outputs)})", *alone]) + "."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+
+        def plain(t: float) -> Plain:
+            date = self.date(t)
+            return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
+
+        return {
+            "now": plain(self.now),
+            "latest": plain(self.latest),
+            "outputs": list(self.outputs),
+            "alone": {name: plain(t) for name, t in self.alone.items()},
+            "best": plain(self.best),
+            "best_outputs": list(self.best_outputs),
+            "ratio": self.ratio if np.isfinite(self.ratio) else None,
+            "proven": self.proven,
+        }
+
+
+@door
+def next_sample(
+    plan: Plan,
+    record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None = None,
+    *,
+    now: float | None = None,
+    prove: bool = True,
+) -> NextSample:
+    """Return the latest time of the next sample after which the plan still keeps every tolerance, for ever.
+
+    Parameters
+    ----------
+    plan : Plan
+        Whose tolerances are kept.
+    record : Measurements or iterable of (t, y, u), optional
+        What was measured since the plan began, in order [the plant's time unit since its start]; only the times and the
+        outputs that are not NaN matter. Before its first sample, the plan was followed. Default: it was followed until
+        `now`.
+    now : float, optional
+        Default: the last sample of the record, else 0.
+    prove : bool
+        Prove the answer by gains over all real times; else it rests on the search alone.
+
+    Returns
+    -------
+    NextSample
+
+    Raises
+    ------
+    ArgumentError
+        If the plan does not keep its tolerances, or the record is not in order.
+
+    Notes
+    -----
+    *Claim.* If a sample with `outputs` is taken by `latest`, and the plan's samples follow, no tolerance is broken from
+    `now` on; so this may be asked again after that sample, and has an answer (induction). *The naive trigger*, which
+    waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
+    overshoots. *Assumptions.* The bounds; values measured play no part, so that the answer holds whatever is read.
+
+    References
+    ----------
+    Heemels, Johansson and Tabuada, An introduction to event-triggered and self-triggered control (2012).
+    """
+    if plan.accuracy is None or not plan.keeps:
+        raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
+    step = plan.problem.step
+    taken = _taken(plan, record)
+    last = taken[0][-1] if taken is not None and taken[0].size else 0.0
+    at = float(last) if now is None else _checks.number("now", now)
+    if taken is not None and taken[0].size and at < last - 1e-9 * step:
+        raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
+    history = _history(plan, taken, at)
+    run = _Choice(plan, history, at)
+    names = plan.plant.outputs.names
+    full, ratio, proven = run.answer(None, prove)
+    alone = {}
+    for j, name in enumerate(names):
+        only = np.arange(len(names)) == j
+        same = np.array_equal(full[1], only)
+        if plan.chosen[:, j].any():
+            alone[name] = full[0] if same else run.answer(j, prove)[0][0]
+    best = run.best(full)
+    return NextSample(
+        plan,
+        at,
+        full[0],
+        tuple(n for n, s in zip(names, full[1], strict=True) if s),
+        alone,
+        best[0],
+        tuple(n for n, s in zip(names, best[1], strict=True) if s),
+        ratio,
+        proven,
+    )
+
+
+def _taken(
+    plan: Plan, record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None
+) -> tuple[Array, Mask] | None:
+    """Times and outputs of a record."""
+    if record is None:
+        return None
+    times: list[float] = []
+    seen: list[Mask] = []
+    for item in record:
+        y = None if item[1] is None else np.isfinite(_checks.floats("y", item[1]).reshape(-1))
+        if y is None or not y.any():
+            continue
+        t = _checks.number("t", item[0])
+        if y.size != plan.plant.n_outputs or (times and t <= times[-1]):
+            raise ArgumentError(
+                f"`record` must hold {plan.plant.n_outputs} outputs a sample, in order of time, got one at {t!r}."
+            )
+        times.append(t)
+        seen.append(y)
+    return np.array(times), np.array(seen).reshape(-1, plan.plant.n_outputs)
+
+
+def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> tuple[Array, Mask, int]:
+    """Everything measured until now, and how much of it is the plan's."""
+    mean = plan.schedule.period / len(plan.schedule)
+    span = (looks_back(plan) + 1) * mean + plan.schedule.period
+    tiny = 1e-6 * plan.problem.step
+    if taken is None or not taken[0].size:
+        times, seen = planned(plan, now - span, now + tiny)
+        return times, seen, times.size
+    first = float(taken[0][0])
+    before = planned(plan, first - span, first - tiny)
+    wanted = planned(plan, first - tiny, now + tiny)
+    same = 0
+    for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
+        if abs(t - due) > tiny or not np.array_equal(mask, meant):
+            break
+        same += 1
+    times, seen = np.concatenate([before[0], taken[0]]), np.concatenate([before[1], taken[1]])
+    return times, seen, before[0].size + same
+
+
+class _Choice:
+    """The choices for the next sample, judged in floats."""
+
+    def __init__(self, plan: Plan, history: tuple[Array, Mask, int], now: float):
+        self.plan, self.now = plan, now
+        self.times, self.seen, self.same = history
+        self.oracle = Oracle(plan.problem, motion_of(plan.problem))
+        self.oracle.judge(plan.chosen)
+        self._known: dict[tuple[int, bytes], float] = {}
+
+    def options(self, sensor: int | None) -> list[tuple[float, Mask]]:
+        """Allowed times of the raster after now, over a period, each with one sensor or all that are allowed."""
+        problem, step = self.plan.problem, self.plan.problem.step
+        first = int(np.floor(self.now / step + 1e-6)) + 1
+        found = []
+        for i in range(first, first + problem.steps):
+            allowed = self.allowed(i)
+            mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
+            mask = allowed if sensor is None and not mask.any() else mask
+            if self.times.size and i - self.times[-1] / step < problem.spacing - 1e-6:
+                continue
+            if mask.any():
+                found.append((i * step, mask))
+        return found
+
+    def allowed(self, i: int) -> Mask:
+        """What may be measured at a step since the start, holidays left out."""
+        problem, calendar = self.plan.problem, self.plan.requirement.calendar
+        mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
+        if calendar is not None and not calendar.is_open(self.plan.minutes(i * problem.step), holidays=True):
+            return np.zeros_like(mask)
+        return np.asarray(mask)
+
+    def due(self, i: int) -> Mask:
+        """What the plan's sample at a step, or the next one after it, measures."""
+        steps = self.plan.problem.steps
+        at = np.flatnonzero(self.plan.chosen.any(axis=1))
+        following = at[np.argmin((at - i) % steps)]
+        return np.asarray(self.plan.chosen[following])
+
+    def sequence(self, t: float, mask: Mask) -> SampleSequence:
+        """History, the sample, and the plan afterwards (its spacing kept)."""
+        problem = self.plan.problem
+        mean = self.plan.schedule.period / len(self.plan.schedule)
+        span = (looks_back(self.plan) + len(self.plan.schedule) + 2) * mean + self.plan.schedule.period
+        resume = t + max(problem.spacing - 1e-6, 1e-6) * problem.step
+        after = planned(self.plan, resume, t + span)
+        times = np.concatenate([self.times, [t], after[0]])
+        return SampleSequence(times, np.concatenate([self.seen, mask[None], after[1]]), self.same)
+
+    def ratio(self, choice: tuple[float, Mask], above: float = np.inf) -> float:
+        """Accuracy over tolerance if this is the next sample."""
+        if not np.isfinite(choice[0]):
+            return np.inf
+        key = (round(choice[0] / self.plan.problem.step), choice[1].tobytes())
+        if key not in self._known:
+            until = choice[0] + 1.5 * self.plan.schedule.period
+            self._known[key] = worst_ratio(self.oracle, self.sequence(*choice), above, until)
+        return self._known[key]
+
+    def latest(self, sensor: int | None) -> tuple[float, Mask]:
+        """The latest option that keeps the tolerances: doubling, then halving, then a step at a time."""
+        options = self.options(sensor)
+        good, bad, width = -1, len(options), 1
+        at = 0
+        while at < len(options):
+            if self.ratio(options[at], NEAR) > NEAR:
+                bad = at
+                break
+            good, at, width = at, at + width, 2 * width
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if self.ratio(options[middle], NEAR) <= NEAR else (good, middle)
+        return options[good] if good >= 0 else (-np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool))
+
+    def answer(self, sensor: int | None, prove: bool) -> tuple[tuple[float, Mask], float, bool]:
+        """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""
+        choice = self.latest(sensor)
+        if not prove or not np.isfinite(choice[0]):
+            return choice, self.ratio(choice), False
+        options, ratio = self.options(sensor), np.inf
+        place = next(k for k, option in enumerate(options) if option[0] == choice[0])
+        for option in options[place::-1][:TRIES]:
+            ratio = proven_ratio(self.plan, self.sequence(*option))
+            if ratio <= 1:
+                return option, ratio, True
+        return (-np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)), ratio, False
+
+    def best(self, latest: tuple[float, Mask]) -> tuple[float, Mask]:
+        """Of the options up to the latest, the one after which the worst accuracy is least."""
+        options = [option for option in self.options(None) if option[0] <= latest[0]]
+        if not options:
+            return latest
+        few = [options[k] for k in np.unique(np.round(np.linspace(0, len(options) - 1, 8)).astype(int))]
+        chosen: tuple[float, Mask] = min(few, key=lambda option: (round(self.ratio(option), 3), -option[0]))
+        return chosen

@@ -1,0 +1,192 @@
+"""Samples that leave the plan for a while: what they guarantee, sought in floats and proven by gains.
+
+A sequence is the plan until some time, then other samples, then the plan again. Before it the plan's own filter bounds
+the error, whatever it once was; from there on every gap is judged by itself, until a sample at which the error is
+again no larger than the plan's proof supposes, and as many more as that proof looks back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import NotDetectableError
+from sampling_design.planning.adversary import RasterWindow
+from sampling_design.planning.oracle import LOOKS, Oracle
+from sampling_design.planning.plan_record import Plan
+from sampling_design.recovery.chain import SampleChain
+from sampling_design.recovery.question import Question
+from sampling_design.recovery.search import ChainSearch, RowSearch
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+SHARPER = 40
+"""Offsets of a gap that are solved, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSequence:
+    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan.
+
+    Attributes
+    ----------
+    times : (K,) array
+    seen : (K, p) array of bool
+    first : int
+        Index of the first sample that the plan does not have, or has otherwise.
+    """
+
+    times: Array
+    seen: Mask
+    first: int
+    shift: float = 0.0
+    """How much later than in the plan the samples at the end are, since the clocks were changed."""
+
+
+def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
+    """The plan's samples in [start, stop)."""
+    schedule, period = plan.schedule, plan.schedule.period
+    laps = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
+    times = (laps[:, None] + schedule.times[None, :]).ravel()
+    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (laps.size, 1))
+    keep = (times >= start - 1e-9 * period) & (times < stop - 1e-9 * period)
+    return times[keep], seen[keep]
+
+
+def looks_back(plan: Plan) -> int:
+    """Samples that the plan's proof looks back."""
+    assert plan.accuracy is not None
+    parts = [len(given) for part in plan.accuracy.proof for given in part.gains]
+    return max(parts, default=1)
+
+
+def deviating(plan: Plan, times: Array, seen: Mask, resume: float) -> SampleSequence:
+    """The plan's samples, then those given, then the plan's from `resume` on, for as long as the proof asks."""
+    back = looks_back(plan)
+    mean = plan.schedule.period / len(plan.schedule)
+    first = float(times[0]) if times.size else resume
+    span = (back + 1) * mean + plan.schedule.period
+    before = planned(plan, first - span, first)
+    after = planned(plan, resume, resume + span)
+    all_times = np.concatenate([before[0], times, after[0]])
+    return SampleSequence(all_times, np.concatenate([before[1], seen, after[1]]), before[0].size)
+
+
+def worst_ratio(oracle: Oracle, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
+    """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the raster.
+
+    Stops once a gap is worse than `above`, or begins at or after `until`.
+    """
+    step = oracle.problem.step
+    knots = np.round(sequence.times / step).astype(np.intp)
+    worst = 0.0
+    goals = range(len(oracle.problem.goals))
+    for k in range(max(sequence.first - 1, 0), len(knots) - 1):
+        if sequence.times[k] >= until:
+            break
+        low = int(np.searchsorted(knots, knots[k] - oracle.back))
+        window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
+        length = int(knots[k + 1] - knots[k])
+        for g in goals:
+            for offset in _looks(oracle, g, int(knots[k]), length):
+                worst = max(worst, oracle.reach(window, offset, g))
+        if worst > above:
+            break
+    return worst
+
+
+def _looks(oracle: Oracle, g: int, knot: int, length: int) -> list[int]:
+    goal = oracle.problem.goals[g]
+    if goal.at == "after each sample":
+        return [0]
+    if goal.at == "given times":
+        within = (goal.steps - knot) % oracle.problem.steps
+        return sorted({int(o) for o in within if o <= length})
+    return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
+
+
+def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
+    """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1."""
+    problem, schedule, times = plan.problem, plan.schedule, sequence.times
+    filtered, back, laps = plan_chain(plan), looks_back(plan), len(schedule)
+    j = phase_of(schedule, float(times[0]))
+    box = np.abs(filtered.D[:, None] * filtered.L[j]) @ filtered.reach[j]
+    zero = times - times[0]
+    question = Question.finite(
+        plan.plant,
+        Schedule(zero, sequence.seen & np.isfinite(problem.v_bound)),
+        problem.requirement.w_bound,
+        np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0),
+        box,
+        None,
+        None,
+    )
+    search = ChainSearch(*question.chain(plan.plant))
+    search.back = back
+    worst, last = 0.0, len(times) - 1
+    opened = [(goal, search.opened(goal.row)) for goal in problem.goals]
+    for k in range(max(sequence.first - 1, 0), last):
+        for goal, row in opened:
+            worst = max(worst, _gap_bound(search, row, k, goal.tolerance, goal.at) / goal.tolerance)
+        if worst > 1:
+            return worst
+    # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
+    wider = 1.0
+    for k in range(max(last - back - laps, sequence.first), last - back):
+        phase = phase_of(schedule, float(times[k]) - sequence.shift)
+        units = np.linalg.inv(filtered.D[:, None] * filtered.L[phase])
+        wider = max(wider, _beyond(search, k, units, filtered.reach[phase]))
+    return max(worst, plan.ratio * wider)
+
+
+def _gap_bound(search: ChainSearch, found: RowSearch, k: int, enough: float, at: str) -> float:
+    """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
+    opened = found.opened[k]
+    if at == "after each sample":
+        return search.gains(k, opened.mu[0]).value
+    solved: set[int] = set()
+    for _ in range(SHARPER):
+        nodes, panels = opened.bound(search.atoms[k])
+        panel = int(np.argmax(panels))
+        top = float(panels[panel])
+        if top <= enough:
+            break
+        fresh = [o for o in (panel + int(nodes[panel + 1] > nodes[panel]), panel, panel + 1) if o not in solved]
+        if not fresh:
+            break
+        solved.add(fresh[0])
+        search.gains(k, opened.mu[fresh[0]])
+    return top
+
+
+def _beyond(search: ChainSearch, k: int, units: Array, reach: Array) -> float:
+    """How many times as large the error at a sample may be as what the plan's own proof supposes there."""
+    mu = search.chain.mu(k, units).T
+    return max(float(search.gains(k, row).value / most) for row, most in zip(mu, reach, strict=True))
+
+
+def plan_chain(plan: Plan) -> SampleChain:
+    """The plan's samples with the filter whose gains bound the error once and for all.
+
+    Raises
+    ------
+    NotDetectableError
+        If the plan leaves a part of the state unknown for ever: then nothing bounds what a change does to it.
+    """
+    assert plan.accuracy is not None
+    known = plan.accuracy.question.known()
+    if known.modes:
+        raise NotDetectableError(
+            f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
+        )
+    return plan.accuracy.question.chain(plan.plant)[0]
+
+
+def phase_of(schedule: PeriodicSchedule, t: float) -> int:
+    """Which sample of the period is taken at a time of the plan."""
+    phase = (t - schedule.times) / schedule.period
+    return int(np.argmin(np.abs(phase - np.round(phase))))

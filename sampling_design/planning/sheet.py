@@ -1,0 +1,82 @@
+"""A sheet of paper for the laboratory: who, when, which sensor."""
+
+from __future__ import annotations
+
+import os
+from html import escape
+from itertools import groupby
+from pathlib import Path
+
+from sampling_design._door import door
+from sampling_design._files import write_text
+from sampling_design._record import short
+from sampling_design.errors import FileFormatError
+from sampling_design.planning.dates import PlanDates
+
+STYLE = """
+@page { size: A4 portrait; margin: 15mm; }
+body { font: 11pt/1.35 sans-serif; color: #111; margin: 1.5em auto; max-width: 190mm; }
+h1 { font-size: 15pt; margin: 0 0 .2em; } p { margin: .2em 0 .8em; }
+table { border-collapse: collapse; width: 100%; } thead { display: table-header-group; }
+th, td { border: 1px solid #777; padding: .32em .5em; text-align: left; } th { background: #eee; }
+tr { break-inside: avoid; } td.box { text-align: center; width: 3.2em; } td.no { background: #ddd; }
+td.day { font-weight: bold; } td.blank { min-width: 7em; } .note { font-size: 9pt; color: #333; }
+"""
+
+
+@door
+def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str = "") -> Path:
+    """Write the dates of a plan as a page that prints on A4: one line for each sample, a box for each sensor.
+
+    Parameters
+    ----------
+    dates : PlanDates
+    path : path
+        Ends in .html.
+    person : str
+        Who takes the samples; else a line to write the name on.
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the ending is another, or the file cannot be written.
+    """
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise FileFormatError(f"{path}: a sheet ends in .html, got {Path(path).suffix!r}.", os.fspath(path))
+    plan, names = dates.plan, dates.plan.plant.outputs.names
+    assert plan.requirement.calendar is not None
+    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    lines = []
+    for day, entries in groupby(dates.entries, key=lambda entry: entry.date.date()):
+        today = list(entries)
+        for k, entry in enumerate(today):
+            first = f"<td class='day' rowspan='{len(today)}'>{day:%a %d %b %Y}</td>" if k == 0 else ""
+            cells = "".join(
+                "<td class='box'>&#9744;</td>" if name in entry.outputs else "<td class='no'></td>" for name in names
+            )
+            note = " (extra)" if entry.added else ""
+            time = f"<td>{entry.date:%H:%M}{note}</td>"
+            lines.append(f"<tr>{first}{time}{cells}<td class='blank'></td><td class='blank'></td></tr>")
+    goals = "; ".join(
+        f"{g.name} within {short(g.tolerance)}{' ' + g.unit if g.unit else ''} ({g.at})" for g in plan.goals
+    )
+    notes = "".join(f"<p class='note'>{escape(e.date)}: {escape(e.what)}.</p>" for e in dates.exceptions)
+    title = f"{plan.plant.name or 'Plan'}: samples"
+    text = f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style></head><body>
+<h1>{escape(title)}</h1>
+<p>Taken by: {escape(person) or "_" * 28} &nbsp; Times are local ({escape(plan.requirement.calendar.zone)}).<br>
+Kept by these samples: {escape(goals)}.</p>
+<table><thead><tr><th>Day</th><th>Time</th>{head}<th>Taken at</th><th>Initials</th></tr></thead>
+<tbody>
+{chr(10).join(lines)}
+</tbody></table>
+{notes}
+</body></html>
+"""
+    return write_text(path, text)

@@ -1,0 +1,101 @@
+"""Plans on real dates, on paper and in files: local hours, clocks, holidays, and nothing believed that a file says."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.sheet import write_sheet
+
+
+@pytest.fixture(scope="module")
+def dates(week):
+    return plan_dates(week, 2)
+
+
+def test_every_sample_is_at_an_open_local_hour_and_no_holiday(week, dates):
+    assert dates.entries
+    for entry in dates.entries:
+        assert entry.date.weekday() < 5
+        assert entry.date.hour in (9, 10, 11, 16, 17)
+        assert entry.date.date().isoformat() != "2026-04-01"
+    offsets = {entry.date.utcoffset().total_seconds() for entry in dates.entries}
+    assert offsets == {3600.0, 7200.0}
+
+
+def test_the_change_of_the_clocks_is_proven(dates):
+    (change,) = [e for e in dates.exceptions if "clocks" in e.what]
+    assert (change.date, change.what) == ("2026-03-29", "clocks forward by 1 h")
+    assert change.proven
+    assert change.ratio <= 1
+
+
+def test_an_hour_across_the_change_is_an_hour_less(dates):
+    real = dates.schedule()
+    local = [(b.date.replace(tzinfo=None) - a.date.replace(tzinfo=None)).total_seconds() / 3600
+             for a, b in zip(dates.entries, dates.entries[1:], strict=False)]  # fmt: skip
+    shorter = [round(wall - gap, 6) for wall, gap in zip(local, real.gaps, strict=True)]
+    assert sorted(set(shorter)) == [0.0, 1.0]
+    assert shorter.count(1.0) == 1
+
+
+def test_a_sheet_has_a_line_for_each_sample(dates, tmp_path):
+    text = write_sheet(dates, tmp_path / "sheet.html", person="A <b>").read_text()
+    assert text.count("<tr><td") + text.count("<tr>\n") >= len({e.date for e in dates.entries})
+    assert text.count("&#9744;") == sum(len(e.outputs) for e in dates.entries)
+    assert "A &lt;b&gt;" in text
+    with pytest.raises(FileFormatError, match=r"a sheet ends in \.html"):
+        write_sheet(dates, tmp_path / "sheet.pdf")
+
+
+def test_times_without_a_calendar_are_no_dates(week):
+    bare = replace(week, requirement=week.requirement.replace(calendar=None))
+    with pytest.raises(ArgumentError, match="has no calendar: its times are no dates"):
+        plan_dates(bare)
+
+
+def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
+    path = save_plan(week, tmp_path / "plan.json")
+    back = sd.load_plan(path)
+    assert back.verify()
+    assert back.to_dict()["schedule"] == week.to_dict()["schedule"]
+    data = json.loads(path.read_text())
+    more = {**data["no_cheaper_than"], "tree": [*data["no_cheaper_than"]["tree"], {"variable": 0}]}
+    cases = [
+        ({**data, "reached": [x * 0.9 for x in data["reached"]]}, "where the schedule gives"),
+        ({**data, "cost": data["cost"] - 1}, "where the schedule gives"),
+        ({**data, "schedule": {**data["schedule"], "times": [0.0] * len(data["schedule"]["times"])}}, "cannot be used"),
+        ({**data, "attacks": [{**a, "knots": [1]} for a in data["attacks"]]}, "that do not fit together"),
+        ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "tree": []}}, "has a tree that is cut off"),
+        ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "rows": [[99, 0]]}}, "rows of no attack"),
+        ({**data, "no_cheaper_than": more}, "has nodes beside its tree"),
+    ]  # fmt: skip
+    for changed, words in cases:
+        path.write_text(json.dumps(changed))
+        with pytest.raises(FileFormatError, match=words):
+            sd.load_plan(path)
+    finite = {key: value for key, value in data["schedule"].items() if key not in ("period", "kind")}
+    path.write_text(json.dumps({**data, "schedule": finite}))
+    with pytest.raises(FileFormatError, match=r"must be periodic|cannot be used"):
+        sd.load_plan(path)
+
+
+def test_a_schedule_outside_its_hours_is_refused(week, tmp_path):
+    path = save_plan(week, tmp_path / "plan.json")
+    data = json.loads(path.read_text())
+    data["requirement"]["calendar"]["hours"] = {"Sun": [["09:00", "10:00"]]}
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="does not keep the hours, spacings or limits"):
+        sd.load_plan(path)
+
+
+def test_a_forged_bound_does_not_verify(week, tmp_path):
+    path = save_plan(week, tmp_path / "plan.json")
+    data = json.loads(path.read_text())
+    data["no_cheaper_than"]["value"] += 1.0
+    path.write_text(json.dumps(data))
+    assert not sd.load_plan(path).verify()

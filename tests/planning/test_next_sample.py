@@ -1,0 +1,53 @@
+"""The next sample: proven, later than the plan asks where it can be, and refused where the plan says nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.planning.sequence import deviating, plan_chain, planned, proven_ratio
+
+
+def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
+    found = sd.next_sample(week, now=0.0)
+    assert found.proven
+    assert found.ratio <= 1
+    due = planned(week, 0.5, week.schedule.period)[0][0]
+    assert found.latest >= due - 1e-9
+    assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
+    assert "Next draw by " in found.explain()
+    assert found.to_dict()["latest"]["date"].endswith("+01:00")
+
+
+def test_samples_as_planned_change_nothing_of_what_is_proven(week):
+    times, seen = planned(week, 0.0, week.schedule.period)
+    sequence = deviating(week, times, seen, week.schedule.period)
+    assert proven_ratio(week, sequence) <= 1
+
+
+def test_a_week_without_samples_breaks_the_tolerance(week):
+    empty = np.zeros(0), np.zeros((0, 2), dtype=bool)
+    sequence = deviating(week, *empty, 2 * week.schedule.period)
+    lost = replace(sequence, first=int(np.argmax(np.diff(sequence.times))) + 1)
+    assert proven_ratio(week, lost) <= 1  # it starts after the plan's own samples: nothing is lost here
+    late = deviating(week, np.array([0.0]), np.array([[True, True]]), 3 * week.schedule.period)
+    assert proven_ratio(week, late) > 1
+
+
+def test_wrong_arguments_are_refused(week):
+    with pytest.raises(ArgumentError, match="must not lie before the last sample"):
+        sd.next_sample(week, [(9.0, [1.0, 2.0], None)], now=3.0)
+    with pytest.raises(ArgumentError, match="outputs a sample, in order of time"):
+        sd.next_sample(week, [(9.0, [1.0], None)])
+    with pytest.raises(ArgumentError, match="it does not, so there is nothing to go on keeping"):
+        sd.next_sample(replace(week, reached=week.reached * 2))
+
+
+def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
+    plant = sd.Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["y"])
+    terms = {"y": {"noise_bound": 0.1}}
+    found = sd.plan(plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, raster=2.0, w_bound=[0.1, 0.0], sensors=terms))
+    with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):
+        plan_chain(found)

@@ -89,7 +89,8 @@ class NextSample(Record):
             return "No allowed sample keeps the tolerances any more: sample as soon as the place is open."
         alone = [f"{name} alone by {self.when(t)}" for name, t in self.alone.items() if np.isfinite(t)]
         alone = alone if len(self.plan.plant.outputs.names) > 1 else []
-        return "; ".join([f"Next draw by {self.when(self.latest)} ({', '.join(self.outputs)})", *alone]) + "."
+        by = "at" if self.plan.problem.spacing > 1 else "by"
+        return "; ".join([f"Next draw {by} {self.when(self.latest)} ({', '.join(self.outputs)})", *alone]) + "."
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -144,10 +145,12 @@ def next_sample(
 
     Notes
     -----
-    *Claim.* If a sample with `outputs` is taken by `latest`, and the plan's samples follow, no tolerance is broken from
+    *Claim.* If a sample with `outputs` is taken at `latest`, and the plan's samples follow, no tolerance is broken from
     `now` on; so this may be asked again after that sample, and has an answer (induction). *The naive trigger*, which
     waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
-    overshoots. *Assumptions.* The bounds; values measured play no part, so that the answer holds whatever is read.
+    overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
+    sample may push out one of the plan's. *Assumptions.* The bounds; values measured play no part, so that the answer
+    holds whatever is read.
 
     References
     ----------
@@ -290,8 +293,15 @@ class _Choice:
     def latest(self, sensor: int | None) -> tuple[float, Mask]:
         """The latest option that keeps the tolerances: doubling, then halving, then a step at a time."""
         options = self.options(sensor)
+        nothing = -np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)
+        if not options:
+            return nothing
         good, bad, width = -1, len(options), 1
-        at = 0
+        at = self._due(options) if sensor is None else 0
+        if sensor is None:  # the plan's own next sample: if anything keeps the tolerances, it does (induction)
+            if self.ratio(options[at]) > 1:
+                return nothing
+            good, at = at, at + 1
         while at < len(options):
             if self.ratio(options[at], NEAR) > NEAR:
                 bad = at
@@ -300,7 +310,15 @@ class _Choice:
         while bad - good > 1:
             middle = (good + bad) // 2
             good, bad = (middle, bad) if self.ratio(options[middle], NEAR) <= NEAR else (good, middle)
-        return options[good] if good >= 0 else (-np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool))
+        return options[good] if good >= 0 else nothing
+
+    def _due(self, options: list[tuple[float, Mask]]) -> int:
+        """Which option is the plan's next sample; the first one where the place is closed then."""
+        step = self.plan.problem.step
+        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2)[0]
+        times = np.array([t for t, _ in options])
+        same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
+        return int(same[0]) if same.size else 0
 
     def answer(self, sensor: int | None, prove: bool) -> tuple[tuple[float, Mask], float, bool]:
         """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -136,8 +137,25 @@ class _Planning:
         cost = self.problem.cost(chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost)
-        ratio = out_of_reach(frame, search.pool, cost, 0.0, float(ratios.max(initial=0.0)), WIDTH, [])
+        rival = self._better(chosen, float(ratios.max(initial=0.0)), cost)
+        if rival.found.chosen is not None and not np.array_equal(rival.found.chosen, chosen):
+            other = self._ratios(rival.found.chosen)
+            if other[1].max(initial=0.0) < ratios.max(initial=0.0):
+                chosen, (proof, ratios) = rival.found.chosen, other
+        known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
+        ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys)
         return self._record(chosen, proof, gathered(search.pool, ratio, least))
+
+    def _better(self, chosen: Mask, worst: float, cost: float) -> PlanSearch:
+        """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
+        problem = self.problem
+        limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
+        search = PlanSearch(limited, self.oracle, self.search.deadline, self.progress)
+        search.pool = self.search.pool
+        search.keep(chosen, worst)
+        search.seed(worst * 0.9)
+        search.improve(ROUNDS // 3)
+        return search
 
     def most_accurate(self) -> Plan:
         """The least ratio of accuracy to tolerance that the limits allow."""

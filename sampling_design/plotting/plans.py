@@ -33,6 +33,7 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
         one.set_xlim(0.0, result.schedule.period)
     for one in axes[:-1]:
         one.tick_params(labelbottom=False)
+        one.set_xlabel("")
     cost = f"{result.samples} samples" if result.problem.counts else f"cost {short(result.cost)}"
     figure.suptitle(f"{result.plant.name or 'plan'}: {cost} a period")
     return axes
@@ -43,7 +44,7 @@ def _sensors(result: Plan, ax: Axes) -> Axes:
     problem, names = result.problem, result.plant.outputs.names
     for j in range(len(names)):
         for start, stop in _spans(problem.allowed[:, j]):
-            if stop - start < problem.steps:
+            if stop - start < problem.steps:  # grey says nothing where everything is open
                 ax.broken_barh(
                     [(start * problem.step, (stop - start) * problem.step)],
                     (j - 0.4, 0.8),

@@ -176,15 +176,15 @@ def next_sample(
             alone[name] = full[0] if same else run.answer(j, prove)[0][0]
     best = run.best(full)
     return NextSample(
-        plan,
-        at,
-        full[0],
-        tuple(n for n, s in zip(names, full[1], strict=True) if s),
-        alone,
-        best[0],
-        tuple(n for n, s in zip(names, best[1], strict=True) if s),
-        ratio,
-        proven,
+        plan=plan,
+        now=at,
+        latest=full[0],
+        outputs=tuple(n for n, s in zip(names, full[1], strict=True) if s),
+        alone=alone,
+        best=best[0],
+        best_outputs=tuple(n for n, s in zip(names, best[1], strict=True) if s),
+        ratio=ratio,
+        proven=proven,
     )
 
 

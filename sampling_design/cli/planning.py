@@ -110,9 +110,14 @@ def _record(result: Plan, path: Path) -> list[tuple[float, npt.ArrayLike | None,
     """The measurements in clock time since the plan's start."""
     rows = reading.measurements(path, result.plant, result.schedule.origin)
     calendar, unit = result.requirement.calendar, result.plant.time_unit
-    if calendar is None:
-        return list(rows)
-    return [(calendar.clock(t * SECONDS[unit] / 60) * 60 / SECONDS[unit], y, u) for t, y, u in rows]
+    found: list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] = []
+    for t, values, told in zip(rows.times.tolist(), rows.y, rows.told, strict=True):
+        y = np.array(values)
+        for each in told:  # "<0.5" and the like: measured, whatever was read
+            y[each.output] = 0.0
+        clock = t if calendar is None else calendar.clock(t * SECONDS[unit] / 60) * 60 / SECONDS[unit]
+        found.append((clock, y, None))
+    return found
 
 
 def _now(result: Plan, text: str | None) -> float | None:

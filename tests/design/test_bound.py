@@ -1,10 +1,11 @@
 """Any psd multipliers prove a bound: against plain sums over schedules, aligned with the jumps on purpose."""
 
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sampling_design import Plant
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.averaged import averaged_bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
@@ -213,3 +214,18 @@ def test_a_bound_survives_its_own_dictionary():
     ):
         with pytest.raises(ArgumentError, match=words):
             UpperBound.from_dict(wrong)
+
+
+def test_a_bound_of_a_state_that_is_hardly_seen_does_not_drown_in_rounding():
+    """Seven samples that fill their period evenly are one schedule; forty digits say what it sees."""
+    period, window = 1.653790634073867, 0.8268953170369335
+    C = [[-0.0169938116788843, -0.7481702866843318, 0.7358671926519933]]
+    requirement = Requirement(window=window, period=period, spacing=0.2362558048676953, samples=7)
+    design = design_schedule(Plant(np.eye(3, k=1), C), requirement, starts=3, branches=8)
+    with mp.workdps(40):
+        h, c = mp.mpf(period) / 7, [mp.mpf(v) for v in C[0]]
+        rows = [[c[0], c[0] * t + c[1], c[0] * t * t / 2 + c[1] * t + c[2]] for t in (h, 2 * h, 3 * h)]
+        truth = float(min(mp.svd_r(mp.matrix(rows), compute_uv=False)))
+    assert truth == pytest.approx(1.9333e-7, rel=1e-3)
+    assert design.sigma <= truth * (1 + 1e-8)
+    assert truth <= design.upper_bound <= truth * 1.01

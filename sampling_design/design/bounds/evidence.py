@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import doors
-from sampling_design._linalg import expm_batch
+from sampling_design._linalg import expm_batch, psd_root
 from sampling_design._record import Plain
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
@@ -65,8 +65,10 @@ class BoundPart:
         sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
         if not total > 0 or least < -1e-12 * total or not sound:
             return np.inf
-        R = problem.rows.R
-        Z = R @ (self.weights / total) @ R.T
+        # any psd weights prove something: those of the computed roots, whose products with R do not cancel
+        roots = psd_root(self.weights)
+        roots = problem.rows.R @ (roots / np.linalg.norm(roots))
+        Z = roots @ np.swapaxes(roots, 1, 2)
         if self.method == "placed":
             return placed_bound(problem, self.starts, Z, self.price)
         if self.method == "alone":

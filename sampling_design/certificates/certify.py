@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, followed
+from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, evened, followed
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.efforts import LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
@@ -423,6 +423,8 @@ def chosen(
             canon = canonical(plant, schedule, weights, driven=False)
             sizes = settled_sizes(canon, bounds[0])
         canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
+        longer, canon = canon.time, evened(canon)
+        bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
         found = choose_weights(canon, bounds, budgets, progress)
         return [
             _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)

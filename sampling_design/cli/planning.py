@@ -34,6 +34,9 @@ def plan(
         Path | None, typer.Argument(metavar="REQUIREMENT", help="Plan requirement (.toml).")
     ] = None,
     periods: Annotated[int, typer.Option(help="Periods that the calendar is written out for.")] = 4,
+    search_seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Seconds that the search may take; the proof comes on top.")
+    ] = 60.0,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
 ) -> None:
     """Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.
@@ -46,7 +49,7 @@ def plan(
     if plant is None:
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
     with settings.progress("plan") as progress:
-        result = sd.plan(plant, requirement, budget=settings.budget, progress=progress)
+        result = sd.plan(plant, requirement, search_seconds=search_seconds, progress=progress)
     dates = None
     if requirement.calendar is not None and result.keeps:
         dates = plan_dates(result, periods)
@@ -88,7 +91,7 @@ def next_sample(
 ) -> None:
     """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
 
-    Example: sampling-design next out/plan.json --now 2026-03-03T09:00
+    Example: sampling-design next out/plan.json --now 7
     """
     result = load_plan(plan_file)
     record = None

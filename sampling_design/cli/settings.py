@@ -51,7 +51,7 @@ _COMMON: dict[str, tuple[object, object]] = {
 }
 
 
-NO_BUDGET = ("accuracy", "next", "certify", "estimate", "explore", "new", "validate", "thyroid")
+NO_BUDGET = ("accuracy", "plan", "next", "certify", "estimate", "explore", "new", "validate", "thyroid")
 """Commands whose work is given by their arguments: nothing in them could end early with what it has."""
 
 

@@ -50,7 +50,7 @@ def plan(
     plant: Plant,
     requirement: PlanRequirement,
     *,
-    budget: float | None = 60.0,
+    search_seconds: float | None = 60.0,
     progress: Progress | None = None,
 ) -> Plan:
     """Choose when to measure what, so that wanted accuracies are kept at the least cost, or are best for a cost.
@@ -61,8 +61,9 @@ def plan(
     ----------
     plant : Plant
     requirement : PlanRequirement
-    budget : float, optional [seconds]
-        The search stops then; what it has is proven, and the status says "budget". None: no limit.
+    search_seconds : float, optional
+        The search for choices stops then, and the status says "budget"; to prove what it has takes its own time on top
+        (seconds, more the more samples it has). None: no limit.
     progress : callable, optional
         Called with the fraction done and a message.
 
@@ -101,7 +102,7 @@ def plan(
     (2, 2.0)
     """
     problem = pose_plan(plant, requirement)
-    seconds = np.inf if budget is None else _checks.positive("budget", budget)
+    seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
     run = _Planning(problem, time.perf_counter() + seconds, progress)
     return run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
 

@@ -285,8 +285,8 @@ class PlanRequirement(Record):
 
 
 def _word(name: str, value: object, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r:.60}.")
+    if not isinstance(value, str) or value not in known:
+        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {_checks.described(value)}.")
 
 
 def _table(name: str, value: object, kind: type) -> dict[str, object]:

@@ -63,7 +63,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.plot(losses.times, losses.lower, "o", color=style.FAILED, label="without this sample (proven)")
     ax.plot(losses.times, losses.bound, "_", color=style.TRUTH, markersize=10, label="no schedule of one fewer exceeds")
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {short(losses.sigma, 4)}")
-    ax.set_ylim(0.0, 1.1 * max(losses.sigma, float(np.max(losses.bound))))
+    ax.set_ylim(0.0, 1.1 * max(losses.sigma, float(np.max(losses.bound))) or 1.0)
     ax.set_xlabel(style.time_label(losses.time_unit, "time of the lost sample"))
     ax.set_ylabel("sigma")
     ax.set_title("missing in every period" if losses.every_period else "missed once", loc="left")

@@ -97,6 +97,9 @@ LOW = 0.6
 
 def from_below(ax: matplotlib.axes.Axes, low: float, high: float) -> None:
     """Limit the y axis so that the curve, not the space under it, fills the picture; zero is shown where it is near."""
+    if not high > 0:  # nothing is seen: an axis from zero to one says so
+        ax.set_ylim(0.0, 1.0)
+        return
     bottom = 0.0 if low < LOW * high else low - max(0.6 * (high - low), 0.04 * high)
     ax.set_ylim(bottom, high + max(0.08 * (high - bottom), 0.03 * high))
 

@@ -170,7 +170,7 @@ def test_records_say_what_they_prove():
 
 
 def test_what_does_not_fit_is_refused_at_the_door():
-    with pytest.raises(ArgumentError, match="`schedule` must be a Schedule, a PeriodicSchedule or a family"):
+    with pytest.raises(ArgumentError, match="`family` must be a SamplingFamily, got list"):
         sd.certify_family(OSCILLATOR, [1.0, 2.0])
     with pytest.raises(ArgumentError, match="`plant` must be a Plant"):
         sd.certify_family(np.eye(2), GapRange(0.5, 1.5))

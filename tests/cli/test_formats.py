@@ -6,12 +6,18 @@ from pathlib import Path
 
 import pytest
 
+from sampling_design import plan
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.requirement_file import requirement_and_plant
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)
 SATELLITE = EXAMPLES / "plants" / "satellite.toml"
 COMMANDS = {
     "info": (OSCILLATOR,),
+    "plan": (EXAMPLES / "plans" / "oscillator.toml",),
+    "next": ("plan.json", "--now", 7),
     "design": (OSCILLATOR, "--window", 4.0, "--samples", 3),
     "sigma": (OSCILLATOR, "schedule.csv", "--window", 4.0),
     "worst-case": (OSCILLATOR, *RULE),
@@ -34,13 +40,21 @@ NAMED = {
 }
 
 
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A plan file, made once."""
+    requirement, model = requirement_and_plant(EXAMPLES / "plans" / "oscillator.toml")
+    return save_plan(plan(model, requirement), tmp_path_factory.mktemp("plan") / "plan.json").read_text()
+
+
 @pytest.fixture
-def folder(tmp_path, monkeypatch, shell):
+def folder(tmp_path, monkeypatch, shell, planned):
     monkeypatch.chdir(tmp_path)
     Path("schedule.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.3\n")
     Path("requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
     Path("readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
     assert shell("certify", OSCILLATOR, "schedule.csv", "-o", ".").code == 0
+    Path("plan.json").write_text(planned)
     return tmp_path
 
 
@@ -60,4 +74,4 @@ def test_no_command_was_forgotten():
 
     from sampling_design.cli.app import app
 
-    assert set(get_command(app).commands) == {*COMMANDS, "thyroid"}  # that one is looked at in test_thyroid.py
+    assert set(get_command(app).commands) == {*COMMANDS, "thyroid", "new", "explore"}  # looked at in files of their own

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from sampling_design.cli import reading
-from sampling_design.cli.explore import _counts
 from sampling_design.cli.plan import design
 from sampling_design.cli.settings import Settings
+from sampling_design.cli.what_if import _counts
 from sampling_design.errors import ArgumentError, FileFormatError
 
 OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"

@@ -25,6 +25,9 @@ MOST_GROWTH = 300.0
 RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
 
+BITS = 40
+"""Binary digits that a search keeps: far above rounding, far below what it can tell apart."""
+
 
 @dataclass(frozen=True, eq=False)
 class Canonical:
@@ -96,6 +99,49 @@ def canonical(
     found = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
     sizes = np.exp2(logs) / x
     return Canonical(found, _timed(schedule, time), inner, x, w, y, time, sizes)
+
+
+def evened(canon: Canonical) -> Canonical:
+    """The same problem in units that are no powers of two, with `BITS` digits: a search there is the same in all units.
+
+    What is found there is proven on the problem itself.
+    """
+    gaps = canon.schedule.gaps if canon.schedule.gaps.size else canon.schedule.times
+    time, (Qw, R, Qv) = float(np.mean(gaps)), canon.weights
+    w, y = _root_of_inverse(np.diagonal(Qw) * time), _root_of_inverse(np.maximum(np.diagonal(R), np.diagonal(Qv)))
+    x, plant, old = canon.sizes, canon.plant, canon.schedule
+    details = ((plant.states, x), (plant.outputs, y), (plant.disturbances, w))
+    states, outputs, disturbances = (Signals(s.names, (), cut(s.scales / own)) for s, own in details)
+    A, C, G = time * plant.A * x / x[:, None], plant.C * x / y[:, None], time * plant.G * w / x[:, None]
+    found = Plant(cut(A), cut(C), G=cut(G), states=states, outputs=outputs, disturbances=disturbances)
+    schedule: AnySchedule
+    if isinstance(old, PeriodicSchedule):
+        even = cut(old.gaps / time)
+        schedule = PeriodicSchedule(even, min(float(cut(old.first / time)), float(np.sum(even))), outputs=old.outputs)
+    else:
+        schedule = Schedule(cut(old.times / time), old.outputs)
+    weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
+    kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
+    return Canonical(
+        found,
+        schedule,
+        (kept[0], kept[1], kept[2]),
+        canon.x * x,
+        canon.w * w,
+        canon.y * y,
+        canon.time * time,
+        np.ones_like(x),
+    )
+
+
+def cut(numbers: npt.ArrayLike) -> Array:
+    """Numbers to `BITS` binary digits."""
+    part, exponent = np.frexp(np.asarray(numbers, dtype=np.float64))
+    return np.asarray(np.ldexp(np.rint(np.ldexp(part, BITS)), exponent - BITS))
+
+
+def _root_of_inverse(sizes: Array) -> Array:
+    return np.asarray(1 / np.sqrt(np.where(sizes > 0, sizes, 1.0)))
 
 
 def followed(canon: Canonical, eta: float) -> None:

@@ -100,6 +100,7 @@ def certify_inclusion(
 
     Examples
     --------
+    >>> from sampling_design import GapRange, Plant
     >>> from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
     >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> omega2 = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]])

@@ -22,9 +22,9 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
     ax.axhline(certificate.lam, color=style.ATTAINED, linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}")
     family = certificate.family
-    ax.axvspan(family.shortest, family.longest, color=style.ALLOWED, alpha=0.3, linewidth=0, label="a sample may come")
+    ax.axvspan(family.shortest, family.longest, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come")
     ax.set_xlabel(style.time_label(certificate.plant.time_unit, "time since the last sample"))
     ax.set_ylabel("information relative to P1")
     ax.set_title(f"{certificate.plant.name or 'plant'}: proven for gaps up to {short(family.longest, 4)}", loc="left")
-    ax.legend(loc="center right", fontsize="small", frameon=False)
+    style.legend(ax, 2)
     return ax

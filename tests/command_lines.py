@@ -49,7 +49,7 @@ def files() -> dict[str, Path]:
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
-    made["planned.json"] = save_plan(sd.plan(plant, wanted, budget=5.0), place / "planned.json")
+    made["planned.json"] = save_plan(sd.plan(plant, wanted, search_seconds=5.0), place / "planned.json")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())
     made |= {"missing": place / "nosuch.toml", "folder": place, "device": Path("/dev/null"), "": Path("")}

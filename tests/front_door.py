@@ -106,7 +106,7 @@ def things() -> dict[str, Any]:
 
 @functools.cache
 def _small_plan() -> Any:
-    return sd.plan(things()["plant"], things()["wanted"], budget=5.0)
+    return sd.plan(things()["plant"], things()["wanted"], search_seconds=5.0)
 
 
 @functools.cache
@@ -148,7 +148,8 @@ def named() -> dict[str, Any]:
         "requirement": t["requirement"], "certificate": certificate, "design": t["design"], "split": t["split"],
         "family": t["gaps"], "eta": 0.4, "P1": np.eye(2) / 10, "P2": eye, "Qw": np.eye(plant.n_disturbances),
         "R": np.eye(1), "Qv": np.eye(1), "P": eye, "lam": 8.0, "lam_samples": 6.0, "margin": 0.0, "c_w": 4.0,
-        "c_y": 4.0, "witness": None, "budget": 2.0, "progress": lambda fraction, message: None, "rigorous": False,
+        "c_y": 4.0, "witness": None, "budget": 2.0, "search_seconds": 2.0, "rigorous": False,
+        "progress": lambda fraction, message: None,
         "path": folder() / "out", "theorem": "sharp", "length": 6.0, "e0": [1.0, 0.0], "w_bound": 0.1, "v_bound": 0.1,
         "initial_error": 1.0, "rate": 0.2, "rtol": 0.01, "decay_rate": 0.1, "offset": 0.0, "rounding": None,
         "cluster_cap": 0.01, "cap": 0.01, "variant": "paper", "gain": None, "Q": None, "sigma_bar": None, "kappa": None,
@@ -193,7 +194,7 @@ def special() -> dict[str, dict[str, Any]]:
         "LostSamples": {"schedule": t["schedule"]},
         "read_plant": {"path": place / "plant.toml"},
         "read_schedule": {"path": place / "schedule.csv"},
-        "plan": {"requirement": t["wanted"], "budget": 5.0},
+        "plan": {"requirement": t["wanted"], "search_seconds": 5.0},
         "next_sample": {"plan": _small_plan(), "record": None, "now": 0.0},
         "load_plan": {"path": _plan_file()},
         "PlanRequirement": {"accuracy": {"position": 0.6}, "window": None},

@@ -303,7 +303,7 @@ def split_sparse(plant: SparsePlant, decay_rate: float = 0.0, *, offset: float |
         return _record(plant, decay_rate, np.zeros((plant.n_states, 0)), np.zeros(0), line, "dominance", 0.0)
     S = sparse.csc_array((S + S.T) / 2)
     forming = 4 * EPS * size  # of S itself
-    step = max(strip, 64 * forming)
+    step = max(strip, 64 * forming) or 1.0  # A is zero: any line left of it will do
     problem = ""
     for _ in range(SHIFTS):
         count, lost = _above(S, line)

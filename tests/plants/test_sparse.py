@@ -85,6 +85,12 @@ def test_an_eigenvalue_on_the_line_is_retained():
     assert split.line < -2
 
 
+def test_a_plant_that_stands_still_is_retained_whole():
+    split = split_sparse(SparsePlant(sparse.csr_array((50, 50)), np.eye(2, 50)))
+    assert split.eigenvalues.size == 50
+    assert split.proof == "inertia"
+
+
 def test_dominance_proves_that_nothing_is_retained():
     n = 3000
     drift = sparse.diags_array([1.5, -2.0, 0.5], offsets=[-1, 0, 1], shape=(n, n))  # convection: not symmetric

@@ -19,6 +19,7 @@ from sampling_design import (
 )
 from sampling_design.certificates import certify as room
 from sampling_design.certificates.exact import efforts, weight_choice
+from sampling_design.certificates.exact.canonical import canonical, evened
 from sampling_design.certificates.paper import proof_constants
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
@@ -36,6 +37,12 @@ def test_growth_beyond_doubles_is_undecided_before_it_is_tried(growth, given):
 def test_dated_times_are_asked_for_their_origin():
     with pytest.raises(UndecidedError, match=r"Times count from 0: should the schedule begin there\?"):
         certify(OSCILLATOR, Schedule(1.7e9 + np.arange(5.0)), eta=0.4)
+
+
+def test_far_times_keep_their_gaps_in_canonical_units():
+    schedule = Schedule(1.7e9 + 1e-3 * np.arange(5.0))
+    gaps = np.diff(evened(canonical(OSCILLATOR, schedule, (np.eye(2), np.eye(1), np.eye(1)))).schedule.times)
+    np.testing.assert_allclose(gaps / gaps[0], 1.0, rtol=1e-3)
 
 
 @pytest.mark.parametrize("key", ["A", "C"])

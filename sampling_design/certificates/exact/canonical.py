@@ -119,7 +119,7 @@ def evened(canon: Canonical) -> Canonical:
         even = cut(old.gaps / time)
         schedule = PeriodicSchedule(even, min(float(cut(old.first / time)), float(np.sum(even))), outputs=old.outputs)
     else:
-        schedule = Schedule(cut(old.times / time), old.outputs)
+        schedule = Schedule(old.times / time, old.outputs)  # cut, far times would lose their gaps
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
     kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
     return Canonical(

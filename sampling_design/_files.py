@@ -8,7 +8,8 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from sampling_design.checkers import strict
@@ -192,3 +193,52 @@ def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
     except strict.BadFile as error:
         sentence = f"{error}."
         raise ArgumentError(sentence) from None
+
+
+def read_tree(path: str | os.PathLike[str]) -> Tree:
+    """Return the tree of a `.json` file, or of a TOML file with any other ending.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing or cut off.
+    """
+    where = os.fspath(path)
+    content = read_text(where)
+    return (from_json if Path(where).suffix.lower() == ".json" else from_toml)(content, where)
+
+
+def write_tree(path: str | os.PathLike[str], data: Mapping[str, object], what: str) -> Path:
+    """Write a tree as `.toml` or `.json`, whole or not at all; `what` it is, with its article, for messages.
+
+    Raises
+    ------
+    FileFormatError
+        If the ending is neither, or the file cannot be written.
+    """
+    ending = Path(path).suffix.lower()
+    if ending == ".json":
+        return write_text(path, to_json(data))
+    if ending != ".toml":
+        raise FileFormatError(f"{path}: {what} file ends in .toml or .json, got {ending!r}.", os.fspath(path))
+    import tomli_w
+
+    return write_text(path, tomli_w.dumps(data))
+
+
+@contextmanager
+def usable(where: str) -> Iterator[None]:
+    """Say of what is refused inside that it stands in the file `where`, which cannot be used.
+
+    Raises
+    ------
+    FileFormatError
+        With the sentence of the strict reader or of the argument that was refused.
+    """
+    try:
+        yield
+    except strict.BadFile as error:
+        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sampling_design._door import door
-from sampling_design._files import from_json, read_text, to_json, write_text
+from sampling_design._files import from_json, read_text, to_json, usable, write_text
 from sampling_design.checkers.strict import (
-    BadFile,
     Reader,
     anything,
     count,
@@ -26,7 +25,6 @@ from sampling_design.checkers.strict import (
     table,
     word,
 )
-from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.bounds import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.evidence import PlanBound, attack_of
 from sampling_design.planning.motion import Motion, motion_of
@@ -116,7 +114,7 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
     """
     where = os.fspath(path)
     data = from_json(read_text(where), where)
-    try:
+    with usable(where):
         tree = _TREE(data, "")
         plant = plant_from_dict(tree["plant"], f"{where}: plant")
         requirement = plan_requirement_from_dict(tree["requirement"], f"{where}: requirement")
@@ -136,10 +134,6 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
                     key, f"is {given.tolist()!r:.40} where the schedule gives {np.asarray(mine).tolist()!r:.40}"
                 )
         return found
-    except BadFile as error:
-        raise FileFormatError(f"{where}: cannot be used: {error}.", where) from None
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 
 
 def _bound(problem: PlanProblem, motion: Motion, tree: Mapping[str, object]) -> PlanBound:

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sampling_design._door import door
-from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
+from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
-    BadFile,
     anything,
     count,
     list_of,
@@ -23,7 +22,6 @@ from sampling_design.checkers.strict import (
     text,
     word,
 )
-from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.requirement import AIMS, FORMAT, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
@@ -114,9 +112,7 @@ def read_plan_requirement(path: str | os.PathLike[str]) -> PlanRequirement:
 def requirement_and_plant(path: str | os.PathLike[str]) -> tuple[PlanRequirement, Plant | None]:
     """Return the requirement in a file, and the plant if it holds one."""
     where = os.fspath(path)
-    content = read_text(where)
-    read = from_json if Path(where).suffix.lower() == ".json" else from_toml
-    data = read(content, where)
+    data = read_tree(where)
     plant = data.get("plant")
     found = None
     if isinstance(plant, Mapping):
@@ -132,16 +128,11 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
     FileFormatError
         As for `read_plan_requirement`.
     """
-    try:
+    with usable(where):
         tree = _TREE(data, "")
         tree.pop("format")
         tree.pop("plant", None)
         return PlanRequirement(**tree)
-    except BadFile as error:
-        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
-        raise FileFormatError(sentence, where) from None
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 
 
 @door
@@ -164,11 +155,4 @@ def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike
     FileFormatError
         If the ending is neither, or the file cannot be written.
     """
-    ending = Path(path).suffix.lower()
-    if ending == ".json":
-        return write_text(path, to_json(requirement.to_dict()))
-    if ending != ".toml":
-        raise FileFormatError(f"{path}: a requirement file ends in .toml or .json, got {ending!r}.", os.fspath(path))
-    import tomli_w
-
-    return write_text(path, tomli_w.dumps(requirement.to_dict()))
+    return write_tree(path, requirement.to_dict(), "a requirement")

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from sampling_design._door import door
-from sampling_design._files import from_json, from_toml, read_text, to_json, write_text
+from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
-    BadFile,
     Tree,
     count,
     flag,
@@ -24,7 +23,7 @@ from sampling_design.checkers.strict import (
     word,
 )
 from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
-from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.errors import ArgumentError
 
 _SPANS = list_of(list_of(nonnegative, 2))
 _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
@@ -78,10 +77,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
         If the file is missing, cut off, of another format, has an unknown key, or holds a value that
         `Requirement` refuses; the message names the file.
     """
-    where = os.fspath(path)
-    content = read_text(where)
-    read = from_json if Path(where).suffix.lower() == ".json" else from_toml
-    return requirement_from_dict(read(content, where), where)
+    return requirement_from_dict(read_tree(path), os.fspath(path))
 
 
 @door
@@ -104,7 +100,7 @@ def requirement_from_dict(data: Tree, where: str = "requirement") -> Requirement
     FileFormatError
         As for `read_requirement`.
     """
-    try:
+    with usable(where):
         tree = _TREE(data, "")
         del tree["format"]
         samples = tree.get("samples")
@@ -114,11 +110,6 @@ def requirement_from_dict(data: Tree, where: str = "requirement") -> Requirement
             tree["samples"] = {k: v for k, v in samples.items() if k != "target_sigma"}
             tree["target_sigma"] = samples["target_sigma"]
         return Requirement(**tree)
-    except BadFile as error:
-        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
-        raise FileFormatError(sentence, where) from None
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None
 
 
 @door
@@ -141,11 +132,4 @@ def write_requirement(requirement: Requirement, path: str | os.PathLike[str]) ->
     FileFormatError
         If the ending is neither, or the file cannot be written.
     """
-    ending = Path(path).suffix.lower()
-    if ending == ".json":
-        return write_text(path, to_json(requirement.to_dict()))
-    if ending != ".toml":
-        raise FileFormatError(f"{path}: a requirement file ends in .toml or .json, got {ending!r}.", os.fspath(path))
-    import tomli_w
-
-    return write_text(path, tomli_w.dumps(requirement.to_dict()))
+    return write_tree(path, requirement.to_dict(), "a requirement")

@@ -195,7 +195,7 @@ def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
         raise ArgumentError(sentence) from None
 
 
-def read_tree(path: str | os.PathLike[str]) -> Tree:
+def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
     """Return the tree of a `.json` file, or of a TOML file with any other ending.
 
     Raises

@@ -1,7 +1,8 @@
 """Linear matrix flows Y' = A Y + Y A' + S in ball arithmetic, and what they certainly stay below over a stretch.
 
 On a step of length h, Y lies below its chord plus (h^2/8) sup |e^{As}|^2 r I, where Y'' >= -r I at the step's
-start: Y'' itself only turns with e^{As}. The error is of second order, and a convex stretch costs nothing.
+start: Y'' itself only turns with e^{As}. The error is of second order, and a convex stretch costs nothing. Likewise
+below its end plus h N, where N >= -Y' all along: a stretch along which Y rises costs nothing either.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class BallFlow:
         self.identity = identity(self.n)
         self._kept: dict[object, tuple[Matrix, Matrix]] = {}
         self._reach: dict[object, Ball] = {}
-        self.size = float(frobenius(A))
+        self.norm = frobenius(A).upper()
+        self.size = float(self.norm)
         self.growths = [(ball(1.0), largest((A + self.At) * ball(0.5)))]
         modal = self._modal()
         if modal is not None:
@@ -120,6 +122,20 @@ class BallFlow:
         part = self.square * Y + self.A * Y * self.At
         return part + part.transpose() + self.constant
 
+    def slope(self, Y: Matrix) -> Matrix:
+        """Return Y'."""
+        part = self.A * Y
+        return part + part.transpose() + self.S
+
+    def carried(self, N: Matrix, duration: Ball) -> Matrix:
+        """A matrix that stays above e^{As} N e^{A's}, N psd, over [0, duration]: N itself where that is short."""
+        total = sum((N[i, i] for i in range(self.n)), 0 * duration)
+        grown = self.reach(duration) * 8 / duration**2
+        near = (2 * self.norm * duration).expm1().upper()
+        if near < grown:
+            return N + near * total * self.identity
+        return grown * total * self.identity
+
     def reach(self, duration: Ball) -> Ball:
         """Return an exact number that is at least (h^2/8) sup |e^{As}|^2 over [0, h]."""
         key = (duration.mid().man_exp(), duration.rad().man_exp())
@@ -136,6 +152,7 @@ class FlowNode:
     def __init__(self, flow: BallFlow, Y: Matrix, top: Callable[[Matrix], Ball]) -> None:
         self.flow, self.Y, self.top = flow, Y, top(Y)
         self._second: Matrix | None = None
+        self._falling: tuple[Matrix, Matrix] | None = None
         self._sag: Ball | None = None
 
     def bulges(self, duration: Ball) -> Iterator[Ball]:
@@ -148,9 +165,32 @@ class FlowNode:
             self._sag = positive_part(largest(-self._second))
         yield reach * self._sag
 
+    def bounds(self, right: FlowNode, duration: Ball, top: Callable[[Matrix], Ball], slope: Ball) -> Iterator[Ball]:
+        """Yield bounds of `top` along the step to `right`, the cheap ones first."""
+        ends = max(self.top, right.top)
+        for bulge in self.bulges(duration):
+            yield ends + slope * bulge
+        if self._falling is None:
+            assert self._second is not None
+            self._falling = fallen(self.flow.slope(self.Y)), fallen(self._second)
+        yield top(right.Y + duration * self.flow.carried(self._falling[0], duration))
+        bulge = duration**2 / 8 * self.flow.carried(self._falling[1], duration)
+        yield top(self.Y + bulge).max(top(right.Y + bulge))
+
     def after(self, duration: Ball, top: Callable[[Matrix], Ball]) -> FlowNode:
         """The node `duration` later."""
         return FlowNode(self.flow, self.flow.step(self.Y, duration), top)
+
+
+def fallen(M: Matrix) -> Matrix:
+    """A psd matrix that is at least -M: its negative part, guessed in floats."""
+    guess, n = floats(M), M.nrows()
+    parts = matrix(np.zeros((n, n)))
+    if n and np.isfinite(guess).all():
+        values, vectors = np.linalg.eigh((guess + guess.T) / 2)
+        half = matrix(vectors * np.sqrt(np.maximum(-values, 0.0)))
+        parts = half * half.transpose()
+    return parts + positive_part(largest(-(M + parts))) * identity(n)
 
 
 def highest(
@@ -175,8 +215,7 @@ def highest(
     while pending:
         clock.check(150 + flow.n**3)
         left, right, length, depth = pending.pop()
-        ends = max(left.top, right.top)
-        bounds = ((ends + slope * bulge).upper() for bulge in left.bulges(length))
+        bounds = (bound.upper() for bound in left.bounds(right, length, top, slope))
         proven = next((bound for bound in bounds if bound <= limit), None)
         if proven is not None:
             reached = max(reached, proven)

@@ -39,7 +39,9 @@ def dominating(wrong: Array) -> Array:
     """
     top = np.maximum(wrong.max(axis=(-2, -1), initial=0.0), 1e-300)[..., None]
     diagonal = np.einsum("...ii->...i", wrong)
-    e = np.sqrt(np.maximum(np.maximum(diagonal, wrong.max(axis=-1, initial=0.0) ** 2 / top), 1e-30 * top))
+    e = np.sqrt(
+        np.maximum(np.maximum(diagonal, wrong.max(axis=-1, initial=0.0) ** 2 / top), np.fmax(1e-30 * top, 1e-290))
+    )
     return np.asarray(((wrong / e[..., None, :]).sum(axis=-1) * e)[..., None] * np.eye(wrong.shape[-1]) * (1 + 1e-9))
 
 
@@ -107,7 +109,9 @@ class Frame:
         self.square, self.bend = self.A @ self.A, self.A @ self.S + self.S @ self.A.T
         self.sizes, wrong = np.abs(self.A), self.wrong_A + 2 * n * EPS * np.abs(self.A)
         self.wrong, self.wrong_square = wrong, wrong @ self.sizes + self.sizes @ wrong
-        self.wrong_bend = 2 * float(size(wrong @ np.abs(self.S) + self.sizes @ self.wrong_S))
+        bent = wrong @ np.abs(self.S) + self.sizes @ self.wrong_S
+        self.bent, self.wrong_bend = bent + bent.T, 2 * float(size(bent))
+        self.speed = float(np.linalg.norm(self.sizes + self.wrong)) * (1 + 1e-9)
         self.growth, self.skew = self.rates()
         self.known: dict[float, tuple[Array, Array, Array, Array]] = {}
         doubts = (self.wrong_A, self.wrong_S, self.start_band, self.wrong_rows, self.loose)
@@ -192,16 +196,17 @@ class Frame:
         columns = list(zip(*[self.known[h] for h in asked.tolist()], strict=True)) or [(), (), (), ()]
         return Flows(*(np.reshape(part, (-1, self.n, self.n)) for part in columns))[which]
 
-    def doubled(self, h: Array) -> Flows:
-        """F and W by the exponential of Van Loan's block on a short step, then doubling.
+    def doubled(self, h: Array, source: tuple[Array, Array] | None = None) -> Flows:
+        """F and W by the exponential of Van Loan's block on a short step, then doubling; S is the `source` if given.
 
         D = F - I is doubled, D <- 2 D + D D, which keeps the slow modes of a stiff plant right.
         """
+        S, wrong_S = source or (self.S, self.wrong_S)
         n, norm = self.n, np.fmax(np.linalg.norm(self.A, 1), 1e-300)
         doublings = np.maximum(0, np.ceil(np.log2(np.maximum(2 * h * norm, 1e-300)))).astype(int)
-        scale = np.fmax(np.linalg.norm(self.S, 1), 1e-300) / norm
+        scale = np.fmax(np.linalg.norm(S, 1), 1e-300) / norm
         step = np.ldexp(h, -doublings)[:, None, None]
-        X = np.block([[-self.A, self.S / scale], [0 * self.A, self.A.T]]) * step
+        X = np.block([[-self.A, S / scale], [0 * self.A, self.A.T]]) * step
         E, D = risen(X), risen(self.A.T * step)
         # a column of either, which is a row of D, is right to rounding relative to its size
         row, column = (64 * n * EPS * np.sqrt(np.einsum("kij,kij->kj", M, M)) for M in (D, E[:, :, n:]))
@@ -210,8 +215,8 @@ class Frame:
         x = step * self.sizes
         more, short = self.I + x + x @ x, step * self.wrong
         wrong_D = row[:, :, None] + more @ short @ more
-        source = self.wrong_S + short @ np.abs(self.S) + np.abs(self.S) @ turned(short)
-        wrong_W = 2 * scale * (column[:, None, :] + column[:, :, None]) + step * (more @ source @ turned(more))
+        wrong = wrong_S + short @ np.abs(S) + np.abs(S) @ turned(short)
+        wrong_W = 2 * scale * (column[:, None, :] + column[:, :, None]) + step * (more @ wrong @ turned(more))
         for s in range(int(doublings.max(initial=0))):
             k = doublings > s
             d, F = np.abs(D[k]), self.I + D[k]
@@ -250,6 +255,51 @@ class Frame:
         rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
         flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
         return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
+
+    def slope(self, Y: Array) -> Array:
+        """A psd matrix N with -Y' <= N: what falls in Y, and the rounding."""
+        first, y = self.A @ Y + Y @ self.A.T + self.S, np.abs(Y)
+        wrong = self.wrong @ y
+        return self.fallen(first, wrong + turned(wrong) + self.wrong_S + 2 * EPS * (np.abs(first) + np.abs(self.S)))
+
+    def fallen(self, M: Array, wrong: Array) -> Array:
+        """A psd matrix that is at least -M for the true M, which is within `wrong` of this one."""
+        M = dominating((wrong + turned(wrong)) / 2) - (M + turned(M)) / 2
+        values, vectors = np.linalg.eigh(M)
+        rounding = 16 * self.n * EPS * size(M)[..., None]
+        return np.asarray((vectors * (np.maximum(values, 0.0) + rounding)[..., None, :]) @ turned(vectors))
+
+    def carried(self, N: Array, step: Array) -> Array:
+        """A matrix that stays above e^{As} N e^{A's}, N psd, for all s up to the step: N itself where that is short."""
+        total = np.einsum("...ii->...", N)
+        rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
+        grown = np.exp(np.minimum(2 * rate, 600)) * (1 + 1e-6)
+        near = np.expm1(np.minimum(2 * self.speed * step, 600)) * (1 + 1e-6)
+        short = near < grown
+        rest = np.where(short, near, grown) * total
+        return np.asarray(np.where(short, 1 + 1e-9, 0.0)[..., None, None] * N + rest[..., None, None] * self.I)
+
+    def covered(self, Y: Array, later: Array, step: Array, limit: float) -> Array:
+        """A bound of the largest eigenvalue along the step from Y to `later`, `limit` being what it should keep.
+
+        Y(s) <= Y(d) + d N with N >= -Y' all along, which costs nothing where Y rises; else, likewise with N >= -Y'',
+        Y(s) <= chord + (d^2/8) N, which costs nothing where it is convex.
+        """
+        d = step[..., None, None] * (1 + 1e-9)
+        found = largest(later + d * self.carried(self.slope(Y), step), limit)
+        rest = np.flatnonzero(~(found <= limit))
+        if rest.size:
+            Y, later, d = Y[rest], later[rest], d[rest]
+            bulge = d**2 / 8 * self.carried(self.bending(Y), step[rest])
+            found[rest] = np.fmin(found[rest], np.maximum(largest(Y + bulge, limit), largest(later + bulge, limit)))
+        return found
+
+    def bending(self, Y: Array) -> Array:
+        """A psd matrix N with -Y'' <= N."""
+        y, half = np.abs(Y), self.square @ Y + self.A @ Y @ self.A.T
+        wrong = self.wrong_square @ y + self.wrong @ y @ self.sizes.T
+        wrong = 2 * (wrong + turned(wrong)) + 2 * self.bent + 4 * EPS * (np.abs(half) + turned(np.abs(half)))
+        return self.fallen(half + turned(half) + self.bend, wrong)
 
     # --- at samples ---
 

@@ -1,14 +1,15 @@
 """Claim "assumption-7": the weights hold on one schedule, for every real window start and every later time.
 
 It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the coordinates of `frame.py`:
-1. Between samples Y'' = F Y''(0) F': on a step of length d, Y <= chord + (d^2/8) sup|Y''| I. So it is along the starts.
+1. Between samples Y' = F Y'(0) F', Y'' likewise: on a step of length d, Y <= its end + d N where N >= -Y' all along,
+   and Y <= chord + (d^2/8) N where N >= -Y''. So it is along the starts: where Y rises, the end of a cell covers it.
 2. With one window's gains, Y of another start is at most affine in its first value: two ends cover a cell of starts.
 3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
 """
 
 import numpy as np
 
-from .frame import Frame, Index, largest, least, size, turned
+from .frame import Flows, Frame, Index, dominating, largest, least, size, turned
 from .grammar import Sampled, Times, Witness
 from .numbers import EPS, Problem, problem
 from .outcome import Refused, Undecided
@@ -81,8 +82,13 @@ class Windows(Frame):
             if not owner.size or owner.size > MAX_OPEN:
                 break
             self.spend(2 * owner.size)
-            right = largest(self.moved(U, step), 0.5)
+            later = self.moved(U, step)
+            right = largest(later, 0.5)
             bound = np.maximum(left, right) + self.curvature(U, step)
+            close = ~(bound <= self.one) & (right <= self.one)
+            if close.any():
+                self.spend(4 * int(close.sum()))
+                bound[close] = self.covered(U[close], later[close], step[close], self.one)
             self.reached = max(self.reached, bound[bound <= self.one].max(initial=0.0))
             good[owner[~(right <= self.one)]] = False
             kept = ~(bound <= self.one)
@@ -121,21 +127,25 @@ class Windows(Frame):
         m, flows = index.size, self.flow(np.concatenate([high, low]))
         (Y, other), lost = np.split(self.along(self.start, flows)[0], 2), self.along(self.start, flows)[1][:m]
         E = flows.F[:m] @ self.start_band @ turned(flows.F[:m]) + 2 * lost
-        rest = self.curvature(other, high - low)[:, None, None] * self.I
-        U, at, good, alive = np.stack([Y + rest, other + rest]), index, high >= low, np.arange(m)
+        U, at, good, alive = (
+            self.starts(Y, other, low, high, flows[np.arange(m, 2 * m)]),
+            index,
+            high >= low,
+            np.arange(m),
+        )
         start, since = self.times[index] - high, high.copy()
         for _ in range((PERIODS if family is not None else PERIODS // 10) * self.N):
             self.spend(3 * at.size)
-            K = self.gain(Y, at)
-            U, (Y, left, lost), before = self.after(U, at, K)[0], self.after(Y, at, K), Y
+            K, both = self.gain(Y, at), self.gain(U.mean(axis=0), at)
+            U, (Y, left, lost), before = self.after(U, at, both)[0], self.after(Y, at, K), Y
             E = self.band_after(E, before, at, K, left, lost)
             going = np.ones(at.size, bool) if self.schedule.periodic else at + 1 < self.N
             if family is not None:
                 going &= least(family[at] - U).min(axis=0) < 0
             Y, E, U, alive, since = Y[going], E[going], U[:, going], alive[going], since[going]
             at = (at[going] + 1) % self.N
-            both = U.reshape(-1, self.n, self.n)
-            closed = self.stretch(both, np.tile(self.longer[at], 2)).reshape(2, -1).all(axis=0)
+            ends = U.reshape(-1, self.n, self.n)
+            closed = self.stretch(ends, np.tile(self.longer[at], 2)).reshape(2, -1).all(axis=0)
             open_ones = ~closed
             if open_ones.any():
                 begun = start[alive[open_ones]]
@@ -150,6 +160,24 @@ class Windows(Frame):
         good[alive] = False
         return good
 
+    def starts(self, Y: Array, other: Array, low: Array, high: Array, flows: Flows) -> Array:
+        """Two ends for each cell of starts: whatever is affine below I at both is so all over the cell.
+
+        Y is where the window from `high` before the sample comes to, `other` that from `low`, `flows` over `low`.
+        """
+        length = high - low
+        if not length.any():
+            return np.stack([Y, other])
+        d = length[:, None, None] * (1 + 1e-9)
+        bulge = d**2 / 8 * self.carried(self.bending(other), length)
+        # Y(r) <= Y(high) + int_low^high e^{As} N e^{A's} ds, N >= -Y'(0): nothing where Y rises from the start on
+        falling, none = self.slope(self.start), np.zeros_like(self.start)
+        fallen = self.doubled(length, (falling, none))
+        whole = fallen.W + dominating((fallen.wrong_W + turned(fallen.wrong_W)) / 2)
+        moved = self.along(whole, Flows(flows.F, np.zeros_like(whole), flows.wrong_F, np.zeros_like(whole)))[0]
+        one = (np.einsum("kii->k", moved) <= np.einsum("kii->k", bulge))[:, None, None]
+        return np.stack([Y + np.where(one, moved, bulge), np.where(one, Y + moved, other + bulge)])
+
     def violated(self, Y: Array, E: Array, duration: Array, start: Array, since: Array) -> None:
         """Refused if some true Y exceeds I along `duration`, which begins `since` after its window's start."""
         if len(Y) > SUSPECTS:
@@ -162,6 +190,8 @@ class Windows(Frame):
         band = size(flows.F @ np.repeat(E, 33, axis=0) @ turned(flows.F) + 2 * lost) + 8 * self.n * EPS * size(moved)
         sure = np.where(values - band > 2 - self.one, values, 0.0).reshape(-1, 33)
         if not np.any(sure > 1):
+            if np.any(values > self.one):  # no finer cell of starts is without this window
+                raise self.undecided("it is tight or nearly so, or rounding hides one window")
             return
         row, column = divmod(int(np.argmax(sure)), 33)
         begin = float(start[row] + (self.schedule.period if start[row] < 0 and self.schedule.periodic else 0.0))

@@ -1,6 +1,7 @@
 """Proof of Y <= I over all real window starts, all later times and all periods, in ball arithmetic.
 
 1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`_ball_flow`).
+   Where Y rises, the end covers the stretch: what falls is added.
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
    gains: the two ends of the chord cover the cell.
 3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
@@ -16,8 +17,8 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock, highest
-from sampling_design._balls import Ball, Matrix, definite, floats, largest, matrix, raised
+from sampling_design._ball_flow import BallFlow, Clock, fallen, highest
+from sampling_design._balls import Ball, Matrix, definite, floats, matrix, raised
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 
 Array = npt.NDArray[np.float64]
@@ -88,6 +89,7 @@ class BallWindows:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
         self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.schedule.gaps)]
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
+        self.falling = BallFlow(frame.flow.A, fallen(frame.flow.slope(frame.start)))
         self.family: list[Matrix] | None = None
         self.float_family: list[Array] = []
 
@@ -149,13 +151,18 @@ class BallWindows:
         return False
 
     def cell(self, low: Ball, high: Ball) -> list[Matrix]:
-        """Ends of a chord that lies above Y(r), r in [low, high], r after the window's start."""
+        """Ends of a chord that lies above Y(r), r in [low, high], r after the window's start; one end where Y rises."""
         flow, Y = self.frame.flow, self.frame.start
         first, last, length = flow.step(Y, low), flow.step(Y, high), high - low
         if not length > 0:
             return [first]
-        bulge = flow.reach(length) * max(largest(-flow.second(first)), 0 * length)
-        return [end + bulge * self.frame.identity for end in (first, last)]
+        bulge = length**2 / 8 * flow.carried(fallen(flow.second(first)), length)
+        F, _ = flow.over(low)
+        _, W = self.falling.over(length)
+        moved = F * W * F.transpose()
+        if np.trace(floats(moved)) <= np.trace(floats(bulge)):
+            return [last + moved]
+        return [first + bulge, last + bulge]
 
     def everywhere(self, failed: Callable[[int], None]) -> bool:
         """Prove every real start; `failed(depth)` hears of each cell that is halved."""

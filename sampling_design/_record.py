@@ -44,9 +44,9 @@ class Record:
         """Say in one or two sentences what this record means."""
         raise NotImplementedError
 
-    def plot(self, ax: object = None) -> Any:
-        """Draw this record on `ax` (a new figure if None) and return the axes."""
-        return draw(self, ax)
+    def plot(self, ax: object = None, **beside: object) -> Any:
+        """Draw this record on `ax` (a new figure if None) and return the axes; `beside`: what else it shows."""
+        return draw(self, ax, **beside)
 
     def __repr__(self) -> str:
         inside = ", ".join(f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[:4])
@@ -127,11 +127,11 @@ class Gridded(Record):
         )
 
 
-def draw(record: object, ax: object = None) -> Any:
+def draw(record: object, ax: object = None, **beside: object) -> Any:
     """Hand `record` to the plotting room; the one upward call of the house, made late."""
     from sampling_design import plotting
 
-    return plotting.draw(record, ax)
+    return plotting.draw(record, ax, **beside)
 
 
 def short(value: object, digits: int = 6) -> str:

@@ -74,8 +74,8 @@ def run_plainly(path: Path) -> int:
     for number, cell in enumerate(json.loads(path.read_text())["cells"]):
         if cell["cell_type"] == "code":
             value = run_cell("".join(cell["source"]), f"{path.name}, cell {number}", names)
-            if hasattr(value, "savefig"):
-                shown.append(value.savefig(io.BytesIO(), format="png"))
+            if hasattr(value, "_repr_png_"):
+                shown.append(value._repr_png_())
     return len(shown)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import sampling_design as sd
+from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
 from sampling_design.nonlinear.experiment import HORIZON, paper_weights
@@ -30,7 +31,7 @@ RATES = (0.35, 1.5)
 SETTLED = 7.0  # errors count from here on: the prior is forgotten, only the schedule matters
 
 
-def design_week(patient: sd.NonlinearPlant, samples: int = 3) -> sd.ScheduleDesign:
+def design_week(patient: sd.NonlinearPlant, samples: int = 3) -> ScheduleDesign:
     """Return the best week of `samples` blood samples in office hours for the modes slower than 1.5 a day."""
     linear = patient.linearise(patient.equilibrium(thyroid.TRUE_START))
     requirement = sd.Requirement(
@@ -48,7 +49,11 @@ def certify_week(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, rate
 def error_on(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, weeks: int, runs: int) -> tuple[float, int]:
     """Return the RMSE in scaled states on a 2 h grid after `SETTLED`, and how many window problems failed."""
     scheme = sd.NonlinearMovingHorizonEstimator(
-        patient, horizon=HORIZON, prior=thyroid.PRIOR_START, w_step=6 * HOUR, degree=3, **paper_weights()
+        patient,
+        horizon=HORIZON,
+        prior=thyroid.PRIOR_START,
+        collocation=sd.Collocation(w_step=6 * HOUR, degree=3),
+        cost=paper_weights(),
     )
     end = 7.0 * weeks
     grid = np.arange(0.0, end + HOUR, 2 * HOUR)
@@ -75,7 +80,7 @@ def assumption_7(patient: sd.NonlinearPlant, pairs: int) -> DetectabilityEvidenc
     """Return inequality (16) for the paper's weights and one sample a day, along random pairs of patients."""
     box = (thyroid.TRUE_START / 2, 2 * thyroid.TRUE_START)
     daily = sd.PeriodicSchedule([1.0], time_unit="d")
-    return sd.check_detectability(patient, daily, box, duration=10.0, step=0.25, pairs=pairs, **paper_weights())
+    return sd.check_detectability(patient, daily, box, duration=10.0, step=0.25, pairs=pairs, cost=paper_weights())
 
 
 def compare(weeks: int, runs: int, output: Path | None = None, pairs: int = 100) -> str:

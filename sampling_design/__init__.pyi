@@ -40,13 +40,13 @@ from sampling_design.design.problem.requirement import OutputAccess as OutputAcc
 from sampling_design.design.problem.requirement import Requirement as Requirement
 from sampling_design.design.problem.requirement_file import read_requirement as read_requirement
 from sampling_design.design.problem.requirement_file import write_requirement as write_requirement
-from sampling_design.design.schedule_design import ScheduleDesign as ScheduleDesign
 from sampling_design.errors import ArgumentError as ArgumentError
 from sampling_design.errors import SamplingDesignError as SamplingDesignError
 from sampling_design.estimators.baselines import periodic_at_equal_cost as periodic_at_equal_cost
 from sampling_design.estimators.baselines import standard_mhe as standard_mhe
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
+from sampling_design.estimators.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.estimate_file import write_estimates as write_estimates
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
@@ -59,6 +59,7 @@ from sampling_design.estimators.records.measurements import read_measurements as
 from sampling_design.estimators.records.measurements import write_measurements as write_measurements
 from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.nonlinear import thyroid as thyroid
+from sampling_design.nonlinear.collocation import Collocation as Collocation
 from sampling_design.nonlinear.conversion import from_expressions as from_expressions
 from sampling_design.nonlinear.conversion import from_linear as from_linear
 from sampling_design.nonlinear.detectability import check_detectability as check_detectability
@@ -106,7 +107,6 @@ from sampling_design.schedules.schedule import PeriodicSchedule as PeriodicSched
 from sampling_design.schedules.schedule import Schedule as Schedule
 from sampling_design.schedules.spaced_windows import SpacedWindows as SpacedWindows
 from sampling_design.schedules.time_stamps import import_time_stamps as import_time_stamps
-from sampling_design.validation.report import ValidationReport as ValidationReport
 from sampling_design.validation.scenario import simulate_record as simulate_record
 from sampling_design.validation.schedule_log import compare_schedule as compare_schedule
 from sampling_design.validation.validate import validate as validate

@@ -62,7 +62,9 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     def prepare() -> None:
         if not order:
             hints = hints_of(function)
-            former.update({old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints})
+            former.update(
+                {old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints and old not in hints}
+            )
             for parameter in inspect.signature(function).parameters.values():
                 if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
                     order.append(parameter.name)
@@ -183,7 +185,7 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
             if found is not _NO:
                 return found
         seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
-        likely = slips[0] if isinstance(value, seeds) else slips[1] if isinstance(value, files) else ""
+        likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
         raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
 
     return check

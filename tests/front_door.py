@@ -59,9 +59,11 @@ def things() -> dict[str, Any]:
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
     record = sd.simulate_record(plant, schedule, 6.0)
     nonlinear = sd.from_linear(plant)
-    weights = {"P1": np.eye(2) / 40, "P2": np.eye(2), "Qw": np.eye(2), "R": np.eye(1), "eta": 0.2}
+    cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1), eta=0.2)
     box = ([-1.0, -1.0], [1.0, 1.0])
-    evidence = sd.check_detectability(nonlinear, schedule, box, **weights, duration=3.0, step=0.1, pairs=2)
+    evidence = sd.check_detectability(
+        nonlinear, schedule, box, cost=sd.CostFunction(form=cost), P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
+    )
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
     return {
@@ -100,6 +102,8 @@ def things() -> dict[str, Any]:
         "counterexample": sd.find_counterexample(plant, sd.GapRange(1.0, 4.0), 0.1)[0],
         "set": sd.ConvexSet.box([-1.0, -1.0], [1.0, 1.0]),
         "held": sd.Constraints(x=(-1.0, 1.0)),
+        "cost": sd.CostFunction(eta=0.2),
+        "pieces": sd.Collocation(w_step=0.5),
         "sparse": sd.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
     }
 
@@ -157,8 +161,8 @@ def named() -> dict[str, Any]:
         "branches": 1, "every_period": False, "counts": [2, 3], "workers": None, "resume": None, "runs": 2, "data": {},
         "where": "file", "column": None, "span": 5.0, "summary": "Sample", "record": t["record"].measurements,
         "measurements": t["record"].measurements, "x0": [1.0, 0.0], "y": [0.3], "u": None, "sample": (1.2, [0.3], None),
-        "state": None, "prior": [0.0, 0.0], "prior_time": 0.0, "horizon": 5.0, "cost": "certificate",
-        "arrival_cost": "fixed", "constraints": None, "lower": [-1.0, -1.0],
+        "state": None, "prior": [0.0, 0.0], "prior_time": 0.0, "horizon": 5.0, "cost": sd.CostFunction(eta=0.1),
+        "collocation": sd.Collocation(), "constraints": None, "lower": [-1.0, -1.0],
         "upper": [1.0, 1.0], "rows": [[1.0, 0.0]], "offsets": [1.0], "dimension": 2, "centre": None, "shape": None,
         "value": [0.1, 0.2], "values": [[0.1, 0.2]], "tolerance": 0.0, "truth": [0.9, 0.0], "i": 1, "noises": True,
         "input_side": "right", "norm": "P2", "scenarios": ["random"], "method": "riccati", "floor": 1e-3,
@@ -262,7 +266,8 @@ OWNERS = {
     "InformationCurve": "curve", "ValidationReport": "report", "ScheduleLog": "log",
     "DetectabilityEvidence": "evidence",
     "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
-    "Constraints": "held", "SparsePlant": "sparse", "Horizon": None, "Finding": None,
+    "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
+    "SparsePlant": "sparse", "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
     "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,
@@ -289,7 +294,7 @@ def owner(name: str) -> Any:
         "MovingHorizonEstimator": lambda: sd.MovingHorizonEstimator(plant, certificate, **bounds),
         "KalmanFilter": lambda: sd.KalmanFilter(plant, certificate, **bounds),
         "NonlinearMovingHorizonEstimator": lambda: sd.NonlinearMovingHorizonEstimator(
-            t["nonlinear"], horizon=2.0, P2=np.eye(2), Qw=np.eye(2), R=np.eye(1)
+            t["nonlinear"], horizon=2.0, cost=sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
         ),
         "ThyroidReport": lambda: _thyroid_report(),
     }

@@ -196,7 +196,7 @@ def family() -> sd.FamilyCertificate:
 
 
 def estimator() -> sd.KalmanFilter:
-    return sd.KalmanFilter(OSCILLATOR, eta=0.1, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    return sd.KalmanFilter(OSCILLATOR, cost=sd.CostFunction(eta=0.1), w_bound=0.1, v_bound=0.1, initial_error=1.0)
 
 
 @pytest.mark.parametrize(
@@ -248,11 +248,14 @@ def test_a_gap_beyond_all_count_is_one_sentence():
         made.update(1e308, [0.3])
 
 
+FILTERED = r'cost=CostFunction\(arrival="filtered"\)'
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=3.0, carried_weight=True), 'arrival_cost="filtered"'),
-        (lambda: sd.standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), 'arrival_cost="filtered"'),
+        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=3.0, carried_weight=True), FILTERED),
+        (lambda: sd.standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), FILTERED),
         (lambda: sd.validate(OSCILLATOR, GAPS, None, horizon=3.0, feedthrough="left"), "input_side"),
         (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
         (lambda: sd.sample_losses(None, every_lap=True), "every_period"),
@@ -260,6 +263,16 @@ def test_a_gap_beyond_all_count_is_one_sentence():
         (
             lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, x_set=(-1, 1)),
             r"constraints=Constraints\(x=...\)",
+        ),
+        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, eta=0.1), r"cost=CostFunction\(eta=...\)"),
+        (lambda: sd.KalmanFilter(OSCILLATOR, R=[[1.0]]), r"cost=CostFunction\(R=...\)"),
+        (
+            lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, engine="conic"),
+            r"constraints=Constraints\(engine=...\)",
+        ),
+        (
+            lambda: sd.NonlinearMovingHorizonEstimator(sd.from_linear(OSCILLATOR), horizon=5.0, w_step=0.1),
+            r"collocation=Collocation\(w_step=...\)",
         ),
     ],
 )

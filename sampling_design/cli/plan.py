@@ -16,6 +16,7 @@ from sampling_design._checks import positive
 from sampling_design._record import short
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
@@ -138,7 +139,7 @@ def design(
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
 
 
-def _write_design(settings: Settings, result: sd.ScheduleDesign, zero: str | None, zone: str | None) -> None:
+def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, zone: str | None) -> None:
     folder = settings.folder()
     if folder is None:
         return
@@ -150,7 +151,7 @@ def _write_design(settings: Settings, result: sd.ScheduleDesign, zero: str | Non
 
 def _schedule_files(
     settings: Settings,
-    result: sd.ScheduleDesign,
+    result: ScheduleDesign,
     schedule: sd.PeriodicSchedule,
     folder: Path,
     calendar: tuple[str | None, str | None],
@@ -170,7 +171,7 @@ def _schedule_files(
     settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
 
 
-def _samples(result: sd.ScheduleDesign) -> list[RichTable | str]:
+def _samples(result: ScheduleDesign) -> list[RichTable | str]:
     if result.schedule is None:
         return []
     schedule, unit = result.schedule, result.schedule.time_unit or ""

@@ -27,6 +27,7 @@ from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
 from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.schedules.family import AnySchedule
+from sampling_design.validation.report import ValidationReport
 
 POINTS_PER_GAP = 12
 """Points of the open-loop prediction between two samples, for the picture."""
@@ -309,7 +310,7 @@ def validate(
         raise typer.Exit(1)
 
 
-def _report(settings: Settings, report: sd.ValidationReport) -> None:
+def _report(settings: Settings, report: ValidationReport) -> None:
     folder = settings.folder()
     if folder is not None:
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -28,7 +30,7 @@ def standard_mhe(
     horizon : float
         At least one period.
     **options
-        As for `MovingHorizonEstimator`; the cost is the paper's unless `cost` is given.
+        As for `MovingHorizonEstimator`; the cost has the paper's form unless it says otherwise.
 
     Returns
     -------
@@ -43,8 +45,10 @@ def standard_mhe(
     gap = _checks.positive("period", period)
     if horizon < gap:
         raise ArgumentError(f"`horizon` must be at least one `period` = {gap!r}, got {horizon!r}.")
-    options.setdefault("cost", "paper")
-    return MovingHorizonEstimator(plant, horizon=horizon, **options), PeriodicSchedule(
+    cost = options.pop("cost", None) or CostFunction()
+    if isinstance(cost, CostFunction) and cost.form is None:
+        cost = replace(cost, form="paper")
+    return MovingHorizonEstimator(plant, horizon=horizon, cost=cost, **options), PeriodicSchedule(
         np.array([gap]), time_unit=plant.time_unit
     )
 

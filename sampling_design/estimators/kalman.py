@@ -12,6 +12,8 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Taken
@@ -40,7 +42,9 @@ class KalmanFilter(OpenLoopEstimator):
     plant : Plant
     certificate : Certificate, optional
         Brings P2, Qw, R, Qv and eta.
-    P2, Qw, R, Qv, eta, prior, prior_time, w_bound, v_bound, initial_error, input_side
+    cost : CostFunction, optional
+        Weights and rate instead of the certificate's; its form and arrival are those above.
+    prior, prior_time, w_bound, v_bound, initial_error, input_side
         As for `MovingHorizonEstimator`.
     maximum_delay : float
         How far back a late sample may lie [time]; snapshots are kept that long. Default 0.
@@ -48,11 +52,12 @@ class KalmanFilter(OpenLoopEstimator):
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape or sign.
+        If an argument has the wrong shape or sign, or the cost is the paper's.
 
     Examples
     --------
-    >>> filter = KalmanFilter(Plant([[0.0]], [[1.0]]), P2=[[1.0]], Qw=[[1e9]], R=[[2.0]], Qv=[[2.0]])
+    >>> cost = CostFunction(P2=[[1.0]], Qw=[[1e9]], R=[[2.0]], Qv=[[2.0]])
+    >>> filter = KalmanFilter(Plant([[0.0]], [[1.0]]), cost=cost)
     >>> [round(float(filter.update(t, [3.0]).x[0]), 6) for t in (1.0, 2.0)]
     [1.5, 2.0]
     """
@@ -62,11 +67,7 @@ class KalmanFilter(OpenLoopEstimator):
         plant: Plant,
         certificate: SampledCertificate | None = None,
         *,
-        P2: npt.ArrayLike | None = None,
-        Qw: npt.ArrayLike | None = None,
-        R: npt.ArrayLike | None = None,
-        Qv: npt.ArrayLike | None = None,
-        eta: float | None = None,
+        cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
         w_bound: npt.ArrayLike | None = None,
@@ -75,7 +76,12 @@ class KalmanFilter(OpenLoopEstimator):
         input_side: str = "right",
         maximum_delay: float = 0.0,
     ):
-        weights, _ = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta)
+        cost = CostFunction() if cost is None else cost
+        if cost.form == "paper":
+            raise ArgumentError(
+                '`cost` must have the form "certificate" here: a filter keeps no window of the paper\'s.'
+            )
+        weights = build_weights(plant, certificate, cost)
         self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
         self._set_up(plant, weights, None, input_side)
         self.memory = self.maximum_delay = _checks.nonnegative("maximum_delay", maximum_delay)

@@ -14,8 +14,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.constraints.qp import ENGINES, solve_constrained
+from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Taken
@@ -40,8 +41,6 @@ CLOSED_FORM = ("banded", "square root")
 
 SUSPECTS = 5
 """Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
-
-ARRIVAL_COSTS = ("fixed", "filtered")
 
 
 class Start(NamedTuple):
@@ -72,18 +71,12 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         Brings weights, rate, horizon and the schedule for which they prove convergence.
     horizon : float, optional
         M [time]. Default max(d_max, ln(4 lam)/eta), for the paper's cost max(d_max, 2 ln(4 lam_samples)/eta).
-    P2, Qw, R, Qv : arrays, optional
-        Weights (inverse-covariance-like), instead of the certificate's. eta : float, likewise.
+    cost : CostFunction, optional
+        Weights and rate instead of the certificate's, the cost's form, and what the prior weighs.
     prior : (n,) array, optional
         Estimate at `prior_time` before any sample; default 0.
-    cost : "certificate" or "paper"
-        The paper's cost has its factors 2 and a closed window.
-    arrival_cost : "fixed" or "filtered"
-        What the prior weighs: always P2, or its own information Pi(t - M), which gives the full rate for every horizon.
     constraints : Constraints, optional
-        What is known of x, y, v and w; see there.
-    engine : "auto", "active set", "conic" or "reference"
-        What solves a window with active constraints.
+        What is known of x, y, v and w, and what solves a window where that is active; see there.
     w_bound, v_bound, initial_error : float or array, optional
         Bounds on |w(t)|, |v| and |x - prior|: a number bounds the Euclidean norm, a vector each entry. All
         three are needed for a radius; the first two default to what `constraints` on w and v allow.
@@ -121,9 +114,10 @@ class MovingHorizonEstimator(OpenLoopEstimator):
 
     Examples
     --------
-    >>> from sampling_design import Plant
+    >>> from sampling_design import CostFunction, Plant
     >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    >>> mhe = MovingHorizonEstimator(plant, horizon=5.0, eta=0.2, w_bound=0.1, v_bound=0.1, initial_error=2.0)
+    >>> bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
+    >>> mhe = MovingHorizonEstimator(plant, horizon=5.0, cost=CostFunction(eta=0.2), **bounds)
     >>> truth = lambda t: plant.transition(t) @ [1.0, 0.0]
     >>> estimates = [mhe.update(t, plant.C @ truth(t)) for t in (0.4, 1.9, 2.6, 4.4, 5.2, 7.1)]
     >>> all(e.certified and e.holds(truth(e.t)) for e in estimates)
@@ -138,35 +132,26 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         certificate: SampledCertificate | None = None,
         *,
         horizon: float | None = None,
-        P2: npt.ArrayLike | None = None,
-        Qw: npt.ArrayLike | None = None,
-        R: npt.ArrayLike | None = None,
-        Qv: npt.ArrayLike | None = None,
-        eta: float | None = None,
+        cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        cost: str = "certificate",
-        arrival_cost: str = "fixed",
         constraints: Constraints | None = None,
-        engine: str = "auto",
         w_bound: npt.ArrayLike | None = None,
         v_bound: npt.ArrayLike | None = None,
         initial_error: npt.ArrayLike | None = None,
         timing_tolerance: float = 0.0,
         input_side: str = "right",
     ):
-        _one_of("arrival_cost", arrival_cost, ARRIVAL_COSTS)
-        self.certificate, self.arrival_cost = certificate, arrival_cost
-        weights, overridden = build_weights(plant, certificate, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, cost=cost)
-        self.horizon, self.claim_note = choose_horizon(
-            certificate, horizon, cost, overridden, arrival_cost == "filtered"
-        )
+        cost = CostFunction() if cost is None else cost
+        self.certificate, self.arrival_cost = certificate, cost.arrival
+        weights = build_weights(plant, certificate, cost)
+        self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost)
         given = Constraints() if constraints is None else constraints
         constant = given.w_model == "constant" and given.w is not None
         schedule = None if certificate is None else certificate.covers
         self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance)
         self.constraints = WindowConstraints(self.table, given)
-        self.engine = _engine(engine, self.constraints)
+        self.engine = _engine(given.engine, self.constraints)
         self.check_spacing = given.check_spacing
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._bound_by_sets(w_bound, v_bound, initial_error)
@@ -454,12 +439,6 @@ def _from_set(chosen: ConvexSet | None) -> Array | float | None:
 
 
 def _engine(engine: str, constraints: WindowConstraints) -> str:
-    _one_of("engine", engine, ENGINES)
     if engine == "active set" and constraints.has_balls:
         raise ArgumentError('`engine` = "active set" knows no norm balls: use "auto" or "conic".')
     return engine
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {value!r}.")

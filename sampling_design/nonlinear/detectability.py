@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim
@@ -118,12 +119,8 @@ def check_detectability(
     schedule: Schedule | PeriodicSchedule,
     start: object = None,
     *,
+    cost: CostFunction,
     P1: object = None,
-    P2: object = None,
-    Qw: object = None,
-    R: object = None,
-    Qv: object = None,
-    eta: float,
     duration: float,
     step: float | None = None,
     pairs: int = 100,
@@ -143,10 +140,10 @@ def check_detectability(
         Generates the sets K_i; the pairs take them in turn. An output that is not measured at a sample is free there.
     start : (lower, upper), optional
         Box from which initial states are drawn, uniformly. Default: the plant's box of states, if finite.
-    P1, P2, Qw, R, Qv : arrays, optional
-        Physical weights; defaults as for the estimator, and P1 = P2.
-    eta : float
-        Discount rate [1/time].
+    cost : CostFunction
+        P2, Qw, R, Qv (physical weights, with the estimator's defaults) and eta, which must be given.
+    P1 : (n, n) array, optional
+        The weight on the left; default P2.
     duration : float
         Length of the trajectories [time].
     step : float, optional
@@ -164,7 +161,7 @@ def check_detectability(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong size or sign, the box of starts is missing, or every pair leaves X.
+        If an argument has the wrong size or sign, the rate or the box of starts is missing, or every pair leaves X.
 
     Notes
     -----
@@ -178,15 +175,18 @@ def check_detectability(
 
     Examples
     --------
-    >>> from sampling_design import PeriodicSchedule
+    >>> from sampling_design import CostFunction, PeriodicSchedule
     >>> plant = NonlinearPlant(lambda x, u, w: [-(x[0] ** 3) + w[0]], lambda x, u, v: [x[0] + v[0]],
     ...                        {"states": 1, "disturbances": 1, "outputs": 1})
-    >>> found = check_detectability(plant, PeriodicSchedule([1.0]), ([-1], [1]), eta=0.1, duration=5.0, pairs=6)
+    >>> cost = CostFunction(eta=0.1)
+    >>> found = check_detectability(plant, PeriodicSchedule([1.0]), ([-1], [1]), cost=cost, duration=5.0, pairs=6)
     >>> found.claim.strength, found.pairs
     ('sampled', 6)
     """
-    study = _Study(plant, scaled_weights(plant, P2, Qw, R, Qv, eta), start, duration, step, u)
-    left = study.weights.P2 if P1 is None else scaled_weights(plant, P2=P1, name="P1").P2
+    if cost.eta is None:
+        raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
+    study = _Study(plant, scaled_weights(plant, cost), start, duration, step, u)
+    left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
     rng = np.random.default_rng(0) if rng is None else rng
     count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
     found = []

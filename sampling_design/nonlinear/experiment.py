@@ -17,8 +17,10 @@ from sampling_design._files import from_json, read_text, write_text
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid as model
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, Solve
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.patient_run import PatientRun
@@ -53,11 +55,12 @@ CASES: dict[str, Tree] = {
 """Readings of the paper's w; the last one with a slow store of T4 in the thyroid, where w per day matters."""
 
 
-def paper_weights() -> Tree:
-    """Return the paper's weights, printed for z = T x, as physical ones; Qw acts on the noisy w1 and w6 alone."""
+def paper_weights() -> CostFunction:
+    """Return the paper's weights and rate, physical, as printed for z = T x; Qw acts on the noisy w1 and w6 alone."""
     y, w = model.SCALING[[1, 2, 4]], model.SCALING[[0, 5]]
-    own = {"P2": (P2, model.SCALING), "Qw": (QW, w), "Qv": (QV, y), "R": (R, y)}
-    return {"eta": ETA, **{key: weight * scale * scale[:, None] for key, (weight, scale) in own.items()}}
+    scaled = {"P2": (P2, model.SCALING), "Qw": (QW, w), "Qv": (QV, y), "R": (R, y)}
+    own = {key: weight * scale * scale[:, None] for key, (weight, scale) in scaled.items()}
+    return CostFunction(own["P2"], own["Qw"], own["R"], own["Qv"], ETA)
 
 
 @lru_cache(maxsize=8)
@@ -68,10 +71,8 @@ def _tools(case: str) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator]:
         plant,
         horizon=HORIZON,
         prior=model.PRIOR_START,
-        w_step=STEP,
-        capacity=round(HORIZON / STEP),
-        degree=DEGREE,
-        **paper_weights(),
+        collocation=Collocation(STEP, DEGREE, capacity=round(HORIZON / STEP)),
+        cost=paper_weights(),
     )
     return plant, scheme
 

@@ -11,9 +11,11 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import Estimate, Status, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
 from sampling_design.nonlinear.simulation import Integrator, require_inside
@@ -29,6 +31,17 @@ WHOLE = 1e-9
 """A gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple."""
 
 NOTE = "No radius: nothing is proven for a nonlinear plant."
+
+
+def _papers(cost: CostFunction | None) -> CostFunction:
+    """The cost of (15) with the weights of `cost`."""
+    cost = CostFunction() if cost is None else cost
+    if cost.form == "certificate" or cost.arrival != "fixed":
+        raise ArgumentError(
+            f'`cost` must have the form "paper" and the arrival "fixed" for a nonlinear plant, got {cost.form!r} and '
+            f"{cost.arrival!r}."
+        )
+    return cost
 
 
 class Solve(NamedTuple):
@@ -60,19 +73,13 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         Its boxes are the sets X, W, V, Y; `plant.with_bounds` changes them.
     horizon : float
         M [time].
-    P2, Qw, R, Qv : arrays, optional
-        Physical weights (inverse-covariance-like). Default diag(1/s_x^2), diag(1/s_w^2), 2 diag(1/s_y^2),
-        2 diag(1/s_v^2).
-    eta : float
-        Discount rate [1/time].
+    cost : CostFunction, optional
+        Physical weights (inverse-covariance-like) and the rate, in the form "paper". Default diag(1/s_x^2),
+        diag(1/s_w^2), 2 diag(1/s_y^2), 2 diag(1/s_v^2) and 0.
     prior : (n,) array, optional
         Estimate at `prior_time` before any sample; default 0.
-    w_step : float, optional
-        w is constant on pieces at most this long [time]; between two samples all pieces are equal. Default M/60.
-    degree : int
-        Radau points per piece: the state is a polynomial of this degree, exact to order 2 degree - 1.
-    capacity : int, optional
-        Pieces that the program is built for; default M/w_step + 1. A window that needs more builds it anew.
+    collocation : Collocation, optional
+        Pieces of the window and degree of the polynomials.
     tolerance : float
         Of IPOPT, in scaled variables.
     max_iterations : int
@@ -80,7 +87,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape or sign, the prior lies outside X, or the model is not finite there.
+        If an argument has the wrong shape or sign, the cost has another form, the prior lies outside X, or the model is
+        not finite there.
 
     Notes
     -----
@@ -105,7 +113,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     ...     lambda x, u, v: [x[0] + v[0]],
     ...     {"states": 2, "disturbances": 1, "outputs": 1},
     ... )
-    >>> mhe = NonlinearMovingHorizonEstimator(pendulum, horizon=4.0, eta=0.1, w_step=0.5, R=[[50.0]])
+    >>> cost, pieces = CostFunction(eta=0.1, R=[[50.0]]), Collocation(w_step=0.5)
+    >>> mhe = NonlinearMovingHorizonEstimator(pendulum, horizon=4.0, cost=cost, collocation=pieces)
     >>> times = np.array([0.0, 0.5, 1.5, 2.5, 4.0, 5.0])
     >>> from sampling_design.nonlinear.simulation import simulate
     >>> truth = simulate(pendulum, [0.8, 0.0], times)
@@ -119,16 +128,10 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         plant: NonlinearPlant,
         *,
         horizon: float,
-        P2: object = None,
-        Qw: object = None,
-        R: object = None,
-        Qv: object = None,
-        eta: float = 0.0,
+        cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
-        w_step: float | None = None,
-        degree: int = 2,
-        capacity: int | None = None,
+        collocation: Collocation | None = None,
         tolerance: float = 1e-8,
         max_iterations: int = 200,
     ):
@@ -139,10 +142,11 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             )
         self.plant: Any = plant
         self.horizon = _checks.positive("horizon", horizon)
-        self.w_step = self.horizon / 60 if w_step is None else _checks.positive("w_step", w_step)
-        self.scaled = scaled_weights(plant, P2, Qw, R, Qv, eta)
+        given = Collocation() if collocation is None else collocation
+        self.w_step = self.horizon / 60 if given.w_step is None else given.w_step
+        self.scaled = scaled_weights(plant, _papers(cost))
         self._options = (
-            _checks.whole("degree", degree, 1),
+            given.degree,
             _checks.positive("tolerance", tolerance),
             _checks.whole("max_iterations", max_iterations, 1),
         )
@@ -152,7 +156,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         state = self.initial_state(prior, prior_time)
         self.builds = 0
         pieces = int(np.ceil(self.horizon / self.w_step * (1 - WHOLE))) + 1
-        self._build(pieces if capacity is None else _checks.whole("capacity", capacity, 1))
+        self._build(given.capacity or pieces)
         self._restart(state)
 
     def _build(self, capacity: int) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
@@ -26,11 +27,7 @@ class NonlinearWeights:
 
 def scaled_weights(
     plant: NonlinearPlant,
-    P2: object = None,
-    Qw: object = None,
-    R: object = None,
-    Qv: object = None,
-    eta: float = 0.0,
+    cost: CostFunction,
     name: str = "P2",
 ) -> NonlinearWeights:
     """Return physical weights in scaled coordinates; the defaults are those of the linear estimator.
@@ -41,12 +38,12 @@ def scaled_weights(
     Raises
     ------
     ArgumentError
-        If a weight has the wrong size or is not positive definite, or eta is negative.
+        If a weight has the wrong size or is not positive definite.
     """
-    given = {"P2": (P2, "states", 1.0), "Qw": (Qw, "disturbances", 1.0), "R": (R, "outputs", 2.0)}
-    given["Qv"] = (Qv, "noises", 2.0)
+    kinds = {"P2": ("states", 1.0), "Qw": ("disturbances", 1.0), "R": ("outputs", 2.0), "Qv": ("noises", 2.0)}
     found = {}
-    for weight, (value, key, default) in given.items():
+    for weight, (key, default) in kinds.items():
+        value = getattr(cost, weight)
         typed = name if weight == "P2" else weight
         scale = plant.signals[key].scales
         if value is None:
@@ -55,4 +52,4 @@ def scaled_weights(
             # scaled before it is judged: physical entries may differ by 24 orders of magnitude
             physical = _checks.matrix(typed, value, scale.size, scale.size)
             found[weight] = _checks.definite(typed, physical * scale * scale[:, None], scale.size)
-    return NonlinearWeights(**found, eta=_checks.nonnegative("eta", eta))
+    return NonlinearWeights(**found, eta=cost.eta or 0.0)

@@ -14,6 +14,7 @@ from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
@@ -119,8 +120,8 @@ class Study:
                 note = f"At t = {short(t)}: {estimate.note}"
                 self._find("a-priori bounds and inequality (16)", "not checked", 1.0, np.nan, note=note, checked=False)
                 return None
-        filtered = self.options.get("arrival_cost") == "filtered"
-        return promise_of(self.certificate, self.horizon, self.options.get("cost", "certificate"), filtered)
+        filtered = estimator.arrival_cost == "filtered"
+        return promise_of(self.certificate, self.horizon, estimator.weights.cost, filtered)
 
     def run(self, scenarios: Sequence[str], seeds: Seeds, workers: Workers, progress: Progress | None) -> None:
         """Run the scenarios in order."""
@@ -235,9 +236,9 @@ class Study:
         self._judge("initial error", measured(self.map, self.promise, self.measure, inputs), "attained")
 
     def _paper(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        if self.promise is None or {"cost", "arrival_cost", "horizon"} & set(self.options):
+        if self.promise is None or {"cost", "horizon"} & set(self.options):
             return
-        estimator = self.estimator(cost="paper")
+        estimator = self.estimator(cost=CostFunction(form="paper"))
         line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
         promise = promise_of(self._certified, float(estimator.horizon), "paper")

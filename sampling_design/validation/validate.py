@@ -65,7 +65,7 @@ def validate(
     progress : callable, optional
         Called with (fraction, message).
     **estimator
-        Options of `MovingHorizonEstimator` (weights, eta, horizon, arrival_cost), if they are not the certificate's.
+        Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's.
 
     Returns
     -------

@@ -13,6 +13,7 @@ from scipy.linalg import solveh_banded
 
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.constraints.reference import solve_reference
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window
@@ -45,7 +46,7 @@ def warm(estimator, irregular=True, count=60):
 
 def last_window(options=None):
     """The window of the twentieth sample after a warm start, with its estimator."""
-    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, eta=0.2, **BOUNDS, **(options or {}))
+    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
     source, kept, solve = warm(mhe), [], mhe._solve
     mhe._solve = lambda window: kept.append(window) or solve(window)
     mhe.update(*next(source))
@@ -76,7 +77,7 @@ def test_window_solve_by_orthogonal_factors(benchmark):
 @pytest.mark.parametrize("options", SETS)
 @pytest.mark.parametrize("irregular", [True, False], ids=["irregular", "regular"])
 def test_update(benchmark, options, irregular):
-    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, eta=0.2, **BOUNDS, **SETS[options])
+    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **SETS[options])
     source = warm(mhe, irregular)
     assert benchmark(lambda: mhe.update(*next(source))).status in ("ok", "bounds disproved")
 
@@ -91,19 +92,19 @@ def test_problem_rebuilt_in_the_modelling_library(benchmark, options):
 
 def test_first_update(benchmark):
     def first():
-        return MovingHorizonEstimator(PLANT, horizon=20.0, eta=0.2, **BOUNDS).update(1.0, [0.1])
+        return MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS).update(1.0, [0.1])
 
     assert benchmark(first).status == "ok"
 
 
 def test_filter_update(benchmark):
-    kalman = KalmanFilter(PLANT, eta=0.2, **BOUNDS)
+    kalman = KalmanFilter(PLANT, cost=CostFunction(eta=0.2), **BOUNDS)
     source = warm(kalman)
     benchmark(lambda: kalman.update(*next(source)))
 
 
 def test_late_sample_is_replayed(benchmark):
-    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, eta=0.2, **BOUNDS)
+    mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS)
     warm(mhe)
     state, late = mhe.state, mhe.state.nodes[-6].t + 1e-3
     assert benchmark(lambda: mhe.step(state, (late, [0.1], None)))[1].t == state.last.t
@@ -114,7 +115,7 @@ def test_stream_of_one_hundred_thousand_samples_in_flat_memory(benchmark):
     from resource import RUSAGE_SELF, getrusage
 
     def stream():
-        mhe = MovingHorizonEstimator(PLANT, horizon=5.0, eta=0.2, **BOUNDS)
+        mhe = MovingHorizonEstimator(PLANT, horizon=5.0, cost=CostFunction(eta=0.2), **BOUNDS)
         sizes = []
         for k, _ in enumerate(mhe.stream(itertools.islice(samples(), 100_000))):
             if k in (9_999, 99_999):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.experiment import DEGREE, HORIZON, STEP, paper_weights
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.simulation import simulate
@@ -16,7 +17,11 @@ Y = TRUTH[:, [1, 2, 4]]
 
 def build():
     return NonlinearMovingHorizonEstimator(
-        PLANT, horizon=HORIZON, prior=PRIOR_START, w_step=STEP, capacity=60, degree=DEGREE, **paper_weights()
+        PLANT,
+        horizon=HORIZON,
+        prior=PRIOR_START,
+        collocation=Collocation(w_step=STEP, capacity=60, degree=DEGREE),
+        cost=paper_weights(),
     )
 
 

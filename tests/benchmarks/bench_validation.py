@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.monte_carlo import monte_carlo
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
@@ -23,7 +24,7 @@ SAMPLES = 100
 
 def estimator():
     return MovingHorizonEstimator(
-        PLANT, horizon=20.0, eta=0.2, w_bound=BOUNDS.w, v_bound=BOUNDS.v, initial_error=BOUNDS.e0
+        PLANT, horizon=20.0, cost=CostFunction(eta=0.2), w_bound=BOUNDS.w, v_bound=BOUNDS.v, initial_error=BOUNDS.e0
     )
 
 

@@ -13,6 +13,7 @@ from sampling_design import (
     standard_mhe,
 )
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import Estimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -22,7 +23,7 @@ def test_without_discount_and_noise_it_is_least_squares():
     times, rng = np.array([0.4, 1.1, 2.0, 3.7]), np.random.default_rng(0)
     ys = rng.normal(size=(4, 1))
     plant = Plant(PLANT.A, PLANT.C, G=np.zeros((2, 0)))
-    kalman = KalmanFilter(plant, P2=0.5 * np.eye(2), R=[[2.0]], Qv=[[2.0]], prior=[0.3, -0.1])
+    kalman = KalmanFilter(plant, cost=CostFunction(P2=0.5 * np.eye(2), R=[[2.0]], Qv=[[2.0]]), prior=[0.3, -0.1])
     record = kalman.run([(t, y, None) for t, y in zip(times, ys, strict=True)])
     O = np.vstack([plant.C @ plant.transition(t) for t in times])
     start = np.linalg.solve(0.5 * np.eye(2) + O.T @ O, 0.5 * np.array([0.3, -0.1]) + O.T @ ys[:, 0])
@@ -65,7 +66,7 @@ def test_smoothing_nothing_gives_nothing():
 
 
 def test_standard_estimator_with_dense_samples():
-    mhe, schedule = standard_mhe(PLANT, 0.1, horizon=1.0, eta=0.2)
+    mhe, schedule = standard_mhe(PLANT, 0.1, horizon=1.0, cost=CostFunction(eta=0.2))
     assert (mhe.weights.cost, schedule.period) == ("paper", 0.1)
     for t in schedule.between(0.0, 5.0).times:
         estimate = mhe.update(t, [np.cos(t)])

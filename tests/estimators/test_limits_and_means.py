@@ -133,4 +133,4 @@ def test_what_cannot_be_used_is_refused():
 def test_estimators_of_nonlinear_plants_take_plain_numbers():
     plant = sd.from_linear(WALK)
     with pytest.raises(ArgumentError, match="this estimator takes plain numbers only"):
-        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, eta=0.1).update(1.0, [Below(0.5)])
+        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1)).update(1.0, [Below(0.5)])

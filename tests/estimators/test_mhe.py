@@ -13,6 +13,8 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -72,11 +74,11 @@ def test_online_radius_contracts_to_its_limit_and_obeys_the_window_recursion():
     ("cost", "expected"), [("certificate", math.log(20.0) / 0.4), ("paper", 2 * math.log(16.0) / 0.4)]
 )
 def test_default_horizon(cost, expected):
-    assert MovingHorizonEstimator(PLANT, stand_in(), cost=cost).horizon == pytest.approx(expected)
+    assert MovingHorizonEstimator(PLANT, stand_in(), cost=CostFunction(form=cost)).horizon == pytest.approx(expected)
     far = stand_in(times=PeriodicSchedule([50.0]))
-    assert MovingHorizonEstimator(PLANT, far, cost=cost).horizon == 50.0
+    assert MovingHorizonEstimator(PLANT, far, cost=CostFunction(form=cost)).horizon == 50.0
     late = stand_in(times=Schedule([40.0, 41.0]))
-    assert MovingHorizonEstimator(PLANT, late, cost=cost).horizon == 40.0
+    assert MovingHorizonEstimator(PLANT, late, cost=CostFunction(form=cost)).horizon == 40.0
 
 
 def test_a_horizon_that_is_too_short_warns_and_marks():
@@ -87,13 +89,13 @@ def test_a_horizon_that_is_too_short_warns_and_marks():
     assert "horizon 3" in estimate.note
     assert estimate.certified
     with pytest.warns(GuaranteeWarning, match="must exceed 5.75646"):
-        MovingHorizonEstimator(PLANT, stand_in(), horizon=5.7, cost="paper")
-    carried = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, arrival_cost="filtered")
+        MovingHorizonEstimator(PLANT, stand_in(), horizon=5.7, cost=CostFunction(form="paper"))
+    carried = MovingHorizonEstimator(PLANT, stand_in(), horizon=3.0, cost=CostFunction(arrival="filtered"))
     assert carried.update(1.0, [0.1]).on_schedule
 
 
 def test_overridden_weights_and_weights_by_hand_say_that_there_is_no_claim():
-    mhe = MovingHorizonEstimator(PLANT, stand_in(), P2=3 * np.eye(2), **BOUNDS)
+    mhe = MovingHorizonEstimator(PLANT, stand_in(), cost=CostFunction(P2=3 * np.eye(2)), **BOUNDS)
     assert "P2 differ" in mhe.update(1.0, [0.1]).note
     byhand = MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS).update(1.0, [0.1])
     assert "by hand" in byhand.note
@@ -215,7 +217,7 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
 )
 def test_whatever_set_cannot_be_met_is_named(sets, words, engine):
     """A kick by a known input that no small disturbance undoes: every engine says so and predicts instead."""
-    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, engine=engine, constraints=replace(sets, w=(-0.01, 0.01)))
+    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, constraints=replace(sets, w=(-0.01, 0.01), engine=engine))
     assert mhe.update(0.5, [0.0, 0.0], [0.0]).status == "ok"
     mhe.update(0.6, None, [20.0])
     before = mhe.predict(1.5)
@@ -233,7 +235,7 @@ def test_a_ball_of_radius_zero_is_a_point(engine):
     for name, k in (("v", 1), ("w", 2)):
         found = []
         for chosen in (ConvexSet.ball(0.0, dimension=k), (0.0, 0.0)):
-            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, engine=engine, constraints=Constraints(**{name: chosen}))
+            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, constraints=Constraints(**{name: chosen}, engine=engine))
             found.append([mhe.update(t, [0.3 * t]) for t in (1.0, 1.7, 2.9)][-1])
         assert found[0].status == "ok"
         assert np.max(np.abs(found[0].x - found[1].x)) < 1e-9
@@ -241,7 +243,9 @@ def test_a_ball_of_radius_zero_is_a_point(engine):
 
 
 def test_a_sample_at_the_priors_time_is_used_once():
-    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, P2=np.eye(2), R=[[2.0]], Qv=[[2.0]], prior=[1.0, 0.0], **BOUNDS)
+    mhe = MovingHorizonEstimator(
+        PLANT, horizon=4.0, cost=CostFunction(P2=np.eye(2), R=[[2.0]], Qv=[[2.0]]), prior=[1.0, 0.0], **BOUNDS
+    )
     first = mhe.update(0.0, [2.0])
     assert first.x[0] == pytest.approx(1.5)
     assert first.covariance[0, 0] == pytest.approx(0.5)
@@ -324,12 +328,10 @@ def test_an_estimate_says_what_it_promises():
     [
         ({}, "`horizon` must be given where there is no certificate"),
         ({"horizon": 0.0}, "`horizon` must be positive"),
-        ({"horizon": 1.0, "P2": np.zeros((2, 2))}, "`P2` must be positive definite"),
-        ({"horizon": 1.0, "eta": -1.0}, "`eta` must not be negative"),
-        ({"horizon": 1.0, "cost": "mine"}, '`cost` must be "certificate" or "paper"'),
+        ({"horizon": 1.0, "cost": CostFunction(P2=np.zeros((2, 2)))}, "`P2` must be positive definite"),
+        ({"horizon": 1.0, "cost": CostFunction(R=np.eye(2))}, r"`R` must have shape \(1, 1\)"),
+        ({"horizon": 1.0, "cost": "paper"}, "`cost` must be a CostFunction, got str 'paper'. Use CostFunction"),
         ({"horizon": 1.0, "input_side": "both"}, '`input_side` must be "right" or "left"'),
-        ({"horizon": 1.0, "arrival_cost": "free"}, "`arrival_cost` must be one of 'fixed', 'filtered'"),
-        ({"horizon": 1.0, "engine": "fast"}, "`engine` must be one of"),
         ({"horizon": 1.0, "w_bound": -1.0}, "`w_bound` must not be negative"),
         ({"horizon": 1.0, "initial_error": [1.0, -1.0]}, "`initial_error` must not be negative"),
         ({"horizon": 1.0, "v_bound": [1.0, 1.0]}, "`v_bound` must have 1 entry"),
@@ -350,7 +352,7 @@ def test_an_estimate_says_what_it_promises():
         ),
         ({"horizon": 1.0, "constraints": Constraints(w=([0.0, -np.inf], [1.0, 1.0]))}, "`constraints.w` is unbounded"),
         (
-            {"horizon": 1.0, "constraints": Constraints(w=ConvexSet.ball(1.0, dimension=2)), "engine": "active set"},
+            {"horizon": 1.0, "constraints": Constraints(w=ConvexSet.ball(1.0, dimension=2), engine="active set")},
             "knows no norm balls",
         ),
         ({"certificate": PeriodicSchedule([1.0])}, "`certificate` must be a Certificate or FamilyCertificate, got Per"),
@@ -360,6 +362,22 @@ def test_an_estimate_says_what_it_promises():
 def test_refusals_at_the_door(arguments, message):
     with pytest.raises(ArgumentError, match=message):
         MovingHorizonEstimator(PLANT, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: CostFunction(eta=-1.0), "`eta` must not be negative"),
+        (lambda: CostFunction(P2=[[1.0, 0.0]]), r"`P2` must have shape \(1, 1\), got \(1, 2\)"),
+        (lambda: CostFunction(form="mine"), '`form` must be "certificate" or "paper", got'),
+        (lambda: CostFunction(arrival="free"), "`arrival` must be "),
+        (lambda: Constraints(engine="fast"), "`engine` must be "),
+        (lambda: KalmanFilter(PLANT, cost=CostFunction(form="paper")), '`cost` must have the form "certificate" here'),
+    ],
+)
+def test_refusals_of_what_is_grouped(make, message):
+    with pytest.raises(ArgumentError, match=message):
+        make()
 
 
 def test_more_refusals_at_the_door():

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import fine_grid
 
@@ -53,8 +54,12 @@ def cases():
 @pytest.mark.parametrize("cost", ["certificate", "paper"])
 def test_order_two(name, cost):
     options, constrain = cases()[name]
-    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=9.0, eta=ETA, prior=PRIOR, cost=cost, **WEIGHTS, **options)
-    free = MovingHorizonEstimator(Plant(A, C, G=G), horizon=9.0, eta=ETA, prior=PRIOR, cost=cost, **WEIGHTS)
+    mhe = MovingHorizonEstimator(
+        Plant(A, C, G=G), horizon=9.0, cost=CostFunction(eta=ETA, form=cost, **WEIGHTS), prior=PRIOR, **options
+    )
+    free = MovingHorizonEstimator(
+        Plant(A, C, G=G), horizon=9.0, cost=CostFunction(eta=ETA, form=cost, **WEIGHTS), prior=PRIOR
+    )
     for t, y in zip(TIMES, YS, strict=True):
         estimate, without = mhe.update(t, y), free.update(t, y)
     assert estimate.engine in ("active set", "conic")
@@ -92,10 +97,9 @@ def test_a_constant_disturbance_within_bounds_is_the_grid_of_one_cell_a_gap(kind
     mhe = MovingHorizonEstimator(
         Plant(A, C, G=G),
         horizon=9.0,
-        eta=1e-9,
+        cost=CostFunction(eta=1e-9, **WEIGHTS),
         prior=PRIOR,
         constraints=Constraints(w=chosen, w_model="constant"),
-        **WEIGHTS,
     )
 
     def constrain(x, w, v):

@@ -14,6 +14,7 @@ from sampling_design.estimators.constraints.least_distance import active_set, co
 from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.window.smoother import solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
@@ -73,12 +74,11 @@ def windows(plant, options, seed):
     """Windows of random lengths, weights, gaps and data (some missing), with the estimator that made them."""
     n, p, q = plant.n_states, plant.n_outputs, plant.n_disturbances
     rng = np.random.default_rng(seed)
-    choices = {
-        "horizon": rng.uniform(2.0, 6.0),
-        "eta": rng.uniform(0.0, 0.5),
-        "cost": ["certificate", "paper"][seed % 2],
-    }
-    mhe = MovingHorizonEstimator(plant, **choices, **SETS[options](n, p, q))
+    horizon, cost = (
+        rng.uniform(2.0, 6.0),
+        CostFunction(eta=rng.uniform(0.0, 0.5), form=("certificate", "paper")[seed % 2]),
+    )
+    mhe = MovingHorizonEstimator(plant, horizon=horizon, cost=cost, **SETS[options](n, p, q))
     kept, solve = [], mhe._solve
 
     def spy(window):
@@ -182,7 +182,7 @@ def test_with_cones_the_point_meets_the_optimality_conditions(name):
 def test_both_closed_forms(name):
     plant = PLANTS[name]
     rng = np.random.default_rng(2)
-    mhe = MovingHorizonEstimator(plant, horizon=20.0, eta=0.1)
+    mhe = MovingHorizonEstimator(plant, horizon=20.0, cost=CostFunction(eta=0.1))
     kept, solve = [], mhe._solve
     mhe._solve = lambda window: kept.append(window) or solve(window)
     t = 0.0
@@ -212,7 +212,7 @@ def test_both_closed_forms(name):
 
 def test_a_tiny_gap_among_long_ones_takes_the_route_that_keeps_its_digits():
     plant = PLANTS["four states"]
-    mhe = MovingHorizonEstimator(plant, horizon=20.0, eta=0.1)
+    mhe = MovingHorizonEstimator(plant, horizon=20.0, cost=CostFunction(eta=0.1))
     engines = [mhe.update(t, [0.3]).engine for t in (1.0, 2.0, 2.0 + 1e-7, 3.0)]
     assert engines[:2] == ["banded", "banded"]
     assert engines[-1] == "square root"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import KalmanFilter, Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import discounted_kalman
 
@@ -26,8 +27,8 @@ def record(seed):
 def test_state_covariance_and_radius_agree(horizon, eta):
     times, ys, us = record(0)
     wide = {"w_bound": 2.0, "v_bound": [4.0, 5.0], "initial_error": [3.0, 4.0]}
-    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, eta=eta, arrival_cost="filtered", **wide)
-    kalman = KalmanFilter(PLANT, eta=eta, **wide)
+    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, cost=CostFunction(eta=eta, arrival="filtered"), **wide)
+    kalman = KalmanFilter(PLANT, cost=CostFunction(eta=eta), **wide)
     weights = kalman.weights
     for estimator in (mhe, kalman):
         estimator.update(0.0, None, us[0])
@@ -46,12 +47,12 @@ def test_state_covariance_and_radius_agree(horizon, eta):
 def test_smoother_is_the_endless_window_and_its_last_estimate_the_filters():
     times, ys, us = record(1)
     rows = [(0.0, None, us[0]), *zip(times, ys, us[1:], strict=True)]
-    kalman = KalmanFilter(PLANT, eta=0.2, **BOUNDS)
+    kalman = KalmanFilter(PLANT, cost=CostFunction(eta=0.2), **BOUNDS)
     smoothed = kalman.smooth(rows)
     assert kalman.state.last.t == 0.0
     filtered = kalman.run(rows)
     assert np.max(np.abs(smoothed.x[-1] - filtered.x[-1])) < 1e-10
-    mhe = MovingHorizonEstimator(PLANT, horizon=1e3, eta=0.2, **BOUNDS)
+    mhe = MovingHorizonEstimator(PLANT, horizon=1e3, cost=CostFunction(eta=0.2), **BOUNDS)
     kept, solve = [], mhe._solve
     mhe._solve = lambda window: kept.append(solve(window)) or kept[-1]
     mhe.run(rows)
@@ -70,13 +71,13 @@ def test_smoothed_ellipsoids_hold_the_whole_past(eta):
         t += h
         truth.append(x)
         rows.append((t, C @ x + [0.3, -0.4] * rng.choice([-1.0, 1.0], 2), None))
-    found = KalmanFilter(plant, eta=eta, **BOUNDS).smooth(rows)
+    found = KalmanFilter(plant, cost=CostFunction(eta=eta), **BOUNDS).smooth(rows)
     assert found.certified.all()
     for k, state in enumerate(truth):
         error = state - found.x[k]
         assert error @ np.linalg.solve(found.covariance[k], error) <= found.radius[k]
         assert np.all(np.abs(error) <= found.radii[k])
     variances = np.trace(found.covariance, axis1=1, axis2=2)
-    filtered = KalmanFilter(plant, eta=eta, **BOUNDS).run(rows)
+    filtered = KalmanFilter(plant, cost=CostFunction(eta=eta), **BOUNDS).run(rows)
     own = np.exp(eta * (t - found.times)) * np.trace(filtered.covariance, axis1=1, axis2=2)
     assert np.all(variances <= own * (1 + 1e-9))

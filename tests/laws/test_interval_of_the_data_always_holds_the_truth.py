@@ -96,7 +96,7 @@ def test_it_is_never_wider_than_the_ellipsoid_of_a_filter():
     plant, rng = library.oscillator(), np.random.default_rng(4)
     given = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 2.0}
     weights = sd.weights_from_bounds(plant, 0.3, 0.05, 0.2, 2.0)
-    mhe = sd.MovingHorizonEstimator(plant, horizon=50.0, eta=0.3, **weights, **given)
+    mhe = sd.MovingHorizonEstimator(plant, horizon=50.0, cost=sd.CostFunction(eta=0.3, **weights), **given)
     record = []
     for t in np.cumsum(rng.uniform(0.4, 1.5, 9)):
         record.append((float(t), [np.sin(t) + rng.uniform(-0.1, 0.1)], None))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, KalmanFilter, Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.1], [0.0]])
@@ -21,12 +22,14 @@ def record(seed, count=24):
 
 def estimators():
     bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
-    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, **bounds)
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3), **bounds)
     yield lambda: MovingHorizonEstimator(
-        PLANT, horizon=4.0, eta=0.3, constraints=Constraints(x=([-0.5, -0.5], [0.5, 0.5])), **bounds
+        PLANT, horizon=4.0, cost=CostFunction(eta=0.3), constraints=Constraints(x=([-0.5, -0.5], [0.5, 0.5])), **bounds
     )
-    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, cost="paper", arrival_cost="filtered")
-    yield lambda: KalmanFilter(PLANT, eta=0.3, maximum_delay=4.0, **bounds)
+    yield lambda: MovingHorizonEstimator(
+        PLANT, horizon=4.0, cost=CostFunction(eta=0.3, form="paper", arrival="filtered")
+    )
+    yield lambda: KalmanFilter(PLANT, cost=CostFunction(eta=0.3), maximum_delay=4.0, **bounds)
 
 
 def check_same(a, b):
@@ -76,7 +79,7 @@ def test_outputs_of_one_time_may_come_apart_and_an_input_may_come_late(make):
 
 
 def test_step_is_pure():
-    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3)
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3))
     rows = record(7)
     state = mhe.initial_state()
     states, estimates = [state], []

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import discounted_kalman, fine_grid
 
@@ -39,7 +40,7 @@ def test_a_window_that_holds_everything_is_the_filter(name, cost):
     plant = Plant(A, C, G=G)
     chosen = weights(rng, A.shape[0], G.shape[1], C.shape[0])
     prior = rng.normal(size=A.shape[0])
-    mhe = MovingHorizonEstimator(plant, horizon=100.0, eta=ETA, prior=prior, cost=cost, **chosen)
+    mhe = MovingHorizonEstimator(plant, horizon=100.0, cost=CostFunction(eta=ETA, form=cost, **chosen), prior=prior)
     times = np.cumsum(rng.uniform(0.2, 1.5, 9))
     ys = rng.normal(size=(9, C.shape[0]))
     if C.shape[0] > 1:
@@ -62,7 +63,7 @@ def test_each_window_is_the_filter_from_the_online_estimate_at_its_start(name, c
     rng = np.random.default_rng(4)
     chosen = weights(rng, A.shape[0], G.shape[1], C.shape[0])
     horizon = 3.1
-    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=horizon, eta=ETA, cost=cost, **chosen)
+    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=horizon, cost=CostFunction(eta=ETA, form=cost, **chosen))
     times = np.cumsum(rng.uniform(0.2, 1.5, 14))
     ys = rng.normal(size=(14, C.shape[0]))
     twice = 2.0 if cost == "paper" else 1.0
@@ -85,7 +86,9 @@ def test_the_fine_grid_with_explicit_w_and_v_comes_closer_as_the_square_of_its_s
     rng = np.random.default_rng(5)
     chosen = weights(rng, 2, 2, 1)
     prior, times, ys = np.array([1.0, -1.0]), [0.7, 1.9, 2.6], rng.normal(size=(3, 1))
-    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=10.0, eta=0.8, prior=prior, cost=cost, **chosen)
+    mhe = MovingHorizonEstimator(
+        Plant(A, C, G=G), horizon=10.0, cost=CostFunction(eta=0.8, form=cost, **chosen), prior=prior
+    )
     for t, y in zip(times, ys, strict=True):
         estimate = mhe.update(t, y)
     errors = []
@@ -118,7 +121,7 @@ def test_a_window_that_starts_at_a_sample_is_half_open_or_closed_as_its_cost_say
     A, C, G = (np.array(M, float) for M in PLANTS["oscillator"])
     rng = np.random.default_rng(6)
     chosen = weights(rng, 2, 2, 1)
-    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=0.6, eta=ETA, cost=cost, **chosen)
+    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=0.6, cost=CostFunction(eta=ETA, form=cost, **chosen))
     times, ys = 0.1 * np.arange(1, 25), rng.normal(size=(24, 1))
     twice = 2.0 if cost == "paper" else 1.0
     P2, Qw, Rt = twice * chosen["P2"], twice * chosen["Qw"], parallel(chosen["R"], twice * chosen["Qv"])

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -33,11 +35,17 @@ def samples(plant, stretch):
 )
 def test_error_falls_by_four_with_every_halving(plant, stretch, weights):
     record, horizon = samples(plant, stretch), 3.2 * stretch
-    linear = sd.MovingHorizonEstimator(plant, horizon=horizon, cost="paper", **weights).run(record)
+    linear = sd.MovingHorizonEstimator(plant, horizon=horizon, cost=sd.CostFunction(form="paper", **weights)).run(
+        record
+    )
     errors, costs = [], []
     for step in (0.4, 0.2, 0.1):
         scheme = NonlinearMovingHorizonEstimator(
-            from_linear(plant), horizon=horizon, w_step=step * stretch, degree=3, tolerance=1e-11, **weights
+            from_linear(plant),
+            horizon=horizon,
+            collocation=Collocation(w_step=step * stretch, degree=3),
+            tolerance=1e-11,
+            cost=CostFunction(**weights),
         )
         found = scheme.run(record)
         assert set(found.status) == {"ok"}
@@ -52,20 +60,29 @@ def test_without_disturbances_they_agree_to_the_tolerance():
     # weights on w so large that w = 0: nothing is left to approximate but the flow, of order 5 here
     plant, weights = OSCILLATOR, {"Qw": 1e6 * np.eye(2), "eta": 0.3}
     record = samples(plant, 1.0)
-    linear = sd.MovingHorizonEstimator(plant, horizon=3.2, cost="paper", **weights).run(record)
+    linear = sd.MovingHorizonEstimator(plant, horizon=3.2, cost=sd.CostFunction(form="paper", **weights)).run(record)
     scheme = NonlinearMovingHorizonEstimator(
-        from_linear(plant), horizon=3.2, w_step=0.1, degree=3, tolerance=1e-11, **weights
+        from_linear(plant),
+        horizon=3.2,
+        collocation=Collocation(w_step=0.1, degree=3),
+        tolerance=1e-11,
+        cost=CostFunction(**weights),
     )
     assert scheme.run(record).x == pytest.approx(linear.x, abs=2e-8)
 
 
 def test_open_loop_between_samples_agrees_likewise():
     record = samples(PENDULUM, 0.25)[:4]
-    linear = sd.MovingHorizonEstimator(PENDULUM, horizon=0.8, cost="paper", eta=0.5)
+    linear = sd.MovingHorizonEstimator(PENDULUM, horizon=0.8, cost=sd.CostFunction(form="paper", eta=0.5))
     linear.run(record)
     gaps = []
     for step in (0.05, 0.025):
-        scheme = NonlinearMovingHorizonEstimator(from_linear(PENDULUM), horizon=0.8, w_step=step, degree=3, eta=0.5)
+        scheme = NonlinearMovingHorizonEstimator(
+            from_linear(PENDULUM),
+            horizon=0.8,
+            collocation=Collocation(w_step=step, degree=3),
+            cost=CostFunction(eta=0.5),
+        )
         scheme.run(record)
         found = scheme.predict(0.95)
         assert found.status == "predicted"
@@ -86,9 +103,9 @@ def test_near_an_equilibrium_it_is_that_of_the_linearisation_up_to_third_order()
     gaps = []
     for size in (0.2, 0.1, 0.05):
         runs = [
-            NonlinearMovingHorizonEstimator(plant, horizon=3.2, eta=0.3, w_step=0.4, tolerance=1e-12).run(
-                (t, [size * value]) for t, value in zip(TIMES, y, strict=True)
-            )
+            NonlinearMovingHorizonEstimator(
+                plant, horizon=3.2, cost=CostFunction(eta=0.3), collocation=Collocation(w_step=0.4), tolerance=1e-12
+            ).run((t, [size * value]) for t, value in zip(TIMES, y, strict=True))
             for plant in (swing, linear)
         ]
         gaps.append(np.abs(runs[0].x - runs[1].x).max())

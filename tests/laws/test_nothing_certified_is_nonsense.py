@@ -19,6 +19,7 @@ from sampling_design import (
 )
 from sampling_design._files import to_json
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 
 PLANTS = {
     "integrator": Plant([[0.0]], [[1.0]]),
@@ -28,7 +29,9 @@ PLANTS = {
 }
 MAKERS = {
     "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, **o),
-    "carried": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, arrival_cost="filtered", **o),
+    "carried": lambda plant, **o: MovingHorizonEstimator(
+        plant, horizon=5.0, cost=CostFunction(arrival="filtered"), **o
+    ),
     "boxes": lambda plant, **o: MovingHorizonEstimator(
         plant, horizon=5.0, constraints=Constraints(x=(-1e3, 1e3), v=(-9, 9)), **o
     ),
@@ -99,12 +102,12 @@ def test_whatever_the_data_and_however_far_ahead(name, maker):
 
 def test_the_three_reported_cases():
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
-    far = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, eta=3.0, **bounds)
+    far = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, cost=CostFunction(eta=3.0), **bounds)
     far.update(1.0, [0.1])
     estimate = far.predict(241.0)
     assert estimate.certified
     assert estimate.radii[0] == pytest.approx(0.1 * 240, rel=0.02)
-    huge = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, eta=3.0, **bounds)
+    huge = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, cost=CostFunction(eta=3.0), **bounds)
     found = huge.update(1.0, [1e155])
     assert (found.status, found.certified) == ("bounds disproved", False)
     assert found.contradiction.t == 1.0
@@ -161,7 +164,9 @@ def gauge_read_once(factors, seed):
     plant = Plant(PLANTS["oscillator"].A, [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     weights = {"P2": 4 * np.eye(2), "R": 2 * np.eye(3), "Qv": 2 * np.eye(3)}
     e0, v = 0.3 * factors[0], np.array([0.1, 0.1, 0.2]) * factors
-    mhe = MovingHorizonEstimator(plant, horizon=50.0, w_bound=0.0, initial_error=e0, v_bound=v, **weights)
+    mhe = MovingHorizonEstimator(
+        plant, horizon=50.0, w_bound=0.0, initial_error=e0, v_bound=v, cost=CostFunction(**weights)
+    )
     rng, found = np.random.default_rng(seed), []
     for k in range(1, 9):
         y = np.append(rng.uniform(-0.05, 0.05, 2), 4.0 if k == 7 else np.nan)

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import input_integral, transition
 
@@ -72,7 +73,7 @@ KINDS = [
 ]
 
 
-def ratios(name, kind, seed, runs, samples, **options):
+def ratios(name, kind, seed, runs, samples, form):
     A, C, G = (np.array(M, float) for M in PLANTS[name])
     rng = np.random.default_rng(seed)
     found, engines = [], set()
@@ -89,13 +90,11 @@ def ratios(name, kind, seed, runs, samples, **options):
         mhe = MovingHorizonEstimator(
             Plant(A, C, G=G),
             horizon=2.5,
-            eta=0.5,
+            cost=CostFunction(eta=0.5, **weights, **form),
             w_bound=W_BOUND,
             v_bound=V_BOUND,
             initial_error=E_BOUND,
-            **weights,
             **chosen,
-            **options,
         )
         for t, x, y in zip(times, states, ys, strict=True):
             estimate = mhe.update(t, y)
@@ -107,14 +106,12 @@ def ratios(name, kind, seed, runs, samples, **options):
     return found, engines
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"arrival_cost": "filtered"}, {"cost": "paper"}], ids=["P2", "carried", "paper"]
-)
-def test_three_hundred_random_constrained_windows(options):
+@pytest.mark.parametrize("form", [{}, {"arrival": "filtered"}, {"form": "paper"}], ids=["P2", "carried", "paper"])
+def test_three_hundred_random_constrained_windows(form):
     found, engines = [], set()
     for seed, name in enumerate(PLANTS):
         for kind in KINDS:
-            part, used = ratios(name, kind, seed, runs=2, samples=6, **options)
+            part, used = ratios(name, kind, seed, runs=2, samples=6, form=form)
             found += part
             engines |= used
     assert len(found) == 300
@@ -134,9 +131,7 @@ def test_a_primal_cost_instead_of_the_bound_on_it_or_a_smaller_noise_bound_would
         mhe = MovingHorizonEstimator(
             Plant(A, C, G=G),
             horizon=2.5,
-            eta=0.5,
-            P2=np.eye(2),
-            Qw=np.eye(2) / W_BOUND**2,
+            cost=CostFunction(eta=0.5, P2=np.eye(2), Qw=np.eye(2) / W_BOUND**2),
             w_bound=W_BOUND / 2,
             v_bound=V_BOUND / 2,
             initial_error=E_BOUND / 2,
@@ -154,9 +149,7 @@ def test_a_constant_disturbance_between_nodes_need_not_contain_the_truth_and_is_
     truth = F @ (half @ [1.0]) + half @ [-1.0]
     options = {
         "horizon": 5.0,
-        "P2": 1e6 * np.eye(2),
-        "R": [[1e8]],
-        "Qv": [[1e8]],
+        "cost": CostFunction(P2=1e6 * np.eye(2), R=[[1e8]], Qv=[[1e8]]),
         "constraints": Constraints(w=(-1.0, 1.0)),
         "v_bound": 1e-6,
         "initial_error": 1e-6,

@@ -6,6 +6,7 @@ import pytest
 from sampling_design import Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from tests.oracles.estimators import input_integral, transition
@@ -42,7 +43,7 @@ def test_box_and_ball(name, eta, h):
     q = G.shape[1]
     rng = np.random.default_rng(1)
     plant = Plant(A, np.eye(A.shape[0]), G=G)
-    weights, _ = build_weights(plant, Qw=np.diag(rng.uniform(0.5, 2.0, q)), eta=eta)
+    weights = build_weights(plant, None, CostFunction(Qw=np.diag(rng.uniform(0.5, 2.0, q)), eta=eta))
     table = FlowTable(weights)
     (flow, _) = flows = table.get([h, h / 3])  # where the two share a grid each gets its own part of it
     low, high = -rng.uniform(0.2, 1.0, q), rng.uniform(0.5, 2.0, q)
@@ -79,7 +80,7 @@ def test_box_and_ball(name, eta, h):
 
 def test_half_spaces_bound_through_their_bounding_box():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    weights, _ = build_weights(plant)
+    weights = build_weights(plant, None, CostFunction())
     triangle = ConvexSet.halfspaces([[-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]], [0.0, 0.0, 1.0])
     table = FlowTable(weights)
     (flow,) = table.get([1.0])
@@ -92,7 +93,7 @@ def test_half_spaces_bound_through_their_bounding_box():
 
 def test_a_ball_within_a_box_uses_both():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    table = FlowTable(build_weights(plant)[0])
+    table = FlowTable(build_weights(plant, None, CostFunction()))
     (flow,) = table.get([1.0])
     disc = ConvexSet.ball(1.0, dimension=2)
     sets = (disc & ConvexSet.box([-0.2, -3.0], [0.2, 3.0]), ConvexSet.box([-0.2, -1.0], [0.2, 1.0]), disc)

@@ -12,6 +12,7 @@ from sampling_design import (
     detectability_from_proof,
 )
 from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.estimators.cost_function import CostFunction
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SLOW = Plant([[-0.01]], [[1.0]])
@@ -185,13 +186,13 @@ def test_e31_a_prior_updated_by_the_sample_at_zero_uses_it_twice():
     times = [0.0, 1.0, 2.0]
 
     def estimate(y0, prior):
-        mhe = MovingHorizonEstimator(OSCILLATOR, horizon=5.0, prior=prior, **weights)
+        mhe = MovingHorizonEstimator(OSCILLATOR, horizon=5.0, prior=prior, cost=CostFunction(**weights))
         return [mhe.update(t, [y0 if t == 0 else 0.0]).x for t in times]
 
     once = np.array(estimate(1.0, [0.0, 0.0])[-1])
     updated = estimate(1.0, [0.0, 0.0])[0]
     twice = np.array(estimate(1.0, updated)[-1])  # as printed, x(0) after its update is the prior of the window at 0
-    filtered = KalmanFilter(OSCILLATOR, prior=[0.0, 0.0], **weights)
+    filtered = KalmanFilter(OSCILLATOR, prior=[0.0, 0.0], cost=CostFunction(**weights))
     exact = np.array([filtered.update(t, [1.0 if t == 0 else 0.0]).x for t in times][-1])
     np.testing.assert_allclose(once, exact, atol=1e-10)
     assert np.linalg.norm(twice) > 1.2 * np.linalg.norm(exact)
@@ -205,7 +206,7 @@ def test_e32_the_sample_at_the_windows_start_is_used_twice_by_the_closed_window(
     for cost in ("paper", "certificate"):
         last = []
         for at in (-1.0, 3.0, 4.0):  # no noise, or a unit of it at the window's start, or just inside
-            mhe = MovingHorizonEstimator(OSCILLATOR, made, horizon=M, cost=cost, prior=[0.0, 0.0])
+            mhe = MovingHorizonEstimator(OSCILLATOR, made, horizon=M, cost=CostFunction(form=cost), prior=[0.0, 0.0])
             for t in range(1, 24):
                 estimate = mhe.update(float(t), [1.0 if t == at else 0.0])
             last.append(estimate.x)
@@ -228,7 +229,7 @@ def test_e33_a_window_shorter_than_the_gaps_satisfies_17():
     rng = np.random.default_rng(0)
     worst = 0.0
     for _ in range(20):
-        mhe = MovingHorizonEstimator(plant, made, horizon=M, cost="paper", prior=[0.0])
+        mhe = MovingHorizonEstimator(plant, made, horizon=M, cost=CostFunction(form="paper"), prior=[0.0])
         x = rng.normal()
         bound = x**2 * made.P2[0, 0]
         for k in range(1, 10):

@@ -3,35 +3,35 @@
 import numpy as np
 import pytest
 
-from sampling_design import Constraints, MovingHorizonEstimator, Plant
+from sampling_design import Constraints, CostFunction, MovingHorizonEstimator, Plant
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-BOUNDS = {"w_bound": 0.05, "v_bound": [0.2], "initial_error": 1.0, "eta": 0.4, "horizon": 6.0}
+BOUNDS = {"w_bound": 0.05, "v_bound": [0.2], "initial_error": 1.0, "horizon": 6.0}
 TIMES = [0.5, 1.2, 2.4, 3.1, 4.4]
 
 
-def final(ys, **options):
-    mhe = MovingHorizonEstimator(PLANT, **BOUNDS, **options)
+def final(ys, weights, **options):
+    mhe = MovingHorizonEstimator(PLANT, cost=CostFunction(eta=0.4, **weights), **BOUNDS, **options)
     return [mhe.update(t, [y]) for t, y in zip(TIMES, ys, strict=True)][-1], mhe
 
 
 @pytest.mark.parametrize("weights", [{}, {"R": [[9.0]], "Qv": [[2.0]]}], ids=str)
 def test_an_inactive_noise_set_leaves_the_radii_as_they_are(weights):
     ys = [0.1, -0.05, 0.1, 0.0, 0.15]
-    free, _ = final(ys, **weights)
+    free, _ = final(ys, weights)
     for options in (
         {"constraints": Constraints(v=(-0.2, 0.2))},
         {"constraints": Constraints(v=(-9.0, 9.0))},
         {"constraints": Constraints(y=(-9.0, 9.0))},
     ):
-        held, _ = final(ys, **options, **weights)
+        held, _ = final(ys, weights, **options)
         assert held.ellipsoid_radii == pytest.approx(free.ellipsoid_radii, rel=1e-12)
         assert held.radii == pytest.approx(free.radii, rel=1e-5)
 
 
 def test_an_active_noise_set_narrows_the_radii():
     ys = [0.9, -0.7, 0.8, 0.6, -0.9]
-    loose = {**BOUNDS, "v_bound": [2.0]}
+    loose = {**BOUNDS, "v_bound": [2.0], "cost": CostFunction(eta=0.4)}
     free, held = (
         MovingHorizonEstimator(PLANT, **loose, **o) for o in ({}, {"constraints": Constraints(v=(-0.3, 0.3))})
     )
@@ -43,7 +43,7 @@ def test_an_active_noise_set_narrows_the_radii():
 
 
 def test_far_ahead_the_radius_grows_with_time_and_not_with_its_exponential():
-    _, mhe = final([0.1, -0.05, 0.1, 0.0, 0.15])
+    _, mhe = final([0.1, -0.05, 0.1, 0.0, 0.15], {})
     for ahead in (10.0, 50.0, 200.0):
         estimate = mhe.predict(TIMES[-1] + ahead)
         pushed = BOUNDS["w_bound"] * ahead

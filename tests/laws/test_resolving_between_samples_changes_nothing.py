@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], [[0.0], [1.0], [0.2]])
@@ -21,7 +22,7 @@ def resolved(mhe, t):
 @pytest.mark.parametrize("bounds", [{}, {"constraints": Constraints(v=(-0.4, 0.4))}], ids=["free", "bounded v"])
 def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, bounds):
     rng = np.random.default_rng(0)
-    mhe = MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.4, cost=cost, **bounds)
+    mhe = MovingHorizonEstimator(PLANT, horizon=3.0, cost=CostFunction(eta=0.4, form=cost), **bounds)
     t = 0.0
     for _ in range(12):
         gap = rng.uniform(0.3, 1.4)
@@ -45,6 +46,6 @@ def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, 
 
 def test_the_maximum_in_the_printed_window_length_would_start_before_the_prior():
     """E2: with max{t, M + delta} the window of a young estimator starts before time 0; here it starts at 0."""
-    mhe = MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.4)
+    mhe = MovingHorizonEstimator(PLANT, horizon=3.0, cost=CostFunction(eta=0.4))
     for t in (0.5, 1.0, 2.9, 3.5):
         assert mhe.update(t, [0.0]).window_start == pytest.approx(max(0.0, t - 3.0), abs=1e-12)

@@ -24,6 +24,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet
+from sampling_design.estimators.cost_function import CostFunction
 from tests.rescale import Units
 
 GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(6)
@@ -66,8 +67,8 @@ KINDS = {
     "disturbance box": lambda u: {"constraints": Constraints(w=box(u.disturbances, -0.1, 0.1))},
     "disturbance ball": lambda u: {"constraints": Constraints(w=ball(u.disturbances, 0.1))},
     "constant w": lambda u: {"constraints": Constraints(w=box(u.disturbances, -0.1, 0.1), w_model="constant")},
-    "carried": lambda u: {"arrival_cost": "filtered"},
-    "paper": lambda u: {"cost": "paper"},
+    "carried": lambda u: {"arrival": "filtered"},
+    "paper": lambda u: {"form": "paper"},
     "between": lambda u: {"constraints": Constraints(x=box(u.states, -0.3, 0.3), check_spacing=0.3 * u.time)},
 }
 
@@ -95,7 +96,7 @@ def followed(make, plant, units, weights, rng, eta):
         "v_bound": np.full(2, 0.4) * units.outputs,
         "initial_error": np.full(3, 0.8) * units.states,
     }
-    estimator = make(units.plant(plant), units, eta=eta / c, prior_time=units.offset, **bounds, **weights)
+    estimator = make(units.plant(plant), units, weights | {"eta": eta / c}, prior_time=units.offset, **bounds)
     ys = 0.3 * rng.normal(size=(GAPS.size, 2))
     ys[2, 0], ys[4] = np.nan, ys[4] + 3.0
     for t, y in zip(np.cumsum(GAPS), ys, strict=True):
@@ -105,15 +106,25 @@ def followed(make, plant, units, weights, rng, eta):
     return found
 
 
+def moving_horizon(kind):
+    """How an estimator of this kind is made in given units; what it chooses is a constraint or of the cost."""
+
+    def make(plant, units, weights, **given):
+        chosen = KINDS[kind](units)
+        held = {key: chosen.pop(key) for key in ("constraints",) if key in chosen}
+        cost = CostFunction(**weights, **chosen)
+        return MovingHorizonEstimator(plant, horizon=3.0 * units.time, cost=cost, **held, **given)
+
+    return make
+
+
 def one(plant):
     return Units(np.ones(3), np.ones(2), np.ones(1), np.ones(2))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_moving_horizon_estimates(kind):
-    def make(plant, units, **given):
-        return MovingHorizonEstimator(plant, horizon=3.0 * units.time, **KINDS[kind](units), **given)
-
+    make = moving_horizon(kind)
     for seed in SEEDS:
         plant, units, weights, other, _ = setting(seed)
         plain = followed(make, plant, one(plant), weights, np.random.default_rng(seed), 0.3)
@@ -124,19 +135,24 @@ def test_moving_horizon_estimates(kind):
 
 @pytest.mark.parametrize("eta", [0.0, 0.4])
 def test_filter_smoother_and_standard_estimator(eta):
-    def standard(plant, units, **given):
-        return standard_mhe(plant, 0.5 * units.time, horizon=2.0 * units.time, **given)[0]
+    def standard(plant, units, weights, **given):
+        return standard_mhe(plant, 0.5 * units.time, horizon=2.0 * units.time, cost=CostFunction(**weights), **given)[0]
+
+    def kalman(plant, units, weights, **given):
+        return KalmanFilter(plant, cost=CostFunction(**weights), **given)
 
     for seed in SEEDS:
         plant, units, weights, other, rng = setting(seed)
-        for make in (lambda plant, units, **given: KalmanFilter(plant, **given), standard):
+        for make in (kalman, standard):
             plain = followed(make, plant, one(plant), weights, np.random.default_rng(seed), eta)
             moved = followed(make, plant, units, other, np.random.default_rng(seed), eta)
             for a, b in zip(plain, moved, strict=True):
                 assert same_estimate(a, b, units)
         ys, times = rng.normal(size=(GAPS.size, 2)), np.cumsum(GAPS)
-        a = KalmanFilter(plant, eta=eta, **weights).smooth([(t, y, None) for t, y in zip(times, ys, strict=True)])
-        there = KalmanFilter(units.plant(plant), eta=eta / units.time, **other)
+        a = KalmanFilter(plant, cost=CostFunction(eta=eta, **weights)).smooth(
+            [(t, y, None) for t, y in zip(times, ys, strict=True)]
+        )
+        there = KalmanFilter(units.plant(plant), cost=CostFunction(eta=eta / units.time, **other))
         b = there.smooth([(units.time * t, y * units.outputs, None) for t, y in zip(times, ys, strict=True)])
         spread = np.sqrt(np.einsum("kii->ki", a.covariance))
         assert np.max(np.abs(b.x / units.states - a.x) / spread) < RELATIVE
@@ -145,9 +161,7 @@ def test_filter_smoother_and_standard_estimator(eta):
 @pytest.mark.parametrize("offset", [1.7e9, 1.7e9 + 86400.0])
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_clocks_zero(kind, offset):
-    def make(plant, units, **given):
-        return MovingHorizonEstimator(plant, horizon=3.0 * units.time, **KINDS[kind](units), **given)
-
+    make = moving_horizon(kind)
     plant, _, weights, _, _ = setting(1)
     shifted = Units(np.ones(3), np.ones(2), np.ones(1), np.ones(2), offset=offset)
     plain = followed(make, plant, one(plant), weights, np.random.default_rng(1), 0.3)
@@ -211,9 +225,7 @@ def test_planned_against_actual_times(c, offset):
 
 @pytest.mark.parametrize("kind", ["free", "boxes", "disturbance ball"])
 def test_intervals(kind):
-    def make(plant, units, **given):
-        return MovingHorizonEstimator(plant, horizon=3.0 * units.time, **KINDS[kind](units), **given)
-
+    make = moving_horizon(kind)
     for seed in SEEDS:
         plant, units, weights, other, _ = setting(seed)
         plain = followed(make, plant, one(plant), weights, np.random.default_rng(seed), 0.3)[6:8]

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
@@ -60,7 +62,11 @@ def samples(plant, seed):
 
 def estimates(plant, record, horizon, factor, eta, **given):
     scheme = NonlinearMovingHorizonEstimator(
-        from_linear(plant), horizon=horizon, w_step=horizon / 4, eta=eta, degree=3, tolerance=TOLERANCE, **given
+        from_linear(plant),
+        horizon=horizon,
+        collocation=Collocation(w_step=horizon / 4, degree=3),
+        cost=CostFunction(eta=eta, **given),
+        tolerance=TOLERANCE,
     )
     found = scheme.run(record)
     assert set(found.status) == {"ok"}
@@ -99,10 +105,9 @@ def test_units_change_nothing_that_is_seen_of_detectability(seed, name):
                     schedule if factors is None else factors.schedule(schedule),
                     (-s, s),
                     P1=share * weighed["P2"],
-                    eta=0.1 / c,
+                    cost=CostFunction(eta=0.1 / c, **weighed),
                     duration=4.0 * c,
                     pairs=5,
-                    **weighed,
                 )
             )
     for here, there in zip(found[:2], found[2:], strict=True):
@@ -121,6 +126,12 @@ def test_the_scales_of_the_noise_alone_change_nothing():
     for scale in (1.0, 1e3, [1e-3, 1e2]):
         signals = {**plant.signals, "noises": sd.Signals(plant.signals["noises"].names, (), np.ones(2) * scale)}
         own = replace(plant, signals=signals)
-        runs.append(NonlinearMovingHorizonEstimator(own, horizon=3.2, w_step=0.8, eta=0.3, **given).run(record).x)
+        runs.append(
+            NonlinearMovingHorizonEstimator(
+                own, horizon=3.2, collocation=Collocation(w_step=0.8), cost=CostFunction(eta=0.3, **given)
+            )
+            .run(record)
+            .x
+        )
     for run in runs[1:]:
         np.testing.assert_allclose(run, runs[0], rtol=SAME, atol=SAME)

@@ -18,6 +18,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, -0.4]])
@@ -45,7 +46,7 @@ def test_half_the_prior_half_the_measurement():
     noise = np.array([[1.0, 0.9], [0.9, 1.0]])
     weight = 2 * np.linalg.inv(noise)
     plant = Plant(np.zeros((2, 2)), np.eye(2), G=np.zeros((2, 0)))
-    estimate = KalmanFilter(plant, P2=np.eye(2), R=weight, Qv=weight).update(0.0, [1.0, np.nan])
+    estimate = KalmanFilter(plant, cost=CostFunction(P2=np.eye(2), R=weight, Qv=weight)).update(0.0, [1.0, np.nan])
     assert estimate.x == pytest.approx([0.5, 0.0], abs=1e-14)
     assert estimate.covariance == pytest.approx(np.diag([0.5, 1.0]), abs=1e-14)
 
@@ -61,22 +62,27 @@ SETS = {
 
 @pytest.mark.parametrize("name", SETS)
 @pytest.mark.parametrize(
-    "options", [{}, {"arrival_cost": "filtered"}, {"cost": "paper"}, {"engine": "reference"}], ids=str
+    ("form", "engine"),
+    [({}, "auto"), ({"arrival": "filtered"}, "auto"), ({"form": "paper"}, "auto"), ({}, "reference")],
+    ids=str,
 )
-def test_a_moving_horizon_estimate_is_that_without_the_output(name, options):
+def test_a_moving_horizon_estimate_is_that_without_the_output(name, form, engine):
     plant, fewer, whole, part, rng = setting(3)
-    held = SETS[name]
+    held = replace(SETS[name], engine=engine)
     few = {key: tuple(np.take(side, SEEN) for side in getattr(held, key)) for key in "vy" if getattr(held, key)}
-    bounds = {"w_bound": [1.0, 1.0, 1.0], "initial_error": [1.0, 1.0, 1.0], "horizon": 2.5, "eta": 0.3}
-    one = MovingHorizonEstimator(plant, v_bound=np.ones(3), **bounds, constraints=held, **whole, **options)
+    bounds = {"w_bound": [1.0, 1.0, 1.0], "initial_error": [1.0, 1.0, 1.0], "horizon": 2.5}
+    form = {"eta": 0.3, **form}
+    one = MovingHorizonEstimator(
+        plant, v_bound=np.ones(3), **bounds, constraints=held, cost=CostFunction(**form, **whole)
+    )
     two = MovingHorizonEstimator(
-        fewer, v_bound=np.ones(2), **bounds, constraints=replace(held, **few), **part, **options
+        fewer, v_bound=np.ones(2), **bounds, constraints=replace(held, **few), cost=CostFunction(**form, **part)
     )
     for t in (0.4, 1.1, 1.9, 3.0, 3.6):
         y = rng.normal(size=3) * 0.6
         a, b = one.update(t, np.where([True, False, True], y, np.nan)), two.update(t, y[SEEN])
         assert a.status == b.status == "ok"
-        accuracy = 1e-5 if "engine" in options else 1e-9
+        accuracy = 1e-5 if engine == "reference" else 1e-9
         assert a.x == pytest.approx(b.x, rel=accuracy, abs=accuracy)
         assert a.radius == pytest.approx(b.radius, rel=accuracy)
         assert a.covariance == pytest.approx(b.covariance, rel=1e-9, abs=1e-12)
@@ -89,8 +95,8 @@ def test_filter_and_smoother_are_those_without_the_output():
     masked = [(t, np.where([True, False, True], y, np.nan), None) for t, y in zip(times, ys, strict=True)]
     less = [(t, y[SEEN], None) for t, y in zip(times, ys, strict=True)]
     for way in ("run", "smooth"):
-        a = getattr(KalmanFilter(plant, eta=0.2, **whole), way)(masked)
-        b = getattr(KalmanFilter(fewer, eta=0.2, **part), way)(less)
+        a = getattr(KalmanFilter(plant, cost=CostFunction(eta=0.2, **whole)), way)(masked)
+        b = getattr(KalmanFilter(fewer, cost=CostFunction(eta=0.2, **part)), way)(less)
         assert a.x == pytest.approx(b.x, rel=1e-9, abs=1e-10)
         assert a.covariance == pytest.approx(b.covariance, rel=1e-9, abs=1e-10)
         assert a.cost == pytest.approx(b.cost, rel=1e-9)

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability, ratios
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -31,8 +32,9 @@ def test_both_sides_are_those_of_plain_sums():
 
 def test_a_certificate_of_a_linear_plant_is_never_refuted():
     certificate = certify(OSCILLATOR, SCHEDULE)
-    weights = {key: getattr(certificate, key) for key in ("P1", "P2", "Qw", "R", "Qv", "eta")}
-    found = check_detectability(from_linear(OSCILLATOR), SCHEDULE, BOX, duration=8.0, pairs=12, **weights)
+    weights = {key: getattr(certificate, key) for key in ("P2", "Qw", "R", "Qv", "eta")}
+    cost, P1 = CostFunction(**weights), certificate.P1
+    found = check_detectability(from_linear(OSCILLATOR), SCHEDULE, BOX, cost=cost, P1=P1, duration=8.0, pairs=12)
     assert found.holds
     assert found.ratio >= 1.0
     assert found.claim.strength == "sampled"
@@ -45,7 +47,7 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
     # x' = x is not seen: |dx|^2 grows while the right side decays
     blind = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [0 * x[0] + v[0]],
                            {"states": 1, "disturbances": 1, "outputs": 1})  # fmt: skip
-    found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), eta=0.2, duration=3.0, pairs=9)
+    found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), cost=CostFunction(eta=0.2), duration=3.0, pairs=9)
     assert not found.holds
     assert found.witness.t == pytest.approx(3.0)
     # without disturbance the ratio is exactly e^{-(eta + 2) t}
@@ -59,7 +61,7 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
 def test_the_sets_are_taken_in_turn_and_the_worst_is_kept():
     seen = []
     found = check_detectability(
-        from_linear(OSCILLATOR), SCHEDULE, BOX, eta=0.1, duration=4.0, pairs=7,
+        from_linear(OSCILLATOR), SCHEDULE, BOX, cost=CostFunction(eta=0.1), duration=4.0, pairs=7,
         progress=lambda fraction, note: seen.append(fraction),
     )  # fmt: skip
     assert found.ratio == found.ratios.min()
@@ -70,7 +72,13 @@ def test_the_sets_are_taken_in_turn_and_the_worst_is_kept():
 def test_the_same_generator_gives_the_same_evidence():
     twice = [
         check_detectability(
-            from_linear(OSCILLATOR), SCHEDULE, BOX, eta=0.1, duration=4.0, pairs=3, rng=np.random.default_rng(2)
+            from_linear(OSCILLATOR),
+            SCHEDULE,
+            BOX,
+            cost=CostFunction(eta=0.1),
+            duration=4.0,
+            pairs=3,
+            rng=np.random.default_rng(2),
         )
         for _ in range(2)
     ]
@@ -81,25 +89,27 @@ def test_pairs_that_leave_the_set_are_left_out_and_counted():
     # from x > 0.5 the plant leaves its box within the time
     walk = NonlinearPlant(lambda x, u, w: [0.5 + 0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1},
                           bounds={"states": (0.0, 1.0)})  # fmt: skip
-    found = check_detectability(walk, SCHEDULE, eta=0.1, duration=1.0, pairs=40)
+    found = check_detectability(walk, SCHEDULE, cost=CostFunction(eta=0.1), duration=1.0, pairs=40)
     assert 0 < found.left_out < 40
     assert found.pairs == 40 - found.left_out
     assert "more left out" in str(found)
     with pytest.raises(ArgumentError, match="every pair left it"):
-        check_detectability(walk, SCHEDULE, ([0.9], [1.0]), eta=0.1, duration=1.0, pairs=3)
+        check_detectability(walk, SCHEDULE, ([0.9], [1.0]), cost=CostFunction(eta=0.1), duration=1.0, pairs=3)
     burst = NonlinearPlant(lambda x, u, w: [x[0] ** 2], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1})
     with pytest.raises(ArgumentError, match="every pair left it"):
-        check_detectability(burst, SCHEDULE, ([1.0], [2.0]), eta=0.1, duration=2.0, pairs=1)
+        check_detectability(burst, SCHEDULE, ([1.0], [2.0]), cost=CostFunction(eta=0.1), duration=2.0, pairs=1)
 
 
 def test_bad_arguments_are_refused():
     plant = from_linear(OSCILLATOR)
+    with pytest.raises(ArgumentError, match="`cost` must give a rate here"):
+        check_detectability(plant, SCHEDULE, BOX, cost=CostFunction(), duration=1.0)
     with pytest.raises(ArgumentError, match=r"`start` must be a finite box \(lower, upper\)"):
-        check_detectability(plant, SCHEDULE, eta=0.1, duration=1.0)
+        check_detectability(plant, SCHEDULE, cost=CostFunction(eta=0.1), duration=1.0)
     with pytest.raises(ArgumentError, match="`pairs` must be a whole number of at least 1"):
-        check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, pairs=0)
+        check_detectability(plant, SCHEDULE, BOX, cost=CostFunction(eta=0.1), duration=1.0, pairs=0)
     with pytest.raises(ArgumentError, match="`P1` must be positive definite"):
-        check_detectability(plant, SCHEDULE, BOX, eta=0.1, duration=1.0, P1=-np.eye(2))
+        check_detectability(plant, SCHEDULE, BOX, cost=CostFunction(eta=0.1), duration=1.0, P1=-np.eye(2))
 
 
 def test_an_output_that_is_not_measured_says_nothing():
@@ -121,8 +131,8 @@ def test_a_mask_that_hides_an_output_gives_another_verdict():
     # x' = x; only the first output sees it, and it is never measured
     plant = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [x[0] + v[0], v[1]],
                            {"states": 1, "disturbances": 1, "outputs": 2})  # fmt: skip
-    given = {"start": ([-1.0], [1.0]), "eta": 0.2, "duration": 3.0, "pairs": 6, "R": 100 * np.eye(2)}
-    given |= {"P1": [[0.1]], "P2": [[1.0]], "Qv": 100 * np.eye(2)}
+    cost = CostFunction(P2=[[1.0]], R=100 * np.eye(2), Qv=100 * np.eye(2), eta=0.2)
+    given = {"start": ([-1.0], [1.0]), "duration": 3.0, "pairs": 6, "cost": cost, "P1": [[0.1]]}
     hidden = check_detectability(plant, PeriodicSchedule([0.5], outputs=[[0, 1]]), **given)
     assert check_detectability(plant, PeriodicSchedule([0.5]), **given).holds
     assert not hidden.holds

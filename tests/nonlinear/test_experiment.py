@@ -34,8 +34,8 @@ def test_the_set_up_is_the_papers(twenty_days):
     assert len(twenty_days.solves_sample_based) == twenty_days.sampled.sum()
     assert {s.status for s in (*twenty_days.solves_standard, *twenty_days.solves_sample_based)} == {"ok"}
     weights = paper_weights()
-    assert np.diag(weights["P2"]) / SCALING**2 == pytest.approx([1, 5, 1, 1, 1, 1])
-    assert weights["Qw"][1, 1] == pytest.approx(1.39e-4)
+    assert np.diag(weights.P2) / SCALING**2 == pytest.approx([1, 5, 1, 1, 1, 1])
+    assert weights.Qw[1, 1] == pytest.approx(1.39e-4)
 
 
 def test_both_schemes_agree_at_the_first_sample_and_find_the_truth(twenty_days):

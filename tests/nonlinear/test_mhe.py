@@ -5,8 +5,10 @@ import pytest
 
 from sampling_design import Plant, read_measurements, write_estimates
 from sampling_design.errors import ArgumentError, MissingExtraError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid
+from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.experiment import paper_weights
 from sampling_design.nonlinear.mhe import NOTE, NonlinearMovingHorizonEstimator
@@ -38,9 +40,11 @@ def record(times=TIMES, noise=0.1, seed=3):
     return [(t, [x[0] + noise * rng.uniform(-1, 1)]) for t, x in zip(times, truth, strict=True)]
 
 
-def estimator(plant=PENDULUM, **changes):
-    options = {"horizon": HORIZON, "eta": ETA, "w_step": STEP, "degree": 4, "prior": PRIOR, "tolerance": 1e-10}
-    return NonlinearMovingHorizonEstimator(plant, **{**options, **WEIGHTS, **changes})
+def estimator(plant=PENDULUM, weights=None, pieces=None, **changes):
+    options = {"horizon": HORIZON, "prior": PRIOR, "tolerance": 1e-10}
+    groups = {"cost": CostFunction(**{"eta": ETA, **WEIGHTS, **(weights or {})})}
+    options["collocation"] = Collocation(**{"w_step": STEP, "degree": 4, **(pieces or {})})
+    return NonlinearMovingHorizonEstimator(plant, **{**options, **groups, **changes})
 
 
 def check_against_shooting(plant, boxes=None):
@@ -94,11 +98,11 @@ def test_the_optimal_cost_is_at_most_that_of_the_truth():
 
 
 def test_one_program_serves_while_the_window_fills_and_after():
-    scheme = estimator(capacity=8)
+    scheme = estimator(pieces={"capacity": 8})
     found = scheme.run(record())
     assert scheme.builds == 1
     assert [s.intervals for s in scheme.solves] == [0, 2, 3, 6, 8, 8]
-    small = estimator(capacity=3)
+    small = estimator(pieces={"capacity": 3})
     assert small.run(record()).x == pytest.approx(found.x, abs=1e-8)
     assert small.builds > 1
 
@@ -130,7 +134,7 @@ def test_between_samples_it_runs_open_loop():
 def test_outputs_that_are_not_measured_do_not_count():
     both = NonlinearPlant(swing, lambda x, u, v: [x[0] + v[0], x[1] + v[1]], {**SIZES, "outputs": 2})
     weights = {"R": np.diag([40.0, 7.0]), "Qv": np.diag([15.0, 2.0])}
-    found = estimator(both, **weights).run((t, [y[0], np.nan]) for t, y in record())
+    found = estimator(both, weights).run((t, [y[0], np.nan]) for t, y in record())
     assert found.x == pytest.approx(estimator().run(record()).x, abs=1e-7)
 
 
@@ -157,7 +161,7 @@ def test_files_of_measurements_and_estimates_serve_it_too(tmp_path):
     )
     patient = thyroid.thyroid()
     scheme = NonlinearMovingHorizonEstimator(
-        patient, horizon=5.0, w_step=0.25, prior=thyroid.TRUE_START, **paper_weights()
+        patient, horizon=5.0, collocation=Collocation(w_step=0.25), prior=thyroid.TRUE_START, cost=paper_weights()
     )
     found = scheme.run(read_measurements(path, patient))
     assert found.status == ("ok", "ok")
@@ -214,7 +218,7 @@ def test_a_plant_without_noise_or_disturbance_can_be_estimated():
     still = NonlinearPlant(
         lambda x, u, w: [x[1], -x[0]], lambda x, u, v: [x[0]], {"states": 2, "outputs": 1, "noises": 0}
     )
-    scheme = NonlinearMovingHorizonEstimator(still, horizon=6.0, R=[[1e4]])
+    scheme = NonlinearMovingHorizonEstimator(still, horizon=6.0, cost=CostFunction(R=[[1e4]]))
     record = [(t, [np.cos(t)]) for t in (0.0, 1.0, 2.0, 3.5, 5.0)]
     assert scheme.run(record).x[-1] == pytest.approx([np.cos(5.0), -np.sin(5.0)], abs=1e-3)
 
@@ -240,7 +244,7 @@ def test_constraints_that_nothing_meets_are_called_infeasible():
     # x' = 1 cannot stay below 1 for longer than a unit of time
     clock = NonlinearPlant(lambda x, u, w: [1.0 + 0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1},
                            bounds={"states": (0.0, 1.0)})  # fmt: skip
-    found = NonlinearMovingHorizonEstimator(clock, horizon=5.0, w_step=0.5).run(
+    found = NonlinearMovingHorizonEstimator(clock, horizon=5.0, collocation=Collocation(w_step=0.5)).run(
         [(0.0, [0.0]), (0.5, [0.5]), (2.0, [1.0])]
     )
     assert found.status == ("ok", "ok", "infeasible")
@@ -253,7 +257,9 @@ def test_where_even_the_open_loop_fails_the_last_estimate_is_held():
         lambda x, u, w: [x[0] ** 2], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1},
         bounds={"states": (1.0, np.inf)},
     )  # fmt: skip
-    scheme = NonlinearMovingHorizonEstimator(burst, horizon=5.0, w_step=0.5, prior=[1.0], max_iterations=30)
+    scheme = NonlinearMovingHorizonEstimator(
+        burst, horizon=5.0, collocation=Collocation(w_step=0.5), prior=[1.0], max_iterations=30
+    )
     found = scheme.run([(0.0, [1.0]), (3.0, [1.0])])
     assert found.status[1] in ("infeasible", "solver failed")
     assert "the last estimate is held" in found.notes[1]
@@ -269,7 +275,7 @@ def test_a_model_that_turns_nan_under_way_stops_nothing(capfd):
     root = NonlinearPlant(
         lambda x, u, w: [w[0] - x[0] ** 0.5], position, {"states": 1, "disturbances": 1, "outputs": 1}
     )
-    scheme = NonlinearMovingHorizonEstimator(root, horizon=3.0, prior=[0.5], w_step=0.25)
+    scheme = NonlinearMovingHorizonEstimator(root, horizon=3.0, prior=[0.5], collocation=Collocation(w_step=0.25))
     found = scheme.run([(0.0, [0.5]), (0.5, [0.2]), (1.0, [-8.0]), (1.5, [0.1]), (5.0, [0.1]), (9.0, [0.2])])
     assert "ok" in found.status
     assert "solver failed" in found.status or "infeasible" in found.status
@@ -283,12 +289,14 @@ def test_a_model_that_turns_nan_under_way_stops_nothing(capfd):
         ({"prior": [9.0, 0.0]}, "`prior` must lie in the plant's box of states, got x1 = 9 outside"),
         ({"prior": [0.5]}, "`prior` must have 2 entries, got 1"),
         ({"horizon": 0.0}, "`horizon` must be positive"),
-        ({"w_step": -1.0}, "`w_step` must be positive"),
-        ({"degree": 0}, "`degree` must be a whole number of at least 1"),
-        ({"R": np.eye(2)}, r"`R` must have shape \(1, 1\)"),
-        ({"P2": -np.eye(2)}, "`P2` must be positive definite"),
-        ({"eta": -0.1}, "`eta` must not be negative"),
-        ({"capacity": 0}, "`capacity` must be a whole number"),
+        ({"pieces": {"w_step": -1.0}}, "`w_step` must be positive"),
+        ({"pieces": {"degree": 0}}, "`degree` must be a whole number of at least 1"),
+        ({"weights": {"R": np.eye(2)}}, r"`R` must have shape \(1, 1\)"),
+        ({"weights": {"P2": -np.eye(2)}}, "`P2` must be positive definite"),
+        ({"weights": {"eta": -0.1}}, "`eta` must not be negative"),
+        ({"weights": {"form": "certificate"}}, '`cost` must have the form "paper" and the arrival "fixed"'),
+        ({"weights": {"arrival": "filtered"}}, "for a nonlinear plant, got None and 'filtered'"),
+        ({"pieces": {"capacity": 0}}, "`capacity` must be a whole number"),
         ({"max_iterations": 0}, "`max_iterations` must be a whole number"),
     ],
 )
@@ -340,7 +348,9 @@ def test_an_output_that_is_not_measured_is_free_also_where_noises_are_correlated
         plant = plant.with_bounds(noises=(-50.0 * np.ones(2), 50.0 * np.ones(2)))
     V = np.array([[1.0, 0.9], [0.9, 1.0]])
     weight = 2 * np.linalg.inv(V)  # (R^-1 + (2 Qv)^-1)^-1 = V^-1, and 2 P2 = I
-    scheme = NonlinearMovingHorizonEstimator(plant, horizon=1.0, P2=np.eye(2) / 2, R=weight, Qv=weight / 2)
+    scheme = NonlinearMovingHorizonEstimator(
+        plant, horizon=1.0, cost=CostFunction(P2=np.eye(2) / 2, R=weight, Qv=weight / 2)
+    )
     assert scheme.update(0.0, [1.0, np.nan]).x == pytest.approx([0.5, 0.0], abs=1e-7)
     scheme.reset()
     both = np.linalg.solve(np.eye(2) + V, [1.0, -0.5])

@@ -14,7 +14,7 @@ BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
 
 def estimates(**bounds):
     record = sd.simulate_record(PLANT, SCHEDULE, 8.0, w_bound=0.1, v_bound=0.1)
-    mhe = sd.MovingHorizonEstimator(PLANT, horizon=4.0, eta=0.3, **bounds)
+    mhe = sd.MovingHorizonEstimator(PLANT, horizon=4.0, cost=sd.CostFunction(eta=0.3), **bounds)
     return mhe.run(record.measurements), record.measurements
 
 
@@ -58,7 +58,9 @@ def test_a_validation_shows_errors_below_the_bound_and_a_run_inside_its_tubes(tm
 
 def test_a_broken_promise_is_red_and_without_an_example_there_is_one_panel():
     blind = sd.PeriodicSchedule([np.pi])
-    found = sd.validate(PLANT, blind, runs=3, scenarios=["resonant"], horizon=12.0, eta=0.1, **BOUNDS)
+    found = sd.validate(
+        PLANT, blind, runs=3, scenarios=["resonant"], horizon=12.0, cost=sd.CostFunction(eta=0.1), **BOUNDS
+    )
     ax = found.plot()
     assert ax.get_title(loc="left") == "1 promise broken"
     assert ax._left_title.get_color() == style.FAILED

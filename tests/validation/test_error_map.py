@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.validation.error_map import Inputs, build_error_map
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from tests.oracles.validation import integrate, moving_horizon
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
-OPTIONS = {"plain": {}, "carried": {"arrival_cost": "filtered"}, "paper": {"cost": "paper"}}
+OPTIONS = {
+    "plain": {},
+    "carried": {"cost": CostFunction(arrival="filtered")},
+    "paper": {"cost": CostFunction(form="paper")},
+}
 
 
 def built(name, duration, **options):

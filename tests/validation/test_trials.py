@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, Plant
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
@@ -30,7 +31,7 @@ def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     head = 30
     states = integrate(UNSTABLE.A, both, -inputs.e0[0], line.times[: head + 1], forces[:head])
     assert truth.states[: head + 1] == pytest.approx(states, abs=1e-8)
-    mhe = MovingHorizonEstimator(driven(UNSTABLE), **WEIGHTS)
+    mhe = MovingHorizonEstimator(driven(UNSTABLE), cost=CostFunction(**WEIGHTS))
     found = build_error_map(line, mhe, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0))
     run = real_run(line, found.rows, truth, mhe)
     assert run.errors(found.rows) == pytest.approx(found.apply(inputs).e[0], abs=1e-10)

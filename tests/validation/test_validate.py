@@ -8,6 +8,7 @@ import pytest
 from sampling_design import ArgumentError, GapRange, PeriodicSchedule, Plant, Schedule, certify, validate
 from sampling_design._files import to_json
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.validation import monte_carlo
 from sampling_design.validation.error_map import Inputs
 from sampling_design.validation.report import Finding, ValidationReport
@@ -72,14 +73,14 @@ def test_a_finite_schedule_is_judged_to_its_last_time():
 
 
 def test_a_filtered_arrival_cost_keeps_the_full_rate():
-    report = judged("two outputs", arrival_cost="filtered", horizon=1.0, scenarios=["random", "worst"])
+    report = judged("two outputs", cost=CostFunction(arrival="filtered"), horizon=1.0, scenarios=["random", "worst"])
     assert report.passed, report.explain()
     sources = {f.source for f in report.findings if f.claim == "a-priori bound"}
     assert sources == {"filtered arrival cost, full rate"}
 
 
 def test_the_papers_own_cost_can_be_studied():
-    report = judged("oscillator", cost="paper", scenarios=["random", "paper"])
+    report = judged("oscillator", cost=CostFunction(form="paper"), scenarios=["random", "paper"])
     assert {f.source for f in report.findings if f.claim == "a-priori bound"} == {"Theorem 9"}
 
 

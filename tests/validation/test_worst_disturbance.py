@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.validation.error_map import Inputs, build_error_map
 from sampling_design.validation.promise import promise_of
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
@@ -18,7 +19,7 @@ CASES += [("oscillator", "paper"), ("unstable", "carried")]
 
 def built(name, kind, duration=6.0):
     plant, bounds = PLANTS[name], ScenarioBounds.of(PLANTS[name], 0.4, 0.3, 1.5)
-    options = {"arrival_cost": "filtered"} if kind == "carried" else {"cost": kind}
+    options = {"cost": CostFunction(arrival="filtered") if kind == "carried" else CostFunction(form=kind)}
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
     line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon)

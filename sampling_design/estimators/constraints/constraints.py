@@ -14,6 +14,7 @@ from sampling_design.estimators.constraints.convex_set import ConvexSet
 
 SetLike: TypeAlias = "ConvexSet | tuple[npt.ArrayLike, npt.ArrayLike] | None"
 WModel = Literal["outer", "constant"]
+Engine = Literal["auto", "active set", "conic", "reference"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,19 +33,21 @@ class Constraints(Record):
     w_model : "outer" or "constant"
         How bounds on w act: as an outer bound on what they can do over a gap, which provably contains the truth, or
         on a disturbance that is constant between nodes, which is not certified.
+    engine : "auto", "active set", "conic" or "reference"
+        What solves a window with active constraints.
 
     Raises
     ------
     ArgumentError
-        If `check_spacing` is not positive or `w_model` is unknown. The sets meet the plant's dimensions in the
-        estimator.
+        If `check_spacing` is not positive, or `w_model` or `engine` is unknown. The sets meet the plant's dimensions
+        in the estimator.
 
     Examples
     --------
-    >>> from sampling_design import MovingHorizonEstimator, Plant
+    >>> from sampling_design import CostFunction, MovingHorizonEstimator, Plant
     >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> inside = Constraints(x=(-1.0, 1.0), v=(-0.1, 0.1))
-    >>> mhe = MovingHorizonEstimator(plant, horizon=5.0, eta=0.2, constraints=inside)
+    >>> mhe = MovingHorizonEstimator(plant, horizon=5.0, cost=CostFunction(eta=0.2), constraints=inside)
     >>> bool(abs(mhe.update(0.4, [1.3]).x).max() <= 1.0 + 1e-9)
     True
     """
@@ -55,13 +58,15 @@ class Constraints(Record):
     w: SetLike = None
     check_spacing: float | None = None
     w_model: WModel = "outer"
+    engine: Engine = "auto"
 
     def __post_init__(self) -> None:
         if self.check_spacing is not None:
             object.__setattr__(self, "check_spacing", _checks.positive("check_spacing", self.check_spacing))
-        if self.w_model not in get_args(WModel):
-            known = ", ".join(map(repr, get_args(WModel)))
-            raise ArgumentError(f"`w_model` must be one of {known}, got {self.w_model!r}.")
+        for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
+            if value not in get_args(known):
+                words = ", ".join(map(repr, get_args(known)))
+                raise ArgumentError(f"`{key}` must be one of {words}, got {value!r}.")
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _said(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]

@@ -18,8 +18,6 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
 
-ENGINES = ("auto", "active set", "conic", "reference")
-
 FEW = 0.1
 """Share of the rows up to which those that matter are sought one by one; beyond, all are taken at once."""
 

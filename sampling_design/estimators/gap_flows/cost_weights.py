@@ -19,10 +19,10 @@ from sampling_design import _checks
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.plants.plant import Plant, first_difference
 
 Array = npt.NDArray[np.float64]
-COSTS = ("certificate", "paper")
 
 
 class SampleWeights(NamedTuple):
@@ -204,31 +204,17 @@ def noise_bound(name: str, value: npt.ArrayLike | None, length: int) -> Array | 
 
 def build_weights(
     plant: Plant,
-    certificate: SampledCertificate | None = None,
-    *,
-    P2: object = None,
-    Qw: object = None,
-    R: object = None,
-    Qv: object = None,
-    eta: object = None,
-    cost: str = "certificate",
-) -> tuple[Weights, tuple[str, ...]]:
-    """Return the effective weights, and the names of those of the certificate that were overridden.
-
-    What neither the caller nor a certificate gives: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2),
-    R = Qv = 2 diag(1/s_y^2), eta = 0.
+    certificate: SampledCertificate | None,
+    cost: CostFunction,
+) -> Weights:
+    """Return the effective weights: those of the cost, else the certificate's, else those of the plant's scales.
 
     Raises
     ------
     ArgumentError
-        If a weight is not positive definite, eta is negative, the cost is unknown, or the certificate is another
-        plant's.
+        If a weight has another size or is not positive definite, or the certificate is another plant's.
     """
     _refuse_what_is_not_its_own(plant, certificate)
-    if cost not in COSTS:
-        raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
-    given = {"P2": P2, "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
-    overridden = tuple(k for k, value in given.items() if value is not None) if certificate is not None else ()
     inverse = {
         "P2": plant.states.scales**-2.0,
         "Qw": plant.disturbances.scales**-2.0,
@@ -237,17 +223,18 @@ def build_weights(
     }
     matrices = {}
     for key, diagonal in inverse.items():
-        value = given[key]
+        value = getattr(cost, key)
         if value is None and certificate is not None:
             value = getattr(certificate, key)
         matrices[key] = _checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
     theirs = 0.0 if certificate is None else certificate.eta
-    rate = _checks.nonnegative("eta", theirs if eta is None else eta)
-    twice = 2.0 if cost == "paper" else 1.0
+    rate = _checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
+    form = cost.form or "certificate"
+    twice = 2.0 if form == "paper" else 1.0
     kept = twice * matrices["Qv"]
     together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
     prior, w = twice * matrices["P2"], twice * matrices["Qw"]
-    return Weights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=cost), overridden
+    return Weights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=form)
 
 
 def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:

@@ -8,6 +8,7 @@ import warnings
 from sampling_design import _checks
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 
 
@@ -25,9 +26,7 @@ def least_horizon(certificate: SampledCertificate, cost: str) -> float:
 def choose_horizon(
     certificate: SampledCertificate | None,
     horizon: float | None,
-    cost: str,
-    overridden: tuple[str, ...],
-    filtered: bool,
+    cost: CostFunction,
 ) -> tuple[float, str]:
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
 
@@ -46,13 +45,13 @@ def choose_horizon(
             raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
         return _checks.positive("horizon", horizon), "No a-priori claim: the weights were given by hand."
     if horizon is None:
-        length = certificate.horizon("sharp" if cost == "certificate" else "paper").length
+        length = certificate.horizon("paper" if cost.form == "paper" else "sharp").length
     else:
         length = _checks.positive("horizon", horizon)
-    if overridden:
-        return length, f"No a-priori claim: {', '.join(overridden)} differ from the certificate's."
-    least = least_horizon(certificate, cost)
-    if not filtered and length <= least:
+    if cost.given:
+        return length, f"No a-priori claim: {', '.join(cost.given)} differ from the certificate's."
+    least = least_horizon(certificate, cost.form or "certificate")
+    if cost.arrival == "fixed" and length <= least:
         note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
         warnings.warn(note, GuaranteeWarning, stacklevel=4)
         return length, note

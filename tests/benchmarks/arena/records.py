@@ -87,10 +87,10 @@ def run(quick: bool = False) -> list[Table]:
                 p, sd.certify(p, s, eta=0.1), **BOUNDS
             ),
             "sampling_design MHE, the filters' weights, rate 0.01": lambda t=task: sd.MovingHorizonEstimator(
-                t.plant, horizon=20.0, arrival_cost="filtered", **weights(t), **BOUNDS
+                t.plant, horizon=20.0, cost=sd.CostFunction(arrival="filtered", **weights(t)), **BOUNDS
             ),
             "sampling_design KalmanFilter, the filters' weights, rate 0.01": lambda t=task: sd.KalmanFilter(
-                t.plant, **weights(t), **BOUNDS
+                t.plant, cost=sd.CostFunction(**weights(t)), **BOUNDS
             ),
         }
         schemes["sampling_design SetMembershipEstimator"] = lambda p=plant: sd.SetMembershipEstimator(p, **BOUNDS)

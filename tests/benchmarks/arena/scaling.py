@@ -80,8 +80,8 @@ def samples(quick: bool) -> Table:
             lambda t=times: sd.sigma_min(plant, t),
             lambda t=times: loop_rows(plant, t),
             lambda g=gaps: sd.window_sigma(plant, sd.PeriodicSchedule(g), 4.0),
-            lambda r=record: sd.KalmanFilter(plant, **weights).run(r),
-            lambda r=record: sd.MovingHorizonEstimator(plant, horizon=8.0, **weights).run(r),
+            lambda r=record: sd.KalmanFilter(plant, cost=sd.CostFunction(**weights)).run(r),
+            lambda r=record: sd.MovingHorizonEstimator(plant, horizon=8.0, cost=sd.CostFunction(**weights)).run(r),
         ]
         row(table, curves, count, work)
     table.figures["arena_samples"] = drawn(curves, "samples")

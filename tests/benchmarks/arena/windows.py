@@ -43,7 +43,9 @@ def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.Estimate], sd.E
     """Return a call that takes in the last sample of the window, and its estimate."""
     box = {} if task.box is None else {"constraints": sd.Constraints(x=(-task.box, task.box))}
     weights = {"P2": task.P2, "Qw": task.Qw, "R": 2 * task.Rt, "Qv": 2 * task.Rt, "eta": ETA}
-    mhe = sd.MovingHorizonEstimator(task.plant, horizon=2 * task.times[-1], **weights, **box, **BOUNDS, **options)
+    mhe = sd.MovingHorizonEstimator(
+        task.plant, horizon=2 * task.times[-1], cost=sd.CostFunction(**weights), **box, **BOUNDS, **options
+    )
     state = mhe.initial_state(task.prior)
     for t, y in zip(task.times[:-1], task.y[:-1], strict=True):
         state, _ = mhe.step(state, sd.Sample(t, y))

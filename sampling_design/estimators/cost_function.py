@@ -1,0 +1,98 @@
+"""What a user says of the cost that an estimator minimises, all of it in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+
+Form = Literal["certificate", "paper"]
+Arrival = Literal["fixed", "filtered"]
+MATRICES = ("P2", "Qw", "R", "Qv")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CostFunction(Record):
+    """The cost that an estimator minimises over a window that began at s, at time t.
+
+        "certificate":  e^{-eta(t-s)}|x(s) - xhat(s)|^2_P2 + int e^{-eta(t-tau)}|w|^2_Qw
+                            + sum e^{-eta(t-tau)}|y - Cx - Du|^2_R~,          R~ = (R^-1 + Qv^-1)^-1
+        "paper":        2 e^{-eta(t-s)}|x(s) - xhat(s)|^2_P2 + int 2 e^{-eta(t-tau)}|w|^2_Qw
+                            + sum e^{-eta(t-tau)}(2|v|^2_Qv + |y - Cx - Du - v|^2_R)
+
+    What is left out comes from the certificate, or where there is none from the plant's scales: P2 = diag(1/s_x^2),
+    Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), eta = 0.
+
+    Parameters
+    ----------
+    P2 : (n, n) array, optional
+        Weight of the error at the window's start.
+    Qw : (q, q) array, optional
+        Weight of the disturbance, per unit of time.
+    R, Qv : (p, p) arrays, optional
+        Weights of the fit and of the noise.
+    eta : float, optional
+        Discount rate [1/time] of the squared errors.
+    form : "certificate" or "paper", optional
+        Default "certificate"; for nonlinear plants and `standard_mhe` it is "paper", whose window is closed.
+    arrival : "fixed" or "filtered"
+        What the error at the window's start weighs: always P2, or its own information Pi(s), which gives the full rate
+        for every horizon.
+
+    Raises
+    ------
+    ArgumentError
+        If a weight is no square matrix, the rate is negative or a word is unknown. The sizes meet the plant's in the
+        estimator.
+
+    Examples
+    --------
+    >>> from sampling_design import KalmanFilter, Plant
+    >>> cost = CostFunction(P2=[[1.0]], Qw=[[1e9]], R=[[2.0]], Qv=[[2.0]])
+    >>> KalmanFilter(Plant([[0.0]], [[1.0]]), cost=cost).update(1.0, [3.0]).x.round(6)
+    array([1.5])
+    """
+
+    P2: npt.ArrayLike | None = None
+    Qw: npt.ArrayLike | None = None
+    R: npt.ArrayLike | None = None
+    Qv: npt.ArrayLike | None = None
+    eta: float | None = None
+    form: Form | None = None
+    arrival: Arrival = "fixed"
+
+    _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=)."
+
+    def __post_init__(self) -> None:
+        for key in MATRICES:
+            value = getattr(self, key)
+            if value is not None:
+                array = _checks.matrix(key, value)
+                object.__setattr__(self, key, _checks.matrix(key, value, len(array), len(array)))
+        if self.eta is not None:
+            object.__setattr__(self, "eta", _checks.nonnegative("eta", self.eta))
+        for key, value, known in (("form", self.form, Form), ("arrival", self.arrival, Arrival)):
+            if not (value in get_args(known) or (key == "form" and value is None)):
+                words = " or ".join(f'"{word}"' for word in get_args(known))
+                raise ArgumentError(f"`{key}` must be {words}, got {value!r}.")
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names of the weights and the rate that are given here."""
+        return tuple(key for key in (*MATRICES, "eta") if getattr(self, key) is not None)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [(key, short(getattr(self, key), 4)) for key in self.given]
+        rows += [] if self.form is None else [("form", self.form)]
+        return [*rows, ("arrival", self.arrival)]
+
+    def explain(self) -> str:
+        """Say what is given and what is taken from elsewhere."""
+        given = f"{', '.join(self.given)} given" if self.given else "No weight given"
+        weighs = "P2" if self.arrival == "fixed" else "what is known of it"
+        return f"{given}, the rest from the certificate or the scales; the window's first error weighs {weighs}."

@@ -28,14 +28,14 @@ PLANTS = {
     "fast": Plant([[-50.0, 3.0], [0.0, -0.1]], [[1.0, 1.0]]),
 }
 MAKERS = {
-    "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=5.0, **o),
-    "carried": lambda plant, **o: MovingHorizonEstimator(
-        plant, horizon=5.0, cost=CostFunction(arrival="filtered"), **o
+    "mhe": lambda plant, weights, **o: MovingHorizonEstimator(plant, horizon=5.0, cost=CostFunction(**weights), **o),
+    "carried": lambda plant, weights, **o: MovingHorizonEstimator(
+        plant, horizon=5.0, cost=CostFunction(arrival="filtered", **weights), **o
     ),
-    "boxes": lambda plant, **o: MovingHorizonEstimator(
-        plant, horizon=5.0, constraints=Constraints(x=(-1e3, 1e3), v=(-9, 9)), **o
+    "boxes": lambda plant, weights, **o: MovingHorizonEstimator(
+        plant, horizon=5.0, cost=CostFunction(**weights), constraints=Constraints(x=(-1e3, 1e3), v=(-9, 9)), **o
     ),
-    "filter": KalmanFilter,
+    "filter": lambda plant, weights, **o: KalmanFilter(plant, cost=CostFunction(**weights), **o),
 }
 
 
@@ -85,7 +85,7 @@ def test_whatever_the_data_and_however_far_ahead(name, maker):
     for seed in range(25):
         rng = np.random.default_rng(seed)
         bounds = {} if seed % 5 == 0 else {"w_bound": 0.1, "v_bound": 0.5, "initial_error": 2.0}
-        estimator = MAKERS[maker](plant, eta=rng.choice([0.0, 0.3, 3.0]), **bounds)
+        estimator = MAKERS[maker](plant, {"eta": rng.choice([0.0, 0.3, 3.0])}, **bounds)
         t = 0.0
         for _ in range(6):
             t += float(10.0 ** rng.uniform(-3, 0.5 if rng.random() < 0.8 else 5))
@@ -131,9 +131,9 @@ def outlier(estimator, plant, rng, at=7, output=1, size=9.0):
 @pytest.mark.parametrize("maker", MAKERS)
 def test_an_outlier_is_named_and_a_reset_forgets_it(maker, tmp_path):
     plant, rng = PLANTS["oscillator"], np.random.default_rng(3)
-    bounds = {"w_bound": 0.1, "v_bound": [0.1, 0.1], "initial_error": 0.5, "eta": 0.3}
+    bounds = {"w_bound": 0.1, "v_bound": [0.1, 0.1], "initial_error": 0.5}
     weights = {"P2": 4 * np.eye(2), "Qw": 100 * np.eye(2), "R": 200 * np.eye(2), "Qv": 200 * np.eye(2)}
-    estimator = MAKERS[maker](plant, **bounds, **weights)
+    estimator = MAKERS[maker](plant, {"eta": 0.3, **weights}, **bounds)
     found = outlier(estimator, plant, rng)
     assert [e.certified for e in found] == [True] * 6 + [False] * 6
     contradiction = found[6].contradiction

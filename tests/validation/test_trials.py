@@ -12,7 +12,7 @@ from sampling_design.validation.trials import driven, extent, real_run, true_run
 from tests.oracles.validation import integrate
 
 UNSTABLE = Plant([[0.0, 1.0], [2.0, 0.5]], [[1.0, 0.0]], B=[[0.0], [1.0]], D=[[1.0]])
-WEIGHTS = {"horizon": 2.0, "eta": 0.5, "w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+OPTIONS = {"horizon": 2.0, "cost": CostFunction(eta=0.5), "w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
 
 
 def line_of(plant, duration, first):
@@ -31,7 +31,7 @@ def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     head = 30
     states = integrate(UNSTABLE.A, both, -inputs.e0[0], line.times[: head + 1], forces[:head])
     assert truth.states[: head + 1] == pytest.approx(states, abs=1e-8)
-    mhe = MovingHorizonEstimator(driven(UNSTABLE), cost=CostFunction(**WEIGHTS))
+    mhe = MovingHorizonEstimator(driven(UNSTABLE), **OPTIONS)
     found = build_error_map(line, mhe, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0))
     run = real_run(line, found.rows, truth, mhe)
     assert run.errors(found.rows) == pytest.approx(found.apply(inputs).e[0], abs=1e-10)

@@ -49,7 +49,7 @@ _FRONT_DOOR = {
     "estimators.kalman": ("KalmanFilter",),
     "estimators.set_membership": ("SetMembershipEstimator",),
     "estimators.constraints.constraints": ("Constraints",),
-    "estimators.cost_function": ("CostFunction",),
+    "estimators.gap_flows.cost_function": ("CostFunction",),
     "estimators.constraints.convex_set": ("ConvexSet",),
     "estimators.baselines": ("standard_mhe", "periodic_at_equal_cost"),
     "estimators.records.measurements": ("Measurements", "read_measurements", "write_measurements"),

@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

@@ -13,7 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim

@@ -17,7 +17,7 @@ from sampling_design._files import from_json, read_text, write_text
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid as model
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import Collocation

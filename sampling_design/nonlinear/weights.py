@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]

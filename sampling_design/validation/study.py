@@ -14,7 +14,7 @@ from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant

@@ -13,7 +13,7 @@ from sampling_design import (
     standard_mhe,
 )
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import Estimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

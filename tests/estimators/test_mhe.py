@@ -13,7 +13,7 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.schedules.gap_range import GapRange

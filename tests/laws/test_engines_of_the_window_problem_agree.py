@@ -14,7 +14,7 @@ from sampling_design.estimators.constraints.least_distance import active_set, co
 from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.window.smoother import solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, KalmanFilter, Plant
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
 PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.1], [0.0]])

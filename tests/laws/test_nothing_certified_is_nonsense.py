@@ -19,7 +19,7 @@ from sampling_design import (
 )
 from sampling_design._files import to_json
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 
 PLANTS = {
     "integrator": Plant([[0.0]], [[1.0]]),

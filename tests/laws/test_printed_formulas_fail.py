@@ -12,7 +12,7 @@ from sampling_design import (
     detectability_from_proof,
 )
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SLOW = Plant([[-0.01]], [[1.0]])

@@ -24,7 +24,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from tests.rescale import Units
 
 GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(6)

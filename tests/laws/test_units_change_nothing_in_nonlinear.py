@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability

@@ -18,7 +18,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, -0.4]])

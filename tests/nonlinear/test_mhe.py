@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import Plant, read_measurements, write_estimates
 from sampling_design.errors import ArgumentError, MissingExtraError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.collocation import Collocation

@@ -8,7 +8,7 @@ import pytest
 from sampling_design import ArgumentError, GapRange, PeriodicSchedule, Plant, Schedule, certify, validate
 from sampling_design._files import to_json
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.validation import monte_carlo
 from sampling_design.validation.error_map import Inputs
 from sampling_design.validation.report import Finding, ValidationReport

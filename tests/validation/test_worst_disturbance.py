@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import MovingHorizonEstimator
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.validation.error_map import Inputs, build_error_map
 from sampling_design.validation.promise import promise_of
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs

@@ -19,7 +19,7 @@ from sampling_design import _checks
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.plants.plant import Plant, first_difference
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,6 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import SampleSequence, looks_back, planned, proven_ratio, worst_ratio
@@ -157,15 +156,11 @@ class _Dating:
         self.plan, self.calendar, self.prove = plan, plan.requirement.calendar, prove
         self.end = periods * plan.schedule.period
         self.unit = SECONDS[plan.plant.time_unit] / 60
-        self._oracle: Oracle | None = None
 
     @property
     def oracle(self) -> Oracle:
         """Judges in floats; made when there is something to judge."""
-        if self._oracle is None:
-            self._oracle = Oracle(self.plan.problem, motion_of(self.plan.problem))
-            self._oracle.judge(self.plan.chosen)
-        return self._oracle
+        return self.plan.oracle
 
     def dates(self) -> PlanDates:
         """Everything in order."""

@@ -13,8 +13,6 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.motion import motion_of
-from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import (
     SampleSequence,
@@ -236,12 +234,17 @@ class _Choice:
     def __init__(self, plan: Plan, history: tuple[Array, Mask, int], now: float):
         self.plan, self.now = plan, now
         self.times, self.seen, self.same = history
-        self.oracle = Oracle(plan.problem, motion_of(plan.problem))
-        self.oracle.judge(plan.chosen)
+        self.oracle = plan.oracle
         self._known: dict[tuple[int, bytes], float] = {}
+        self._options: dict[int | None, list[tuple[float, Mask]]] = {}
 
     def options(self, sensor: int | None) -> list[tuple[float, Mask]]:
-        """Allowed times of the raster after now, over a period, each with one sensor or all that are allowed."""
+        """Allowed times of the raster after now, over a period, each with one sensor or those that the plan reads."""
+        if sensor not in self._options:
+            self._options[sensor] = self._listed(sensor)
+        return self._options[sensor]
+
+    def _listed(self, sensor: int | None) -> list[tuple[float, Mask]]:
         problem, step = self.plan.problem, self.plan.problem.step
         first = int(np.floor(self.now / step + 1e-6)) + 1
         found = []

@@ -113,7 +113,7 @@ class OpeningCalendar(Record):
 
     def open_hours(self) -> WeekHours:
         """Hours by weekday."""
-        return ALWAYS if self.hours is None else week_hours("hours", self.hours)
+        return ALWAYS if self.hours is None else self.hours  # type: ignore[return-value]
 
     def local(self, clock: float) -> datetime:
         """Local clock time (naive) so many minutes of clock after the start; each day has 1440 of them."""

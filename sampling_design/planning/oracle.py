@@ -21,6 +21,9 @@ LOOKS = 4
 
 MOST_KNOTS = 400
 
+FARTHEST = 200
+"""Periods beyond which the past is not followed."""
+
 SCALED = 1 + 1e-9
 """An attack is divided by the largest ratio of its w to the bound times this."""
 
@@ -33,6 +36,7 @@ class Oracle:
         self.back = 0
         self.solves = 0
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, motion.n))
+        self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
         """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`."""
@@ -89,31 +93,33 @@ class Oracle:
             before, back = now, 2 * back
         self.back = back
 
-    def _ahead(self, offset: int, g: int) -> Array:
-        """The goal's row, so many steps after a sample, as a row there."""
-        ahead = self.rows[g]
-        for _ in range(offset):
-            ahead = ahead @ self.motion.F
-        return np.asarray(ahead)
+    def farther(self) -> bool:
+        """Look twice as far back, unless that is as far as can be."""
+        if self.back >= FARTHEST * self.problem.steps:
+            return False
+        self.back *= 2
+        return True
+
+    def _opened(self, offset: int, g: int) -> tuple[Array, float]:
+        """The goal's row, so many steps after a sample, as a row there, and what the disturbance adds since."""
+        known = self._open[g]
+        while len(known) <= offset:
+            row, total = known[-1]
+            push = row @ self.motion.Gamma
+            size = float(np.linalg.norm(push) if self.motion.ball else np.abs(push).sum())
+            known.append((row @ self.motion.F, total + size))
+        return known[offset]
 
     def reach(self, window: RasterWindow, offset: int, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
         self.solves += 1
-        value = window.reach(self._ahead(offset, g)) + self._push(offset, g)
+        row, added = self._opened(offset, g)
+        value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
-
-    def _push(self, offset: int, g: int) -> float:
-        """What the disturbance adds after the last sample."""
-        total, row = 0.0, self.rows[g]
-        for _ in range(offset):
-            push = row @ self.motion.Gamma
-            total += float(np.linalg.norm(push) if self.motion.ball else np.abs(push).sum())
-            row = row @ self.motion.F
-        return total
 
     def _attack(self, window: RasterWindow, last: int, offset: int, g: int) -> HiddenMotion | None:
         """The strongest attack against a goal, so many steps after the last sample of a window."""
-        flight = window.strongest(self._ahead(offset, g))
+        flight = window.strongest(self._opened(offset, g)[0])
         if flight is None:
             return None
         flight = opened(self.motion, flight, self.rows[g], offset)

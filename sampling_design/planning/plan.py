@@ -13,7 +13,6 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design.errors import InfeasibleRequirementError
-from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
@@ -32,6 +31,9 @@ Progress = Callable[[float, str], None]
 
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
+
+BLIND = 0.03
+"""A choice proven this much worse than it was judged has a longer past than the search looks at."""
 
 MARGINS = (MARGIN, 0.015, 0.04)
 
@@ -119,22 +121,29 @@ class _Planning:
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance."""
         search, best, chosen = self.search, None, None
-        everything = self._densest()
-        worst, attacks = self.oracle.judge(everything)
+        worst, attacks = self.oracle.judge(self.problem.allowed)
         search.add(attacks, 1.0)
         if worst > 1:
-            self._refuse(worst, attacks)
+            self._refuse(worst)
+        everything = self._densest()
+        search.add(self.oracle.judge(everything)[1], 1.0)
         search.seed(1.0)
         for margin in MARGINS:
-            search.found.chosen, search.found.complete = None, False
-            search.cheapest(1 - margin, ROUNDS)
-            chosen = everything if search.found.chosen is None else search.found.chosen
-            best = self._ratios(chosen)
-            if best[1].max(initial=0.0) <= 1 or search.late:
+            again = True
+            while again:
+                search.found.chosen, search.found.complete = None, False
+                search.cheapest(1 - margin, ROUNDS)
+                chosen = everything if search.found.chosen is None else search.found.chosen
+                best = self._ratios(chosen)
+                high = float(best[1].max(initial=0.0))
+                again = high > 1 and not search.late and self._farther(chosen, high)
+            if high <= 1 or search.late:
                 break
         assert best is not None
         assert chosen is not None
         proof, ratios = best
+        if search.found.chosen is None and float(ratios.max(initial=0.0)) > 1:
+            return self._nearest(chosen, proof, ratios)
         cost = self.problem.cost(chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost)
@@ -146,6 +155,39 @@ class _Planning:
         known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
         ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys)
         return self._record(chosen, proof, gathered(search.pool, ratio, least))
+
+    def _farther(self, chosen: Mask, proven: float) -> bool:
+        """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
+        judged, attacks = self.oracle.judge(chosen)
+        if judged * (1 + BLIND) >= proven:
+            return False
+        before = judged
+        while judged * (1 + BLIND) < proven and self.oracle.farther():
+            judged, attacks = self.oracle.judge(chosen)
+        self.search.add(attacks, 0.0)
+        return judged > before * (1 + BLIND)
+
+    def _nearest(self, chosen: Mask, proof: Accuracy, ratios: Array) -> Plan:
+        """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
+
+        Raises
+        ------
+        InfeasibleRequirementError
+            If that is above 1: it is what can be kept.
+        """
+        rival = self._better(chosen, float(ratios.max(initial=0.0)), self.problem.cost(chosen))
+        if rival.found.chosen is not None:
+            proof, ratios = self._ratios(rival.found.chosen)
+            chosen = rival.found.chosen
+        high = float(ratios.max(initial=0.0))
+        if high > 1:
+            raise InfeasibleRequirementError(
+                f"No plan with these spacings and uses was found that keeps the tolerances: {high:.4g} times as large "
+                "ones can be kept.",
+                "spacing",
+                {g.name: g.tolerance * high * (1 + 4 * MARGIN) for g in self.problem.goals},
+            )
+        return self._record(chosen, proof, PlanBound((), None, None))
 
     def _better(self, chosen: Mask, worst: float, cost: float) -> PlanSearch:
         """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
@@ -169,6 +211,10 @@ class _Planning:
         search.improve(ROUNDS)
         assert search.found.chosen is not None
         proof, ratios = self._ratios(search.found.chosen)
+        while self._farther(search.found.chosen, float(ratios.max(initial=0.0))) and not search.late:
+            search.keep(search.found.chosen, self.oracle.judge(search.found.chosen)[0])
+            search.improve(ROUNDS)
+            proof, ratios = self._ratios(search.found.chosen)
         limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
         ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys)
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
@@ -226,7 +272,7 @@ class _Planning:
                 chosen[i, j] = False
         return done
 
-    def _refuse(self, worst: float, attacks: list[HiddenMotion]) -> None:
+    def _refuse(self, worst: float) -> None:
         goal = max(self.problem.goals, key=lambda g: g.tolerance)
         raise InfeasibleRequirementError(
             f"Not even measuring at every allowed time keeps the tolerances: {worst:.4g} times as large ones could be "

@@ -13,6 +13,7 @@ from sampling_design._units import SECONDS
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
@@ -70,6 +71,13 @@ class Plan(Record):
     def chosen(self) -> Mask:
         """What is measured at each step of the raster (M, p)."""
         return self.problem.chosen(self.schedule)
+
+    @cached_property
+    def oracle(self) -> Oracle:
+        """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
+        oracle = Oracle(self.problem, motion_of(self.problem))
+        oracle.judge(self.chosen)
+        return oracle
 
     @property
     def samples(self) -> int:

@@ -16,6 +16,8 @@ from sampling_design.errors import NotDetectableError
 from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.oracle import LOOKS, Oracle
 from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.problem import Goal
+from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.search import ChainSearch, RowSearch
@@ -131,7 +133,7 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     opened = [(goal, search.opened(goal.row)) for goal in problem.goals]
     for k in range(max(sequence.first - 1, 0), last):
         for goal, row in opened:
-            worst = max(worst, _gap_bound(search, row, k, goal.tolerance, goal.at) / goal.tolerance)
+            worst = max(worst, _gap_bound(search, row, k, goal, _asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:
             return worst
     # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
@@ -143,11 +145,27 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     return max(worst, plan.ratio * wider)
 
 
-def _gap_bound(search: ChainSearch, found: RowSearch, k: int, enough: float, at: str) -> float:
+def _asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
+    """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
+    if goal.at != "given times":
+        return []
+    problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
+    late = sequence.shift if k >= sequence.first else 0.0
+    phases = np.round(goal.steps) * problem.step + late
+    laps = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
+    offsets = np.sort((laps[:, None] + phases[None, :]).ravel()) - start
+    tiny = 1e-9 * problem.period
+    inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
+    return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
+
+
+def _gap_bound(search: ChainSearch, found: RowSearch, k: int, goal: Goal, asked: list[float]) -> float:
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
-    opened = found.opened[k]
-    if at == "after each sample":
+    opened, enough = found.opened[k], goal.tolerance
+    if goal.at == "after each sample":
         return search.gains(k, opened.mu[0]).value
+    if goal.at == "given times":
+        return max((at_offset(search, found.row, k, d) for d in asked), default=0.0)
     solved: set[int] = set()
     for _ in range(SHARPER):
         nodes, panels = opened.bound(search.atoms[k])
@@ -161,6 +179,14 @@ def _gap_bound(search: ChainSearch, found: RowSearch, k: int, enough: float, at:
         solved.add(fresh[0])
         search.gains(k, opened.mu[fresh[0]])
     return top
+
+
+def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
+    """A bound on one row (n,) so long after a sample, by gains."""
+    if d <= 0:
+        return search.gains(k, search.chain.mu(k, row[None])[:, 0]).value
+    opened = open_row(search.chain, k, row, d)
+    return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
 
 
 def _beyond(search: ChainSearch, k: int, units: Array, reach: Array) -> float:

@@ -54,6 +54,17 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
     assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
 
 
+def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
+    spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "raster": 0.8})
+    with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
+        sd.plan(OSCILLATOR, spaced, search_seconds=2.0)
+    near = refused.value.nearest["position"]
+    # what it names can be kept; one look, almost once in a swing, only seems to keep it to who looks back a little
+    found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}))
+    assert found.keeps
+    assert found.samples == 2
+
+
 def test_what_nobody_can_afford_is_refused():
     dear = {**GIVEN, "sensors": {"y": {"noise_bound": 0.2, "price": 5.0}}}
     with pytest.raises(InfeasibleRequirementError, match="No measurement is admissible within"):

@@ -1,0 +1,119 @@
+"""Slow, plain references for plans: what a schedule leaves unknown, as one linear program of scipy, or one recursion.
+
+Nothing here knows the code it judges. Bounds are boxes: |w_k(t)| <= w_k, |v_j| <= v_j; a sample is a time and the
+outputs that are read then.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linprog
+from scipy.sparse import coo_array
+
+
+def _step(A, G, h):
+    """e^{Ah} and the integral of e^{As} G over [0, h]."""
+    n, q = G.shape
+    block = np.zeros((n + q, n + q))
+    block[:n, :n], block[:n, n:] = A, G
+    joint = expm(block * h)
+    return joint[:n, :n], joint[:n, n:]
+
+
+def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
+    """Largest c'x(end) of a motion that no sample (times, seen) up to `end` shows; (value, nodes, x there, w of cells).
+
+    w is constant on `cells` equal parts of each gap. At the first time x is 0 (`rest`), a bound from below on what
+    anybody can guarantee on an endless schedule; or free, where many samples back it is one from above but for w.
+    """
+    A, C, G, c = (np.asarray(m, float) for m in (A, C, G, c))
+    times, seen = np.asarray(times, float), np.asarray(seen, bool)
+    keep = times <= end + 1e-12 * max(1.0, abs(end))
+    times, seen = times[keep], seen[keep]
+    nodes = times if times[-1] >= end - 1e-12 * max(1.0, abs(end)) else np.append(times, end)
+    n, q = G.shape
+    K = len(nodes)
+    # unknowns: the state at each node in units of what w does in a gap, then w of each cell in units of its bound
+    spread = np.array([np.abs(_step(A, G * w, h)[1]).sum(axis=1) for h in np.diff(nodes)])
+    unit = np.maximum(spread.max(axis=0), 1e-9 * spread.max())
+    rows, cols, values, right, at = [], [], [], [], 0
+
+    def put(block, row, column):
+        i, j = np.nonzero(block)
+        rows.extend((i + row).tolist())
+        cols.extend((j + column).tolist())
+        values.extend(block[i, j].tolist())
+
+    for k, h in enumerate(np.diff(nodes)):
+        put(-np.eye(n), at, (k + 1) * n)
+        put(expm(A * h) * unit / unit[:, None], at, k * n)
+        part = _step(A, G * w, h / cells)[1]
+        for m in range(cells):
+            later = expm(A * h * (cells - 1 - m) / cells)
+            put(later @ part / unit[:, None], at, K * n + (k * cells + m) * q)
+        at += n
+    equal = coo_array((values, (rows, cols)), shape=(at, K * n + (K - 1) * cells * q))
+    rows, cols, values, at = [], [], [], 0
+    for k in range(len(times)):
+        for j in np.flatnonzero(seen[k]):
+            put(np.vstack([C[j] * unit, -C[j] * unit]) / v[j], at, k * n)
+            right += [1.0, 1.0]
+            at += 2
+    below = coo_array((values, (rows, cols)), shape=(at, equal.shape[1]))
+    cost = np.zeros(equal.shape[1])
+    size = np.abs(c * unit).max()
+    cost[(K - 1) * n : K * n] = -c * unit / size
+    free = (None, None)
+    bounds = [(0.0, 0.0) if rest and i < n else free for i in range(K * n)] + [(-1.0, 1.0)] * ((K - 1) * cells * q)
+    found = linprog(cost, below, right, equal, np.zeros(equal.shape[0]), bounds, method="highs")
+    assert found.status == 0, found.message
+    states = found.x[: K * n].reshape(K, n) * unit
+    return -found.fun * size, nodes, states, found.x[K * n :].reshape(-1, cells, q) * w
+
+
+def flown(A, G, nodes, u):
+    """States at the nodes when the w of `hidden` is flown from rest: no solver had a hand in them."""
+    A, G = np.asarray(A, float), np.asarray(G, float)
+    x, found = np.zeros(len(A)), [np.zeros(len(A))]
+    for h, parts in zip(np.diff(nodes), u, strict=True):
+        F, Gamma = _step(A, G, h / len(parts))
+        for one in parts:
+            x = F @ x + Gamma @ one
+        found.append(x)
+    return np.array(found)
+
+
+def deviation(A, C, G, times, seen, period, c, at, W, v, laps=400):
+    """Standard deviation of c'x at times `at` of a periodic schedule, by the plain filter run for many periods.
+
+    Each of `at` lies in [0, period); a sample at the very time counts.
+    """
+    A, C, G, c = (np.asarray(m, float) for m in (A, C, G, c))
+    n, W = len(A), np.diag(np.broadcast_to(W, G.shape[1]))
+
+    def flow(h):
+        block = np.zeros((2 * n, 2 * n))
+        block[:n, :n], block[:n, n:], block[n:, n:] = -A, G @ W @ G.T, A.T
+        joint = expm(block * h)
+        F = joint[n:, n:].T
+        return F, F @ joint[:n, n:]
+
+    marks = sorted({*np.asarray(times, float).tolist(), *np.asarray(at, float).tolist(), period})
+    flows = [flow(h) for h in np.diff([0.0, *marks])]
+    P, last = np.eye(n) * 1e6, None
+    for _ in range(laps):
+        found = {}
+        for t, (F, Q) in zip(marks, flows, strict=True):
+            P = F @ P @ F.T + Q
+            for k in np.flatnonzero(np.isclose(times, t)):
+                for j in np.flatnonzero(seen[k]):
+                    gain = P @ C[j] / (C[j] @ P @ C[j] + v[j] ** 2)
+                    P = P - np.outer(gain, C[j] @ P)
+                P = (P + P.T) / 2
+            found[t] = float(np.sqrt(c @ P @ c))
+        now = np.array([found[t] for t in np.asarray(at, float).tolist()])
+        if last is not None and np.allclose(now, last, rtol=1e-10):
+            break
+        last = now
+    return now

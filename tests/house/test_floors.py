@@ -1,6 +1,7 @@
 """Imports go down only: never up a floor, never sideways between rooms of one floor."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -47,18 +48,21 @@ def room_of(module: str) -> str:
     return parts[1] if len(parts) > 1 else ""
 
 
-def imports(path: Path):
+@cache
+def imports(path: Path) -> list[str]:
+    found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             if path.parent.name == "checkers" and node.level == 1:
                 continue  # a folder that is copied out of the house names only itself
             assert node.level == 0, f"{path}: relative imports hide the floor"
             if node.module == "sampling_design":
-                yield from (f"sampling_design.{alias.name}" for alias in node.names)
+                found += [f"sampling_design.{alias.name}" for alias in node.names]
             else:
-                yield node.module or ""
+                found.append(node.module or "")
+    return found
 
 
 def sources():

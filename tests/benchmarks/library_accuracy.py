@@ -1,0 +1,56 @@
+"""Accuracy of every state of every library plant to one per cent: `python -m tests.benchmarks.library_accuracy NAME`.
+
+Each plant has the period and the number of samples of its example requirement, evenly spaced; the tidal gauge's thirty
+readings go round the daylight, since one a day at one clock time would alias. w is bounded by the plant's own scales of
+its disturbances, the noise by a twentieth of each output's scale. Process time.
+"""
+
+import sys
+import time
+
+import numpy as np
+
+from sampling_design import PeriodicSchedule, accuracy, library
+
+SCHEDULES = {
+    "double_integrator": (4, 10.0),
+    "triple_integrator": (6, 10.0),
+    "oscillator": (4, 2 * np.pi),
+    "satellite": (12, 5554.0),
+    "cart_pendulum": (5, 0.5),
+    "three_compartment": (4, 240.0),
+    "helicopter_he1": (5, 5.0),
+}
+NOISE = 0.05
+
+
+def schedule_of(name):
+    """The period and number of samples of the example requirement, evenly spaced."""
+    if name == "tidal_gauge":
+        hours = 24 * np.arange(30.0) + 7 + 12 * (np.arange(30) * (np.sqrt(5) - 1) / 2 % 1)
+        return PeriodicSchedule.from_times(hours, 720.0)
+    count, period = SCHEDULES[name]
+    return PeriodicSchedule(np.full(count, period / count))
+
+
+def measured(name, rtol=0.01):
+    """Accuracy of all states and the process time that it took."""
+    plant = getattr(library, name)()
+    before = time.process_time()
+    found = accuracy(
+        plant,
+        schedule_of(name),
+        w_bound=plant.disturbances.scales,
+        v_bound=NOISE * plant.outputs.scales,
+        rtol=rtol,
+    )
+    return found, time.process_time() - before
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or [*SCHEDULES, "tidal_gauge"]:
+        found, taken = measured(name)
+        loose = float(np.max(found.upper / found.lower)) - 1
+        print(f"{name}: {len(found.upper)} rows, widest bracket {100 * loose:.2f} %, {taken:.1f} s", flush=True)
+        for row, low, high in zip(found.rows.names, found.lower, found.upper, strict=True):
+            print(f"    {row:24s} {low:.5g} to {high:.5g}", flush=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import lapack
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -18,16 +20,17 @@ from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import GapFlow
+from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.estimator import Contradiction, Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import CONTRADICTION, OpenLoopEstimator, Verdict
+from sampling_design.estimators.online.open_loop import CONTRADICTION, OpenLoopEstimator, Verdict, rounding
+from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.square_root import covariance_root
-from sampling_design.estimators.window.window_problem import Window, build_window
+from sampling_design.estimators.window.window_problem import Window, build_window, information_root
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import StartError
 
@@ -51,6 +54,10 @@ class Start(NamedTuple):
     energy: float
     root: Array | None
     inside: tuple[Node, ...]
+
+
+Solved = tuple[Array, Array, Verdict, dict[str, Any]]
+"""State and covariance at a sample, what they are worth, and what else the estimate says."""
 
 
 class MovingHorizonEstimator(OpenLoopEstimator):
@@ -155,6 +162,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self.check_spacing = given.check_spacing
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._bound_by_sets(w_bound, v_bound, initial_error)
+        self._histories = Histories(self.weights, self._sample_energy)
+        self._fixed_prior: Array = lower_band(self.weights.prior[None])[0]
         self.state = self.initial_state(prior, prior_time)
 
     def _bound_by_sets(
@@ -194,32 +203,10 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self._prepare(state, sample.t)
         y, mask, feedthrough = self._measured(state, sample)
         start = self._start(state, sample.t)
-        window = self._window(state, start, sample.t, (y, mask, feedthrough))
         flow, drift = self._last_gap(state, sample.t)
         scheduled = self._fits_schedule(state, sample.t, mask)
-        terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
-        details: dict[str, Any] = {"window_start": start.s}
-        last = state.last
-        if self._too_large(window.weighted(window.residual)):
-            terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
-            found, words = self._overflowed(state, sample, window.residual[-1], terms)
-            details |= words
-        else:
-            terms += self._rounded(window.y, window.reference)
-            solution = self._solve(window)
-            details |= {"engine": solution.engine, "note": solution.note}
-            found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
-            x, Y = solution.nodes[-1].copy(), solution.covariance
-            if found.status == "ok":
-                terms += self._heard(window, solution)
-                found, details["cost"] = self._judged(terms, solution.dual, last), solution.cost
-                if found.status == "bounds disproved" and last.sound:
-                    numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
-                    found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
-        if "cost" not in details:
-            self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
-            x, Y, beta = self._ahead(last, flow, drift)
-            found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
+        held = (y, mask, feedthrough), (flow, drift)
+        x, Y, found, details = self._slid(state, start, sample.t, *held) or self._solved(state, start, sample, *held)
         x.flags.writeable = Y.flags.writeable = False
         estimate = self._estimate(
             sample.t,
@@ -246,8 +233,97 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             sound=found.sound,
             estimate=estimate,
             sample=sample,
-            number=last.number + 1,
+            number=state.last.number + 1,
         )
+
+    def _slid(
+        self,
+        state: State,
+        start: Start,
+        t: float,
+        measured: tuple[Array, Array, Array],
+        last_gap: tuple[GapFlow, Array],
+    ) -> Solved | None:
+        """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
+        if self.constraints.active or t <= start.s:
+            return None
+        opening = None
+        nodes, first = state.nodes, len(state.nodes) - len(start.inside)
+        while first < len(nodes) and nodes[first].t <= start.s:
+            opening, first = nodes[first], first + 1
+        band = self._prior_band(start)
+        with np.errstate(over="ignore", invalid="ignore"):
+            held = None if band is None else self._histories.of(nodes, first)
+        if band is None or held is None:
+            return None
+        sliding, at = held
+        (flow, drift), last, s = last_gap, state.last, start.s
+        reference = last.x if first < len(nodes) else start.x
+        if first == len(nodes):
+            gap = self._between(state, s, t)
+            flow, drift = gap
+        else:
+            node = nodes[first]
+            own = first > 0 and nodes[first - 1].t == s
+            gap = self._between(state, s, node.t) if not own or node.flow is None else (node.flow, node.drift)
+        new = Arriving(t, flow.F @ reference + drift, *measured, flow)
+        sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
+        with np.errstate(over="ignore", invalid="ignore"):
+            optimum = sliding.solve(at, Opening(s, start.x, band, sample), gap, new)
+        if optimum is None:
+            return None
+        terms = math.exp(self.weights.eta * (s - t)) * start.energy + self._lost(t - s)
+        terms += rounding(optimum.read, optimum.held) + optimum.energy
+        found = self._judged(terms, optimum.dual, last)
+        if found.status == "bounds disproved" and last.sound:
+            return None
+        details = {"window_start": s, "engine": "banded", "note": "", "cost": optimum.cost}
+        return optimum.x, optimum.Y, found, details
+
+    def _between(self, state: State, a: float, b: float) -> tuple[GapFlow, Array]:
+        return self.table.get([b - a])[0], self._drift.between(state, a, b)
+
+    def _prior_band(self, start: Start) -> Array | None:
+        """Return the lower band of the prior's information; None where it is not to be had from a covariance."""
+        if start.root is None:
+            return self._fixed_prior
+        half = information_root(start.root)
+        return None if half is None else np.asarray(lower_band((half.T @ half)[None])[0])
+
+    def _solved(
+        self,
+        state: State,
+        start: Start,
+        sample: Taken,
+        measured: tuple[Array, Array, Array],
+        last_gap: tuple[GapFlow, Array],
+    ) -> Solved:
+        """Return what the window says, put together and solved as a whole."""
+        window, (flow, drift) = self._window(state, start, sample.t, measured), last_gap
+        terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
+        details: dict[str, Any] = {"window_start": start.s}
+        last = state.last
+        if self._too_large(window.weighted(window.residual)):
+            terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
+            found, words = self._overflowed(state, sample, window.residual[-1], terms)
+            details |= words
+        else:
+            terms += self._rounded(window.y, window.reference)
+            solution = self._solve(window)
+            details |= {"engine": solution.engine, "note": solution.note}
+            found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
+            x, Y = solution.nodes[-1].copy(), solution.covariance
+            if found.status == "ok":
+                terms += self._heard(window, solution)
+                found, details["cost"] = self._judged(terms, solution.dual, last), solution.cost
+                if found.status == "bounds disproved" and last.sound:
+                    numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
+                    found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
+        if "cost" not in details:
+            self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
+            x, Y, beta = self._ahead(last, flow, drift)
+            found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
+        return x, Y, found, details
 
     def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds."""
@@ -339,7 +415,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         if self.arrival_cost == "filtered":
             return Start(s, x, beta, covariance_root(Y), inside)
         factor = self.weights.prior_factor
-        worst = float(np.linalg.eigvalsh(factor.T @ Y @ factor)[-1])
+        worst = float(lapack.dsyev(factor.T @ Y @ factor, compute_v=0)[0][-1])
         return Start(s, x, worst * beta, None, inside)
 
     def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:

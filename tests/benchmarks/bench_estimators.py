@@ -14,6 +14,7 @@ from scipy.linalg import solveh_banded
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window
@@ -47,11 +48,10 @@ def warm(estimator, irregular=True, count=60):
 def last_window(options=None):
     """The window of the twentieth sample after a warm start, with its estimator."""
     mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
-    source, kept, solve = warm(mhe), [], mhe._solve
-    mhe._solve = lambda window: kept.append(window) or solve(window)
-    mhe.update(*next(source))
-    del mhe._solve
-    return mhe, kept[-1]
+    t, y, _ = next(warm(mhe))
+    state = mhe.state
+    measured = mhe._measured(state, Taken(t, y))
+    return mhe, mhe._window(state, mhe._start(state, t), t, measured)
 
 
 def fresh(window):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights
@@ -15,7 +16,7 @@ from sampling_design.estimators.gap_flows.cost_weights import Weights
 Array = npt.NDArray[np.float64]
 
 CONDITION_LIMIT = 1e6
-"""W_h is inverted only while its correlation matrix is better conditioned than this: six digits lost of sixteen."""
+"""W_h is inverted only while its correlation matrix's inverse has a trace below this: six digits lost of sixteen."""
 
 CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
@@ -26,7 +27,7 @@ LONGEST = 700.0
 
 
 class GapFlow:
-    """Transition over one gap h.
+    """Transition over one gap h; roots and information are found when they are first asked for.
 
     Attributes
     ----------
@@ -40,20 +41,79 @@ class GapFlow:
         Pseudo-inverse of the root: omega = whiten d is the least omega with root omega = d.
     integral, inputs : (n, n), (n, m)
         int_0^h e^{A s} ds, and that times B.
-    information : (3, n, n) or None
-        W^-1, W^-1 F, F'W^-1 F; None where W is singular or badly conditioned.
+    joint : (2n, 2n) or None
+        [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], what states at both ends of the gap cost together; None where W is
+        singular or badly conditioned.
+    band : (2, n, 2n)
+        Its lower triangle, column after column, from the diagonal down.
     """
 
-    __slots__ = ("F", "W", "gap", "growth", "information", "inputs", "integral", "root", "whiten")
+    __slots__ = ("F", "W", "_band", "_joint", "_roots", "gap", "growth", "inputs", "integral")
 
-    def __init__(self, gap: float, growth: float, matrices: tuple[Array, ...], information: Array | None):
-        self.gap, self.growth, self.information = gap, growth, information
-        self.F, self.W, self.root, self.whiten, self.integral, self.inputs = matrices
+    def __init__(
+        self,
+        gap: float,
+        growth: float,
+        F: Array,
+        W: Array,
+        integral: Array,
+        inputs: Array,
+        roots: tuple[Array, Array] | None = None,
+    ):
+        self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
+        self._roots = roots
+        self._band: Array | None = None
+        self._joint: Array | bool | None = None if roots is not None else False
+
+    @property
+    def root(self) -> Array:
+        """Return a root of W."""
+        return self._rooted()[0]
+
+    @property
+    def whiten(self) -> Array:
+        """Return its pseudo-inverse."""
+        return self._rooted()[1]
+
+    def _rooted(self) -> tuple[Array, Array]:
+        if self._roots is None:
+            self._roots = _root(self.W)
+        return self._roots
+
+    @property
+    def joint(self) -> Array | None:
+        """Return what states at both ends cost together."""
+        if isinstance(self._joint, bool):
+            self._joint = _joint(self.F, self.W)
+        return self._joint
+
+    @property
+    def band(self) -> Array:
+        """Return its lower triangle, where it is known."""
+        if self._band is None:
+            assert self.joint is not None
+            n = len(self.F)
+            blocks = np.zeros((2, 2 * n, n))
+            blocks[0], blocks[1, :n] = self.joint[:, :n], self.joint[n:, n:]
+            self._band = lower_band(blocks)
+        return self._band
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
         moved = self.growth * (self.F @ Y @ self.F.T) + self.W
         return (moved + moved.T) / 2
+
+
+def lower_band(blocks: Array) -> Array:
+    """Return (N, n, 2n) the lower bands of (N, m n, n) block columns, m <= 2, from the diagonal down; a copy.
+
+    Band row r of column i is row i + r of its block column: a view with strides of its own.
+    """
+    count, rows, n = blocks.shape
+    whole = np.zeros((count, 3 * n, n))
+    whole[:, :rows] = blocks
+    step = whole.itemsize
+    return np.ndarray((count, n, 2 * n), buffer=whole, strides=(whole.strides[0], (n + 1) * step, n * step)).copy()
 
 
 class FlowTable:
@@ -88,19 +148,22 @@ class FlowTable:
         weights = self.weights
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
             F, integral, W = self._flow.over(gaps)
+        inputs = integral @ weights.plant.B
+        roots: dict[float, tuple[Array, Array]] = {}
         if self.constant_w:
-            root = self._constant_root(integral, gaps)
-            W = root @ np.swapaxes(root, 1, 2)
-            size = np.sqrt(np.einsum("kii->ki", W))
-            unit = np.where(size > 0, size, 1.0)
-            whiten = np.linalg.pinv(root / unit[:, :, None]) / unit[:, None, :]
-            information: list[Array | None] = [None] * len(gaps)
-        else:
-            root, whiten, information = _finite_roots(F, W)
-        parts = zip(F, W, root, whiten, integral, integral @ weights.plant.B, strict=True)
-        for gap, matrices, info in zip(gaps, parts, information, strict=True):
+            roots = dict(zip(gaps, self._constant_roots(integral, gaps), strict=True))
+            W = np.array([root @ root.T for root, _ in roots.values()])
+        for k, gap in enumerate(gaps):
             growth = math.exp(weights.eta * gap) if weights.eta * gap < LONGEST else math.inf
-            self._table[gap] = GapFlow(gap, growth, matrices, info)
+            self._table[gap] = GapFlow(gap, growth, F[k], W[k], integral[k], inputs[k], roots.get(gap))
+
+    def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
+        """Roots and their pseudo-inverses."""
+        root = self._constant_root(integral, gaps)
+        size = np.linalg.norm(root, axis=2)
+        unit = np.where(size > 0, size, 1.0)
+        whiten = np.linalg.pinv(root / unit[:, :, None]) / unit[:, None, :]
+        return list(zip(root, whiten, strict=True))
 
     def _constant_root(self, integral: Array, gaps: list[float]) -> Array:
         """Root of the noise that is constant over each gap: cost |w|^2_Qw int_0^h e^{-eta s} ds = |omega|^2."""
@@ -117,36 +180,41 @@ def discounted_length(eta: float, h: npt.ArrayLike) -> Array:
     return gap if eta == 0 else -np.expm1(-eta * gap) / eta
 
 
-def _finite_roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:
-    """Return what `_roots` does; flows that overflow have no roots (NaN)."""
-    fine = np.isfinite(W).all(axis=(1, 2)) & np.isfinite(F).all(axis=(1, 2))
-    if fine.all():
-        return _roots(F, W)
-    root, whiten = np.full_like(W, np.nan), np.full_like(W, np.nan)
-    information: list[Array | None] = [None] * len(W)
-    if fine.any():
-        root[fine], whiten[fine], found = _roots(F[fine], W[fine])
-        for k, block in zip(np.flatnonzero(fine), found, strict=True):
-            information[int(k)] = block
-    return root, whiten, information
+def _units(W: Array) -> Array:
+    """Roots of the diagonal of W, 1 where it is 0: in these units W is a correlation matrix.
 
-
-def _roots(F: Array, W: Array) -> tuple[Array, Array, list[Array | None]]:
-    """Roots of W, their pseudo-inverses and, where it is well conditioned, the blocks W^-1, W^-1 F, F'W^-1 F.
-
-    Both go through the correlation matrix D^-1 W D^-1, D^2 = diag(W): units and the powers of h between
-    position and velocity drop out, so that what is called ill-conditioned is so in every unit.
+    Units and the powers of h between position and velocity drop out of what is then called ill-conditioned.
     """
-    size = np.sqrt(np.einsum("kii->ki", W))
-    unit = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(W / (unit[:, :, None] * unit[:, None, :]))
-    good = (values[:, 0] * CONDITION_LIMIT > values[:, -1]) & (size > 0).all(axis=1)
-    kept = values > W.shape[-1] * np.finfo(float).eps
+    size = np.sqrt(W.diagonal())
+    return np.where(size > 0, size, 1.0)
+
+
+def _root(W: Array) -> tuple[Array, Array]:
+    """Return a root of W and its pseudo-inverse; NaN where W overflowed."""
+    if not np.isfinite(W).all():
+        return np.full_like(W, np.nan), np.full_like(W, np.nan)
+    unit = _units(W)
+    values, vectors = np.linalg.eigh(W / unit[:, None] / unit)
+    kept = values > len(W) * np.finfo(float).eps
     scale = np.sqrt(np.where(kept, values, 1.0))
-    root = unit[:, :, None] * vectors * np.where(kept, scale, 0.0)[:, None, :]
-    half = vectors.transpose(0, 2, 1) * np.where(kept, 1 / scale, 0.0)[:, :, None] / unit[:, None, :]
-    both = np.concatenate([half, half @ F], axis=2)
-    squares = both.transpose(0, 2, 1) @ both
-    n = W.shape[-1]
-    blocks = np.stack([squares[:, :n, :n], squares[:, :n, n:], squares[:, n:, n:]], axis=1)
-    return root, half, [block if ok else None for block, ok in zip(blocks, good, strict=True)]
+    root = unit[:, None] * vectors * np.where(kept, scale, 0.0)
+    return root, vectors.T * np.where(kept, 1 / scale, 0.0)[:, None] / unit
+
+
+def _joint(F: Array, W: Array) -> Array | None:
+    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]]; None where that would lose six digits or more.
+
+    By Cholesky's factor of the correlation matrix; the trace of its inverse is its condition but for a factor of n^2.
+    """
+    size = np.sqrt(W.diagonal())
+    if not (size.all() and np.isfinite(W).all() and np.isfinite(F).all()):
+        return None
+    factor, flag = lapack.dpotrf(W / size[:, None] / size, lower=1, clean=1)
+    if flag:
+        return None
+    half = lapack.dtrtri(factor, lower=1)[0]
+    if np.vdot(half, half) > CONDITION_LIMIT:
+        return None
+    half = half / size
+    both = np.concatenate([-half @ F, half], axis=1)
+    return np.asarray(both.T @ both)

@@ -309,7 +309,7 @@ class OpenLoopEstimator(OnlineEstimator):
         """What the rounding of (N, p) measurements and of a state may cost."""
         # entry by entry: a large value in one unit says nothing about the rounding of another
         read, held = np.abs(self.weights.y_root) @ np.abs(y).T, np.abs(self.weights.prior_factor.T) @ np.abs(x).T
-        return (EXACT_DATA * (math.sqrt(np.vdot(read, read)) + math.sqrt(np.vdot(held, held)))) ** 2
+        return rounding(float(np.vdot(read, read)), float(np.vdot(held, held)))
 
     def _too_large(self, weighted: Array) -> bool:
         """Whether residuals, in units of their weights, are so large that their squares overflow."""
@@ -336,3 +336,8 @@ class OpenLoopEstimator(OnlineEstimator):
         if beta < -CONTRADICTION * terms:
             return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
         return Verdict(max(beta, 0.0) + ROUNDING * terms, "ok", last.sound, last.estimate.contradiction)
+
+
+def rounding(read: float, held: float) -> float:
+    """What the rounding of measurements and of states may cost, for the sums of their weighted squares."""
+    return (EXACT_DATA * (math.sqrt(read) + math.sqrt(held))) ** 2

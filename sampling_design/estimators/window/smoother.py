@@ -45,8 +45,8 @@ def smooth(window: Window) -> Solution:
 
 def information_band(window: Window) -> tuple[Array, Array] | None:
     """Return the lower band (2n, (N+1)n) and the right-hand side of the normal equations, None if some W is unfit."""
-    info = window.information
-    if info is None:
+    joint = window.joint
+    if joint is None:
         return None
     weights, discount = window.weights, window.discount
     C, n, count = weights.plant.C, weights.plant.n_states, window.times.size
@@ -62,12 +62,12 @@ def information_band(window: Window) -> tuple[Array, Array] | None:
         np.multiply(through @ C, discount[:, None, None], out=diagonal)
         rhs = np.matmul(through, weighted[:, :, None])[:, :, 0]
     if count > 1:
-        diagonal[1:] += info[:, 0]
-        diagonal[:-1] += info[:, 2]
-        np.negative(info[:, 1], out=columns[:-1, n : 2 * n])
-        moved = np.matmul(window.defect[:, None, None, :], info[:, :2])[:, :, 0]
-        rhs[1:] += moved[:, 0]
-        rhs[:-1] -= moved[:, 1]
+        diagonal[1:] += joint[:, n:, n:]
+        diagonal[:-1] += joint[:, :n, :n]
+        columns[:-1, n : 2 * n] = joint[:, n:, :n]
+        moved = np.matmul(joint[:, :, n:], window.defect[:, :, None])[:, :, 0]
+        rhs[1:] += moved[:, n:]
+        rhs[:-1] += moved[:, :n]
     half = window.prior_half
     diagonal[0] += half.T @ half
     # band row r of column b is row r + b of its block column: a view with strides of its own
@@ -88,22 +88,26 @@ def solve_banded(window: Window) -> Solution | None:
         return None
     deviation = solution.reshape(-1, n)
     # the last block of the factor is the root of the last node's marginal information
-    last = lapack.dtrtri(_block(factor[:, factor.shape[1] - n :]), lower=1)[0]
+    last = lapack.dtrtri(last_block(factor, n), lower=1)[0]
     cost = _cost(window, deviation)
     dual = cost - DUAL_MARGIN * (cost + abs(float(rhs @ solution)))
     return Solution(window.reference + deviation, last.T @ last, cost, dual, "banded", _BandSpread(factor, n))
 
 
 @lru_cache(maxsize=64)
-def _block_index(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]:
-    rows = np.subtract.outer(np.arange(n), np.arange(n))
-    return np.maximum(rows, 0), np.broadcast_to(np.arange(n), (n, n)), (rows >= 0).astype(np.float64)
+def _block_places(n: int, width: int) -> npt.NDArray[np.intp]:
+    """Where entry (i, j) of the last diagonal block stands in its n columns of a lower band, one after the other."""
+    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    return np.where(i >= j, j * width + np.maximum(i - j, 0), width * n - 1)
 
 
-def _block(columns: Array) -> Array:
-    """Return the lower triangular n by n block held in n columns of a lower band."""
-    rows, cols, keep = _block_index(columns.shape[1])
-    return columns[rows, cols] * keep
+def last_block(factor: Array, n: int) -> Array:
+    """Return the last diagonal block, lower triangular, of a factor of block-tridiagonal matrices in a lower band.
+
+    Above its diagonal stands what the band holds below the matrix's last row: zeros.
+    """
+    columns = factor[:, factor.shape[1] - n :].T
+    return np.asarray(columns.ravel()[_block_places(n, columns.shape[1])])
 
 
 @lru_cache(maxsize=64)
@@ -154,8 +158,8 @@ def _cost(window: Window, deviation: Array) -> float:
     square = window.prior_half @ deviation[0]
     fit = window.weighted(window.residual - deviation @ window.weights.plant.C.T)
     total = float(square @ square) + float(np.einsum("k,ki,ki->", window.discount, fit, fit))
-    info = window.information
-    if info is not None and window.flows:
+    joint, n = window.joint, deviation.shape[1]
+    if joint is not None and window.flows:
         moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect
-        total += float(np.sum(np.matmul(moved[:, None, :], info[:, 0])[:, 0] * moved))
+        total += float(np.sum(np.matmul(moved[:, None, :], joint[:, n:, n:])[:, 0] * moved))
     return total

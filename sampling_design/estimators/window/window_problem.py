@@ -64,25 +64,23 @@ class Window:
     F: Array
 
     @cached_property
-    def information(self) -> Array | None:
-        """Discounted blocks W^-1, W^-1 F, F'W^-1 F of every gap, (N, 3, n, n).
+    def joint(self) -> Array | None:
+        """Discounted costs of the states at both ends of every gap, (N, 2n, 2n): see `GapFlow.joint`.
 
         None if some W, or the covariance of a carried prior, is not to be inverted.
         """
-        blocks = [flow.information for flow in self.flows]
+        blocks = [flow.joint for flow in self.flows]
         if any(block is None for block in blocks) or not self._prior_fits:
             return None
         n = self.reference.shape[1]
-        return np.array(blocks).reshape(-1, 3, n, n) * self.discount[1:, None, None, None]
+        return np.array(blocks).reshape(-1, 2 * n, 2 * n) * self.discount[1:, None, None]
 
     @property
     def _prior_fits(self) -> bool:
         """Whether the prior's information is given, or found from its covariance without losing many digits."""
         if self.prior_root is self.weights.prior_root:
             return True
-        unit = self.prior_root / np.linalg.norm(self.prior_root, axis=1)[:, None]
-        values = np.linalg.eigvalsh(unit @ unit.T)
-        return bool(values[0] * CONDITION_LIMIT > values[-1])
+        return information_root(self.prior_root) is not None
 
     @cached_property
     def prior_half(self) -> Array:
@@ -108,6 +106,15 @@ class Window:
     def samples(self) -> npt.NDArray[np.intp]:
         """Indices of the nodes at which something is measured."""
         return np.flatnonzero(self.masks.any(axis=1))
+
+
+def information_root(root: Array) -> Array | None:
+    """Return U with U'U = (root root')^-1; None where that would lose six digits or more."""
+    unit = root / np.linalg.norm(root, axis=1)[:, None]
+    values = np.linalg.eigvalsh(unit @ unit.T)
+    if not values[0] * CONDITION_LIMIT > values[-1]:
+        return None
+    return np.asarray(np.linalg.solve(root, np.eye(len(root))))
 
 
 def build_window(

@@ -1,0 +1,155 @@
+"""A window that slides, of which only the ends are put together anew, says what the whole of it says.
+
+Units of 1e-12 to 1e12, clocks at 1.7e9, plants that grow by e^400 over the record, directions that nothing shows,
+discounts of e^1000, missing outputs, late samples, inputs, histories side by side: the same estimate and radius to nine
+digits, wherever the sliding window answers at all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.online.estimator import Taken
+from tests.rescale import Units
+
+SAME = 1e-9
+BOUNDS = {"w_bound": 0.3, "v_bound": 0.4, "initial_error": 2.0}
+
+
+class Watched(MovingHorizonEstimator):
+    """Answers as ever, and compares both ways at every sample."""
+
+    slid = 0
+    worst = 0.0
+
+    def _slid(self, state, start, t, measured, last_gap):
+        found = super()._slid(state, start, t, measured, last_gap)
+        if found is not None:
+            seen = np.where(measured[1] > 0, measured[0], np.nan)
+            whole = self._solved(state, start, Taken(t, seen), measured, last_gap)
+            self.slid += 1
+            self.worst = max(self.worst, difference(found, whole))
+        return found
+
+
+def difference(one, other):
+    """The largest difference, in standard deviations, in shares of the radius, and of the covariance's own size."""
+    (x, Y, found, more), (z, V, judged, others) = one, other
+    size = np.sqrt(np.diag(V))
+    off = [np.max(np.abs(x - z) / np.maximum(size, SAME * np.abs(z))), np.max(np.abs(Y - V) / np.outer(size, size))]
+    if np.isfinite(judged.beta):
+        off.append(abs(found.beta - judged.beta) / judged.beta)
+    off.append(abs(more["cost"] - others["cost"]) / max(others["cost"], 1e-300))
+    assert found.status == judged.status
+    return float(max(off))
+
+
+def spring(growth=-0.1):
+    return sd.Plant([[0.0, 1.0], [-4.0, 2 * growth]], [[1.0, 0.0]], B=[[0.0], [1.0]])
+
+
+def record(plant, count=60, regular=False, start=0.0, seed=0, inputs=False, lost=0.0):
+    """Samples of a plant under bounded w and v, in its own units."""
+    rng = np.random.default_rng(seed)
+    x, t, u, rows = rng.normal(size=plant.n_states) * plant.states.scales, start, np.zeros(plant.n_inputs), []
+    for _ in range(count):
+        h = 1.0 if regular else rng.uniform(0.2, 1.8)
+        w = rng.uniform(-0.1, 0.1, plant.n_disturbances) * plant.disturbances.scales
+        F, E = plant.transition(h), plant.transition(h / 2)
+        x, t = F @ x + h * (E @ (plant.G @ w + plant.B @ u)), t + h
+        y = plant.C @ x + rng.uniform(-0.2, 0.2, plant.n_outputs) * plant.outputs.scales
+        if plant.n_outputs > 1 and rng.random() < lost:
+            y[rng.integers(plant.n_outputs)] = np.nan
+        u = rng.normal(size=plant.n_inputs) if inputs else u
+        rows.append((t, y, u if inputs else None))
+    return rows
+
+
+CASES = {
+    "irregular": (spring(), {}, {}),
+    "regular": (spring(), {"regular": True}, {}),
+    "inputs": (spring(), {"inputs": True}, {}),
+    "undiscounted": (spring(), {}, {"eta": 0.0}),
+    "filtered": (spring(), {}, {"arrival_cost": "filtered"}),
+    "the paper's": (spring(), {"regular": True}, {"cost": "paper"}),
+    "a far clock": (spring(), {"start": 1.7e9}, {"prior_time": 1.7e9}),
+    "an unbounded one": (spring(), {}, {"w_bound": None}),
+    "years of discounts": (spring(), {"count": 400}, {"eta": 2.5, "horizon": 4.0}),
+    "growth": (spring(1.7), {"count": 230}, {"eta": 1.0, "horizon": 6.0}),
+    "nothing shows it": (sd.Plant(np.diag([-0.2, -0.3, 0.05]), [[1.0, 1.0, 0.0]]), {}, {}),
+    "lost outputs": (sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [1.0, 1.0]]), {"lost": 0.6}, {}),
+}
+
+
+def settings(plant, given):
+    return {"horizon": 8.0, "eta": 0.2, **BOUNDS, **given}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_sliding_window_is_the_whole_one(case):
+    plant, drawn, given = CASES[case]
+    rows = record(plant, **drawn)
+    mhe = Watched(plant, **settings(plant, given))
+    found = mhe.run(rows)
+    assert mhe.slid > 0.4 * len(rows)
+    assert mhe.worst < SAME
+    assert found.times.size == len(rows)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_any_units(seed):
+    """The default weights are those of the scales, which go with the units."""
+    plant = CASES["lost outputs"][0]
+    units = Units.drawn(np.random.default_rng(seed), plant)
+    moved = [(units.time * t, y * units.outputs, u) for t, y, u in record(plant, 40, lost=0.4)]
+    weights = {"Qw": units.disturbance_weight(np.eye(2)), "eta": 0.2 / units.time}
+    mhe = Watched(units.plant(plant), horizon=8.0 * units.time, **weights)
+    mhe.run(moved)
+    assert mhe.slid > 30
+    assert mhe.worst < SAME
+
+
+def test_a_sample_at_the_prior_and_late_ones():
+    plant = spring()
+    mhe = Watched(plant, **settings(plant, {}))
+    rows = record(plant, 30)
+    mhe.update(0.0, [1.0])
+    for t, y, _ in rows[:20]:
+        mhe.update(t, y)
+    for t, y, _ in rows[15:19]:
+        mhe.update(t - 0.1, y)
+    slid = mhe.slid
+    mhe.run(rows[20:])
+    assert slid > 20
+    assert mhe.slid == slid + 10
+    assert mhe.worst < SAME
+
+
+def test_histories_side_by_side_and_one_twice():
+    plant = spring()
+    mhe, alone = Watched(plant, **settings(plant, {})), []
+    runs = [record(plant, 25, seed=seed) for seed in range(3)]
+    for rows in runs:
+        mhe.reset()
+        alone.append(mhe.run(rows).x)
+    states = [mhe.initial_state() for _ in runs]
+    for k in range(25):
+        for i, rows in enumerate(runs):
+            _, first = mhe.step(states[i], rows[k])
+            mhe.step(states[i], (rows[k][0] + 0.01, rows[k][1] + 1.0))
+            states[i], again = mhe.step(states[i], rows[k])
+            assert np.allclose(first.x, alone[i][k], rtol=0, atol=1e-12)
+            assert np.allclose(again.x, alone[i][k], rtol=0, atol=1e-12)
+    assert mhe.worst < SAME
+
+
+def test_a_measurement_too_large_to_be_weighed_goes_the_whole_way():
+    plant = spring()
+    mhe = Watched(plant, **settings(plant, {}))
+    rows = record(plant, 10)
+    mhe.run(rows)
+    assert mhe.update(rows[-1][0] + 1.0, [1e200]).status == "bounds disproved"
+    assert mhe.update(rows[-1][0] + 2.0, [0.1]).status == "bounds disproved"

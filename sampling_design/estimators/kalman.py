@@ -103,8 +103,7 @@ class KalmanFilter(OpenLoopEstimator):
         terms = before + own
         if self._too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
-            found, words = self._overflowed(state, sample, residual, terms)
-            details |= words
+            found, details["note"] = self._overflowed(state, sample, residual, terms)
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta)
             return self._node(state, (sample, y, mask, feedthrough), (x, Y, flow, drift), found, details)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import lapack
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -20,24 +16,20 @@ from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
+from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import CONTRADICTION, OpenLoopEstimator, Verdict, rounding
-from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
+from sampling_design.estimators.online.open_loop import CONTRADICTION, Verdict
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.square_root import covariance_root
-from sampling_design.estimators.window.window_problem import Window, build_window, information_root
+from sampling_design.estimators.window.window_problem import Window
+from sampling_design.estimators.windowed import Solved, Start, WindowedEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import StartError
 
 Array = npt.NDArray[np.float64]
-
-SAME_TIME = 4.0
-"""A window start within so many units in the last place of the times of a sample is that sample's time."""
 
 CLOSED_FORM = ("banded", "square root")
 """Engines that say that no constraint was active."""
@@ -46,21 +38,7 @@ SUSPECTS = 5
 """Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
 
 
-class Start(NamedTuple):
-    """Where a window begins: time, prior, bound on the prior term, root of P^-1 (None for P2's), nodes inside."""
-
-    s: float
-    x: Array
-    energy: float
-    root: Array | None
-    inside: tuple[Node, ...]
-
-
-Solved = tuple[Array, Array, Verdict, dict[str, Any]]
-"""State and covariance at a sample, what they are worth, and what else the estimate says."""
-
-
-class MovingHorizonEstimator(OpenLoopEstimator):
+class MovingHorizonEstimator(WindowedEstimator):
     """Moving horizon estimation from rare, irregular samples.
 
     At a sample at t the window problem over (t - M_t, t], M_t = min(t, M), is solved,
@@ -162,8 +140,7 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         self.check_spacing = given.check_spacing
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._bound_by_sets(w_bound, v_bound, initial_error)
-        self._histories = Histories(self.weights, self._sample_energy)
-        self._fixed_prior: Array = lower_band(self.weights.prior[None])[0]
+        self._keep_windows()
         self.state = self.initial_state(prior, prior_time)
 
     def _bound_by_sets(
@@ -206,7 +183,8 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         flow, drift = self._last_gap(state, sample.t)
         scheduled = self._fits_schedule(state, sample.t, mask)
         held = (y, mask, feedthrough), (flow, drift)
-        x, Y, found, details = self._slid(state, start, sample.t, *held) or self._solved(state, start, sample, *held)
+        solved = self._slid(state, start, sample.t, *held) or self._solved(state, start, sample, *held)
+        x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
         estimate = self._estimate(
             sample.t,
@@ -217,7 +195,10 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             sound=found.sound,
             scheduled=scheduled,
             contradiction=found.contradiction,
-            **details,
+            window_start=start.s,
+            engine=solved.engine,
+            note=solved.note,
+            cost=solved.cost,
         )
         return Node(
             t=sample.t,
@@ -236,60 +217,6 @@ class MovingHorizonEstimator(OpenLoopEstimator):
             number=state.last.number + 1,
         )
 
-    def _slid(
-        self,
-        state: State,
-        start: Start,
-        t: float,
-        measured: tuple[Array, Array, Array],
-        last_gap: tuple[GapFlow, Array],
-    ) -> Solved | None:
-        """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
-        if self.constraints.active or t <= start.s:
-            return None
-        opening = None
-        nodes, first = state.nodes, len(state.nodes) - len(start.inside)
-        while first < len(nodes) and nodes[first].t <= start.s:
-            opening, first = nodes[first], first + 1
-        band = self._prior_band(start)
-        with np.errstate(over="ignore", invalid="ignore"):
-            held = None if band is None else self._histories.of(nodes, first)
-        if band is None or held is None:
-            return None
-        sliding, at = held
-        (flow, drift), last, s = last_gap, state.last, start.s
-        reference = last.x if first < len(nodes) else start.x
-        if first == len(nodes):
-            gap = self._between(state, s, t)
-            flow, drift = gap
-        else:
-            node = nodes[first]
-            own = first > 0 and nodes[first - 1].t == s
-            gap = self._between(state, s, node.t) if not own or node.flow is None else (node.flow, node.drift)
-        new = Arriving(t, flow.F @ reference + drift, *measured, flow)
-        sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
-        with np.errstate(over="ignore", invalid="ignore"):
-            optimum = sliding.solve(at, Opening(s, start.x, band, sample), gap, new)
-        if optimum is None:
-            return None
-        terms = math.exp(self.weights.eta * (s - t)) * start.energy + self._lost(t - s)
-        terms += rounding(optimum.read, optimum.held) + optimum.energy
-        found = self._judged(terms, optimum.dual, last)
-        if found.status == "bounds disproved" and last.sound:
-            return None
-        details = {"window_start": s, "engine": "banded", "note": "", "cost": optimum.cost}
-        return optimum.x, optimum.Y, found, details
-
-    def _between(self, state: State, a: float, b: float) -> tuple[GapFlow, Array]:
-        return self.table.get([b - a])[0], self._drift.between(state, a, b)
-
-    def _prior_band(self, start: Start) -> Array | None:
-        """Return the lower band of the prior's information; None where it is not to be had from a covariance."""
-        if start.root is None:
-            return self._fixed_prior
-        half = information_root(start.root)
-        return None if half is None else np.asarray(lower_band((half.T @ half)[None])[0])
-
     def _solved(
         self,
         state: State,
@@ -301,29 +228,27 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         """Return what the window says, put together and solved as a whole."""
         window, (flow, drift) = self._window(state, start, sample.t, measured), last_gap
         terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
-        details: dict[str, Any] = {"window_start": start.s}
-        last = state.last
+        last, engine, cost = state.last, "", np.nan
         if self._too_large(window.weighted(window.residual)):
             terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
-            found, words = self._overflowed(state, sample, window.residual[-1], terms)
-            details |= words
+            found, note = self._overflowed(state, sample, window.residual[-1], terms)
         else:
             terms += self._rounded(window.y, window.reference)
             solution = self._solve(window)
-            details |= {"engine": solution.engine, "note": solution.note}
+            engine, note = solution.engine, solution.note
             found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
                 terms += self._heard(window, solution)
-                found, details["cost"] = self._judged(terms, solution.dual, last), solution.cost
+                found, cost = self._judged(terms, solution.dual, last), solution.cost
                 if found.status == "bounds disproved" and last.sound:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
                     found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
-        if "cost" not in details:
+        if np.isnan(cost):
             self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
-        return x, Y, found, details
+        return Solved(x, Y, found, engine, note, cost)
 
     def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds."""
@@ -351,19 +276,6 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         """By how much a window costs more than the bounds allow."""
         solution = self._solve(window)
         return solution.dual - terms if solution.status == "ok" else np.inf
-
-    def _prepare(self, state: State, t: float) -> None:
-        """Put the three gaps of a new window that may be unknown into the table, in one batch."""
-        s, nodes = t - self.horizon, state.nodes
-        gaps = [t - nodes[-1].t]
-        if s > nodes[0].t:
-            at = state.node_before(s)
-            gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
-        self.table.get([gap for gap in gaps if gap > 0])
-
-    def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
-        last = state.last
-        return self.table.get([t - last.t])[0], self._drift.between(state, last.t, t)
 
     def _heard(self, window: Window, solution: Solution) -> float:
         """Sum of the discounted noise bounds of the window's samples.
@@ -395,110 +307,6 @@ class MovingHorizonEstimator(OpenLoopEstimator):
         if sets.v.is_box and weights.diagonal_noise:
             shared = np.minimum(shared, self._sample_energy(masks))
         return np.minimum(kept, shared)
-
-    def _start(self, state: State, t: float) -> Start:
-        """Return where the window of a solve at t begins, with the online estimate there."""
-        nodes, s = state.nodes, t - self.horizon
-        slack = SAME_TIME * float(np.spacing(max(abs(t), self.horizon)))
-        given = nodes[0].sample.y is None
-        if given and s <= nodes[0].t + slack:
-            return Start(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
-        anchor = state.node_before(s + slack)
-        node = nodes[anchor]
-        closed = self.weights.cost == "paper" and node.sample.y is not None
-        if abs(node.t - s) <= slack:
-            x, Y, beta, s = node.x, node.Y, node.beta, node.t
-        else:
-            x, Y, beta = self._flown_to(state, node, s)
-            closed = False
-        inside = nodes[anchor if closed else anchor + 1 :]
-        if self.arrival_cost == "filtered":
-            return Start(s, x, beta, covariance_root(Y), inside)
-        factor = self.weights.prior_factor
-        worst = float(lapack.dsyev(factor.T @ Y @ factor, compute_v=0)[0][-1])
-        return Start(s, x, worst * beta, None, inside)
-
-    def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
-        """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
-        (flow,) = self.table.get([s - node.t])
-        drift = self._drift.between(state, node.t, s)
-        self._refuse_overflow(flow, self._moved(node, flow, drift), s)
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, beta = self._flown(node, flow, drift)
-        if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
-            x, Y, beta = self._ahead(node, flow, drift)
-        if not np.isfinite(Y).all():
-            self._refuse_overflow(flow, np.array([np.inf]), s)
-        return x, Y, beta
-
-    def _window(self, state: State, start: Start, t: float, measured: tuple[Array, Array, Array]) -> Window:
-        """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came."""
-        inside = [node for node in start.inside if node.t > start.s]
-        opening = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
-        times = [start.s, *(node.t for node in inside)]
-        rows = [(node.y, node.mask, node.feedthrough) for node in inside]
-        if t > start.s:
-            times.append(t)
-            rows.append(measured)
-        else:
-            opening = measured
-        zero = np.zeros(self.plant.n_outputs)
-        rows.insert(0, opening or (zero, zero, zero))
-        flows, drift, reference = self._path(state, start, inside, times)
-        if self.check_spacing is not None and self.constraints.x is not None:
-            times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
-        y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
-        return build_window(
-            weights=self.weights,
-            times=np.array(times),
-            flows=flows,
-            drift=drift,
-            reference=reference,
-            y=y,
-            masks=masks,
-            feedthrough=feedthrough,
-            prior_root=start.root,
-        )
-
-    def _path(
-        self, state: State, start: Start, inside: list[Node], times: list[float]
-    ) -> tuple[list[GapFlow], Array, Array]:
-        """Return flows and drifts between the nodes, and the online estimates as reference."""
-        n = self.plant.n_states
-        if len(times) == 1:
-            return [], np.zeros((0, n)), start.x[None]
-        first, last = times[1] - times[0], times[-1] - times[-2]
-        ends = self.table.get([first, last])
-        drift_first = self._drift.between(state, times[0], times[1])
-        if not inside:
-            flows, drift = ends[:1], [drift_first]
-        else:
-            flows = [ends[0], *(node.flow for node in inside[1:] if node.flow is not None), ends[1]]
-            drift = [drift_first, *(node.drift for node in inside[1:])]
-            drift.append(self._drift.between(state, times[-2], times[-1]))
-        known = [start.x, *(node.x for node in inside)]
-        known.append(flows[-1].F @ known[-1] + drift[-1])
-        return flows, np.array(drift), np.array(known)
-
-    def _refined(
-        self, state: State, times: list[float], rows: list[tuple[Array, Array, Array]], reference: Array
-    ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[GapFlow], Array, Array]:
-        """Put unmeasured nodes between those given, at most `check_spacing` apart."""
-        assert self.check_spacing is not None
-        zero = np.zeros(self.plant.n_outputs)
-        edges, data, path, drift = [times[0]], [rows[0]], [reference[0]], []
-        for j, t in enumerate(times[1:]):
-            count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
-            for k in range(1, max(count, 1) + 1):
-                last = k >= count
-                when = t if last else times[j] + k * (t - times[j]) / count
-                drift.append(self._drift.between(state, edges[-1], when))
-                (flow,) = self.table.get([when - edges[-1]])
-                path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
-                edges.append(when)
-                data.append(rows[j + 1] if last else (zero, zero, zero))
-        flows = self.table.get([b - a for a, b in pairwise(edges)])
-        return edges, data, flows, np.array(drift).reshape(-1, self.plant.n_states), np.array(path)
 
 
 def _without(window: Window, j: int, i: int) -> Window:

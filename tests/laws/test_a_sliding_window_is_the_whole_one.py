@@ -37,12 +37,13 @@ class Watched(MovingHorizonEstimator):
 
 def difference(one, other):
     """The largest difference, in standard deviations, in shares of the radius, and of the covariance's own size."""
-    (x, Y, found, more), (z, V, judged, others) = one, other
-    size = np.sqrt(np.diag(V))
-    off = [np.max(np.abs(x - z) / np.maximum(size, SAME * np.abs(z))), np.max(np.abs(Y - V) / np.outer(size, size))]
+    size = np.sqrt(np.diag(other.Y))
+    off = [np.max(np.abs(one.x - other.x) / np.maximum(size, SAME * np.abs(other.x)))]
+    off.append(np.max(np.abs(one.Y - other.Y) / np.outer(size, size)))
+    off.append(abs(one.cost - other.cost) / max(other.cost, 1e-300))
+    found, judged = one.found, other.found
     if np.isfinite(judged.beta):
         off.append(abs(found.beta - judged.beta) / judged.beta)
-    off.append(abs(more["cost"] - others["cost"]) / max(others["cost"], 1e-300))
     assert found.status == judged.status
     return float(max(off))
 

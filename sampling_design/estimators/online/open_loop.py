@@ -315,10 +315,10 @@ class OpenLoopEstimator(OnlineEstimator):
         """Whether residuals, in units of their weights, are so large that their squares overflow."""
         return not bool((np.abs(weighted) < LARGEST).all())
 
-    def _overflowed(self, state: State, sample: Taken, residual: Array, terms: float) -> tuple[Verdict, dict[str, str]]:
+    def _overflowed(self, state: State, sample: Taken, residual: Array, terms: float) -> tuple[Verdict, str]:
         """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
         last = state.last
-        contradiction, words = last.estimate.contradiction, {"note": "A measurement is too large to be weighed."}
+        contradiction, words = last.estimate.contradiction, "A measurement is too large to be weighed."
         if np.isinf(terms):
             return Verdict(np.nan, "solver failed", last.sound, contradiction), words
         if contradiction is None:

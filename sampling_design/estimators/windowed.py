@@ -1,0 +1,229 @@
+"""Where the window of an estimator begins, and what stands in it: put together anew or as it slid on."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from sampling_design.estimators.constraints.window_constraints import WindowConstraints
+from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict, rounding
+from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
+from sampling_design.estimators.window.square_root import covariance_root
+from sampling_design.estimators.window.window_problem import Window, build_window, information_root
+
+Array = npt.NDArray[np.float64]
+
+SAME_TIME = 4.0
+"""A window start within so many units in the last place of the times of a sample is that sample's time."""
+
+
+class Start(NamedTuple):
+    """Where a window begins: time, prior, bound on the prior term, root of P^-1 (None for P2's), nodes inside."""
+
+    s: float
+    x: Array
+    energy: float
+    root: Array | None
+    inside: tuple[Node, ...]
+
+
+class Solved(NamedTuple):
+    """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
+
+    x: Array
+    Y: Array
+    found: Verdict
+    engine: str = ""
+    note: str = ""
+    cost: float = np.nan
+
+
+class WindowedEstimator(OpenLoopEstimator):
+    """Adds the window to the open loop: M_t = min(t, M) long, whatever lies in it."""
+
+    horizon: float
+    arrival_cost: str
+    constraints: WindowConstraints
+    check_spacing: float | None
+
+    def _keep_windows(self) -> None:
+        """Begin to remember windows; to be called once weights and bounds are set."""
+        self._histories = Histories(self.weights, self._sample_energy)
+        self._fixed_prior: Array = lower_band(self.weights.prior[None])[0]
+
+    def _prepare(self, state: State, t: float) -> None:
+        """Put the three gaps of a new window that may be unknown into the table, in one batch."""
+        s, nodes = t - self.horizon, state.nodes
+        gaps = [t - nodes[-1].t]
+        if s > nodes[0].t:
+            at = state.node_before(s)
+            gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
+        self.table.get([gap for gap in gaps if gap > 0])
+
+    def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
+        last = state.last
+        return self.table.get([t - last.t])[0], self._drift.between(state, last.t, t)
+
+    def _between(self, state: State, a: float, b: float) -> tuple[GapFlow, Array]:
+        return self.table.get([b - a])[0], self._drift.between(state, a, b)
+
+    def _start(self, state: State, t: float) -> Start:
+        """Return where the window of a solve at t begins, with the online estimate there."""
+        nodes, s = state.nodes, t - self.horizon
+        slack = SAME_TIME * float(np.spacing(max(abs(t), self.horizon)))
+        given = nodes[0].sample.y is None
+        if given and s <= nodes[0].t + slack:
+            return Start(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
+        anchor = state.node_before(s + slack)
+        node = nodes[anchor]
+        closed = self.weights.cost == "paper" and node.sample.y is not None
+        if abs(node.t - s) <= slack:
+            x, Y, beta, s = node.x, node.Y, node.beta, node.t
+        else:
+            x, Y, beta = self._flown_to(state, node, s)
+            closed = False
+        inside = nodes[anchor if closed else anchor + 1 :]
+        if self.arrival_cost == "filtered":
+            return Start(s, x, beta, covariance_root(Y), inside)
+        factor = self.weights.prior_factor
+        worst = float(lapack.dsyev(factor.T @ Y @ factor, compute_v=0)[0][-1])
+        return Start(s, x, worst * beta, None, inside)
+
+    def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
+        """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
+        (flow,) = self.table.get([s - node.t])
+        drift = self._drift.between(state, node.t, s)
+        self._refuse_overflow(flow, self._moved(node, flow, drift), s)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, Y, beta = self._flown(node, flow, drift)
+        if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
+            x, Y, beta = self._ahead(node, flow, drift)
+        if not np.isfinite(Y).all():
+            self._refuse_overflow(flow, np.array([np.inf]), s)
+        return x, Y, beta
+
+    def _prior_band(self, start: Start) -> Array | None:
+        """Return the lower band of the prior's information; None where it is not to be had from a covariance."""
+        if start.root is None:
+            return self._fixed_prior
+        half = information_root(start.root)
+        return None if half is None else np.asarray(lower_band((half.T @ half)[None])[0])
+
+    def _slid(
+        self,
+        state: State,
+        start: Start,
+        t: float,
+        measured: tuple[Array, Array, Array],
+        last_gap: tuple[GapFlow, Array],
+    ) -> Solved | None:
+        """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
+        if self.constraints.active or t <= start.s:
+            return None
+        opening = None
+        nodes, first = state.nodes, len(state.nodes) - len(start.inside)
+        while first < len(nodes) and nodes[first].t <= start.s:
+            opening, first = nodes[first], first + 1
+        band = self._prior_band(start)
+        with np.errstate(over="ignore", invalid="ignore"):
+            held = None if band is None else self._histories.of(nodes, first)
+        if band is None or held is None:
+            return None
+        sliding, at = held
+        (flow, drift), last, s = last_gap, state.last, start.s
+        reference = last.x if first < len(nodes) else start.x
+        if first == len(nodes):
+            gap = self._between(state, s, t)
+            flow, drift = gap
+        else:
+            node = nodes[first]
+            own = first > 0 and nodes[first - 1].t == s
+            gap = self._between(state, s, node.t) if not own or node.flow is None else (node.flow, node.drift)
+        new = Arriving(t, flow.F @ reference + drift, *measured, flow)
+        sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
+        with np.errstate(over="ignore", invalid="ignore"):
+            optimum = sliding.solve(at, Opening(s, start.x, band, sample), gap, new)
+        if optimum is None:
+            return None
+        terms = math.exp(self.weights.eta * (s - t)) * start.energy + self._lost(t - s)
+        terms += rounding(optimum.read, optimum.held) + optimum.energy
+        found = self._judged(terms, optimum.dual, last)
+        if found.status == "bounds disproved" and last.sound:
+            return None
+        return Solved(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
+
+    def _window(self, state: State, start: Start, t: float, measured: tuple[Array, Array, Array]) -> Window:
+        """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came."""
+        inside = [node for node in start.inside if node.t > start.s]
+        opening = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
+        times = [start.s, *(node.t for node in inside)]
+        rows = [(node.y, node.mask, node.feedthrough) for node in inside]
+        if t > start.s:
+            times.append(t)
+            rows.append(measured)
+        else:
+            opening = measured
+        zero = np.zeros(self.plant.n_outputs)
+        rows.insert(0, opening or (zero, zero, zero))
+        flows, drift, reference = self._path(state, start, inside, times)
+        if self.check_spacing is not None and self.constraints.x is not None:
+            times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
+        y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
+        return build_window(
+            weights=self.weights,
+            times=np.array(times),
+            flows=flows,
+            drift=drift,
+            reference=reference,
+            y=y,
+            masks=masks,
+            feedthrough=feedthrough,
+            prior_root=start.root,
+        )
+
+    def _path(
+        self, state: State, start: Start, inside: list[Node], times: list[float]
+    ) -> tuple[list[GapFlow], Array, Array]:
+        """Return flows and drifts between the nodes, and the online estimates as reference."""
+        n = self.plant.n_states
+        if len(times) == 1:
+            return [], np.zeros((0, n)), start.x[None]
+        first, last = times[1] - times[0], times[-1] - times[-2]
+        ends = self.table.get([first, last])
+        drift_first = self._drift.between(state, times[0], times[1])
+        if not inside:
+            flows, drift = ends[:1], [drift_first]
+        else:
+            flows = [ends[0], *(node.flow for node in inside[1:] if node.flow is not None), ends[1]]
+            drift = [drift_first, *(node.drift for node in inside[1:])]
+            drift.append(self._drift.between(state, times[-2], times[-1]))
+        known = [start.x, *(node.x for node in inside)]
+        known.append(flows[-1].F @ known[-1] + drift[-1])
+        return flows, np.array(drift), np.array(known)
+
+    def _refined(
+        self, state: State, times: list[float], rows: list[tuple[Array, Array, Array]], reference: Array
+    ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[GapFlow], Array, Array]:
+        """Put unmeasured nodes between those given, at most `check_spacing` apart."""
+        assert self.check_spacing is not None
+        zero = np.zeros(self.plant.n_outputs)
+        edges, data, path, drift = [times[0]], [rows[0]], [reference[0]], []
+        for j, t in enumerate(times[1:]):
+            count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
+            for k in range(1, max(count, 1) + 1):
+                last = k >= count
+                when = t if last else times[j] + k * (t - times[j]) / count
+                drift.append(self._drift.between(state, edges[-1], when))
+                (flow,) = self.table.get([when - edges[-1]])
+                path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
+                edges.append(when)
+                data.append(rows[j + 1] if last else (zero, zero, zero))
+        flows = self.table.get([b - a for a, b in pairwise(edges)])
+        return edges, data, flows, np.array(drift).reshape(-1, self.plant.n_states), np.array(path)

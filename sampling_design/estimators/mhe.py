@@ -25,7 +25,7 @@ from sampling_design.estimators.online.open_loop import CONTRADICTION, Verdict
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
-from sampling_design.estimators.windowed import Solved, Start, WindowedEstimator
+from sampling_design.estimators.windowed import Answer, Start, WindowedEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import StartError
 
@@ -224,7 +224,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         sample: Taken,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
-    ) -> Solved:
+    ) -> Answer:
         """Return what the window says, put together and solved as a whole."""
         window, (flow, drift) = self._window(state, start, sample.t, measured), last_gap
         terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
@@ -248,7 +248,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
-        return Solved(x, Y, found, engine, note, cost)
+        return Answer(x, Y, found, engine, note, cost)
 
     def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds."""

@@ -34,7 +34,7 @@ class Start(NamedTuple):
     inside: tuple[Node, ...]
 
 
-class Solved(NamedTuple):
+class Answer(NamedTuple):
     """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
 
     x: Array
@@ -123,7 +123,7 @@ class WindowedEstimator(OpenLoopEstimator):
         t: float,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
-    ) -> Solved | None:
+    ) -> Answer | None:
         """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
         if self.constraints.active or t <= start.s:
             return None
@@ -157,7 +157,7 @@ class WindowedEstimator(OpenLoopEstimator):
         found = self._judged(terms, optimum.dual, last)
         if found.status == "bounds disproved" and last.sound:
             return None
-        return Solved(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
+        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
 
     def _window(self, state: State, start: Start, t: float, measured: tuple[Array, Array, Array]) -> Window:
         """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came."""

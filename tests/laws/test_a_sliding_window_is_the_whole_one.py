@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Taken
 from tests.rescale import Units
@@ -74,8 +75,8 @@ CASES = {
     "regular": (spring(), {"regular": True}, {}),
     "inputs": (spring(), {"inputs": True}, {}),
     "undiscounted": (spring(), {}, {"eta": 0.0}),
-    "filtered": (spring(), {}, {"arrival_cost": "filtered"}),
-    "the paper's": (spring(), {"regular": True}, {"cost": "paper"}),
+    "filtered": (spring(), {}, {"arrival": "filtered"}),
+    "the paper's": (spring(), {"regular": True}, {"form": "paper"}),
     "a far clock": (spring(), {"start": 1.7e9}, {"prior_time": 1.7e9}),
     "an unbounded one": (spring(), {}, {"w_bound": None}),
     "years of discounts": (spring(), {"count": 400}, {"eta": 2.5, "horizon": 4.0}),
@@ -86,7 +87,10 @@ CASES = {
 
 
 def settings(plant, given):
-    return {"horizon": 8.0, "eta": 0.2, **BOUNDS, **given}
+    """Those of an estimator, what belongs to the cost in its own record."""
+    given = {"horizon": 8.0, "eta": 0.2, **BOUNDS, **given}
+    cost = {key: given.pop(key) for key in ("eta", "form", "arrival") if key in given}
+    return {**given, "cost": CostFunction(**cost)}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -106,8 +110,8 @@ def test_in_any_units(seed):
     plant = CASES["lost outputs"][0]
     units = Units.drawn(np.random.default_rng(seed), plant)
     moved = [(units.time * t, y * units.outputs, u) for t, y, u in record(plant, 40, lost=0.4)]
-    weights = {"Qw": units.disturbance_weight(np.eye(2)), "eta": 0.2 / units.time}
-    mhe = Watched(units.plant(plant), horizon=8.0 * units.time, **weights)
+    cost = CostFunction(Qw=units.disturbance_weight(np.eye(2)), eta=0.2 / units.time)
+    mhe = Watched(units.plant(plant), horizon=8.0 * units.time, cost=cost)
     mhe.run(moved)
     assert mhe.slid > 30
     assert mhe.worst < SAME

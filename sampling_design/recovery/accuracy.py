@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,11 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Gridded, Plain, Variable, short
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, OnePlant, accuracy_over_box
 from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
@@ -33,6 +35,9 @@ Array = npt.NDArray[np.float64]
 
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""
+
+RTOL, OVER_BOX = 0.01, 0.1
+"""Default widths of the brackets, relative: of one plant, and over a box of plants."""
 
 MOST_SOLVES = 2000
 """Programs for one row; a bracket that is not closed by then says so."""
@@ -294,7 +299,7 @@ class Accuracy(Gridded):
         return data if self.deviation is None else data | {"deviation": self.deviation.to_dict()}
 
 
-@door
+@overload
 def accuracy(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -302,13 +307,43 @@ def accuracy(
     w_bound: Bound = None,
     v_bound: Bound = None,
     of: Wanted = None,
-    rtol: float = 0.01,
+    rtol: float | None = None,
     initial_error: InitialError = None,
     start: float | None = None,
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-) -> Accuracy:
+) -> Accuracy: ...
+@overload
+def accuracy(
+    plant: UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    rtol: float | None = None,
+    initial_error: InitialError = None,
+    start: float | None = None,
+    end: float | None = None,
+    w_intensity: Intensity = None,
+    v_deviation: Intensity = None,
+) -> AccuracyOverBox: ...
+@door
+def accuracy(
+    plant: Plant | UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    rtol: float | None = None,
+    initial_error: InitialError = None,
+    start: float | None = None,
+    end: float | None = None,
+    w_intensity: Intensity = None,
+    v_deviation: Intensity = None,
+) -> Accuracy | AccuracyOverBox:
     """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
 
         rho(c; t) = min over gains of  h(rest) + int h_W(G'g(s)) ds + sum h_V(lambda_j)
@@ -316,7 +351,9 @@ def accuracy(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or UncertainPlant
+        With constant parameters in a box (periodic schedules, a bound for each entry): the worst over every plant of
+        it, each with an estimator that knows its parameters.
     schedule : PeriodicSchedule or Schedule
         Periodic: without end, and so long under way that its start no longer matters. Finite: from `start` to `end`.
     w_bound : float, (q,) array or mapping
@@ -329,7 +366,7 @@ def accuracy(
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
     rtol : float
-        Relative width of the brackets.
+        Relative width of the brackets; default 0.01, over a box 0.1.
     initial_error : float, (n,) or (n, n) array, or mapping, optional
         What is known of x(start) less its nominal value on a finite schedule: a bound on its Euclidean norm, on each
         entry (infinite: unknown), a weight P for e'P e <= 1, or by names of states. Default: nothing.
@@ -340,7 +377,7 @@ def accuracy(
 
     Returns
     -------
-    Accuracy
+    Accuracy, or AccuracyOverBox
         With `verify()`, which recomputes both sides without a solver.
 
     Raises
@@ -379,8 +416,16 @@ def accuracy(
     >>> found.verify()
     True
     """
+    if isinstance(plant, UncertainPlant):
+        others = {"initial_error": initial_error, "start": start, "end": end, "w_intensity": w_intensity}
+        for name, given_ in {**others, "v_deviation": v_deviation}.items():
+            if given_ is not None:
+                raise ArgumentError(f"`{name}` must be left out for accuracy over a box of parameters.")
+        share = _checks.positive("rtol", OVER_BOX if rtol is None else rtol)
+        aligned = meet(plant.nominal, schedule)
+        return accuracy_over_box(plant, aligned, w_bound, v_bound, of, share, _one_plant(aligned))
     schedule = meet(plant, schedule)
-    tolerance = _checks.positive("rtol", rtol)
+    tolerance = _checks.positive("rtol", RTOL if rtol is None else rtol)
     rows = wanted_rows(plant, of)
     if isinstance(schedule, PeriodicSchedule):
         given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
@@ -498,3 +543,16 @@ def _finite(values: Array) -> list[float | None]:
 
 def _proof(j: int, atoms: Atoms) -> GapProof:
     return GapProof(j, freeze(atoms.mu), tuple(gains.gains for gains in atoms.gains))
+
+
+def _one_plant(schedule: Schedule | PeriodicSchedule) -> OnePlant:
+    """Both bounds of one plant of a box; nothing is proven where some mode of it is not seen."""
+
+    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> tuple[Array, Array]:
+        try:
+            found = accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        except NotDetectableError:
+            return np.zeros(len(rows)), np.full(len(rows), np.inf)
+        return np.asarray(found.lower), np.asarray(found.upper)
+
+    return one

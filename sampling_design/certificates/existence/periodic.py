@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import TypedDict, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
 from sampling_design._balance import balance, balanced, balanced_rows
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
+from sampling_design.certificates.existence.existence_over_box import ExistenceOverBox, Margin, existence_over_box
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.observability.count.period_modes import PeriodModes, Sight, period_modes
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -83,20 +86,29 @@ class Existence(Record):
         return f"{'A' if self.exists else 'No'} certificate exists: {self.reason}."
 
 
+@overload
+def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence: ...
+@overload
+def certificate_exists(
+    plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float
+) -> ExistenceOverBox: ...
 @door
-def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
+def certificate_exists(
+    plant: Plant | UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float
+) -> Existence | ExistenceOverBox:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or UncertainPlant
+        With constant parameters in a box: whether each plant of it has one, proven by gains in cells of the box.
     schedule : PeriodicSchedule or Schedule
         On a finite one a certificate always exists, to its last time.
     eta : float [1/time]
 
     Returns
     -------
-    Existence
+    Existence, or ExistenceOverBox
 
     Raises
     ------
@@ -125,6 +137,8 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
+    if isinstance(plant, UncertainPlant):
+        return _over_box(plant, meet(plant.nominal, schedule), _checks.nonnegative("eta", eta))
     schedule = meet(plant, schedule)
     if isinstance(schedule, Schedule):
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
@@ -151,6 +165,29 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
             margin=found.margin,
         )
     return found
+
+
+def _over_box(plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceOverBox:
+    """Every plant of a box: a "no" is one plant's own."""
+    if isinstance(schedule, Schedule):
+        nominal = {each.name: each.nominal for each in plant.parameters}
+        return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
+    return existence_over_box(plant, schedule, eta, margin_on(schedule, eta))
+
+
+def margin_on(schedule: PeriodicSchedule, eta: float) -> Margin:
+    """Whether a certificate exists for a plant, and by what margin, for searches over plants."""
+
+    def margin(member: Plant) -> tuple[bool, float, str]:
+        found = judged(member, schedule, eta)
+        if not found.exists:
+            try:
+                found = certificate_exists(member, schedule, eta)
+            except UndecidedError:  # beside a plant that has none: the descent goes on to that one
+                return True, found.margin, found.reason
+        return found.exists, found.margin, found.reason
+
+    return margin
 
 
 def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import overload
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
+from sampling_design.observability.count.zero_count_over_box import ZeroCountOverBox, zero_count_over_box
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
 
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
@@ -113,22 +116,27 @@ class ZeroCountBound(Record):
         )
 
 
+@overload
+def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound: ...
+@overload
+def zero_count_bound(plant: UncertainPlant, duration: float) -> ZeroCountOverBox: ...
 @door
-def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
+def zero_count_bound(plant: Plant | UncertainPlant, duration: float) -> ZeroCountBound | ZeroCountOverBox:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 
         k* = r - 1 + T delta/(2 pi),    delta = 2 max |Im lambda|
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or UncertainPlant
+        With constant parameters in a box: a count for every plant of it, r = n and delta the largest.
         Observable; give the retained part of a plant that is only detectable.
     duration : float
         T >= 0 [the plant's time unit].
 
     Returns
     -------
-    ZeroCountBound
+    ZeroCountBound, or ZeroCountOverBox
 
     Raises
     ------
@@ -160,6 +168,8 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     (2.0, 3, 'zero count')
     """
     T = _checks.nonnegative("duration", duration)
+    if isinstance(plant, UncertainPlant):
+        return zero_count_over_box(plant, T)
     n, p = plant.n_states, plant.n_outputs
     if not n:
         return _record(plant, T, -1.0, 0, 0, 0.0, None, 0)

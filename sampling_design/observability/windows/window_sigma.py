@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +18,17 @@ from sampling_design.observability.meeting import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
+from sampling_design.observability.windows.window_sigma_over_box import WindowSigmaOverBox, window_sigma_over_box
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 
+RTOL, OVER_BOX = 0.001, 0.01
+"""Default widths of the bracket, relative: of one plant, and over a box of plants."""
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
     "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
@@ -214,31 +219,54 @@ class WindowSigma(SigmaBracket, Table, Gridded):
         return self._concluded(proven, where, _REASONS)
 
 
-@door
+@overload
 def window_sigma(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
-    rtol: float = 0.001,
+    rtol: float | None = None,
     budget: float | None = None,
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-) -> WindowSigma:
+) -> WindowSigma: ...
+@overload
+def window_sigma(
+    plant: UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    rtol: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+    start: float | None = None,
+) -> WindowSigmaOverBox: ...
+@door
+def window_sigma(
+    plant: Plant | UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    rtol: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+    start: float | None = None,
+) -> WindowSigma | WindowSigmaOverBox:
     """Bound sigma over all real positions of a sliding window.
 
         sigma = inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or UncertainPlant
+        With constant parameters in a box: the least sigma over every plant of the box too.
     schedule : Schedule or PeriodicSchedule
         A finite schedule is judged from the window that begins with its first sample (or at `start`) to the one that
         ends with its last; an endless one in its rhythm, over one period of t.
     window : float [plant.time_unit]
         Length T > 0.
     rtol : float
-        The search ends when lower >= (1 - rtol) upper; in (0, 1).
+        The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.001, over a box 0.01.
     budget : float, optional [seconds]
         When it runs out, the bounds so far are returned with closed = False.
     progress : callable, optional
@@ -252,7 +280,7 @@ def window_sigma(
 
     Returns
     -------
-    WindowSigma
+    WindowSigma, or WindowSigmaOverBox
         lower = upper = 0 where a window holds fewer measurements than states; infinity for a plant
         without states.
 
@@ -290,15 +318,22 @@ def window_sigma(
     >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
     0.0
     """
-    if not isinstance(plant, Plant):
+    if not isinstance(plant, (Plant, UncertainPlant)):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    aligned = meet(plant, schedule)
+    box = isinstance(plant, UncertainPlant)
+    aligned = meet(plant.nominal if isinstance(plant, UncertainPlant) else plant, schedule)
     length = _checks.positive("window", window)
-    tolerance = _checks.positive("rtol", rtol)
+    tolerance = _checks.positive("rtol", (OVER_BOX if box else RTOL) if rtol is None else rtol)
     if tolerance >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
+    if isinstance(plant, UncertainPlant):
+        if rigorous:
+            raise ArgumentError(
+                "`rigorous` is for one plant: over a box the bound is proven by norms in every cell. Leave it out."
+            )
+        return window_sigma_over_box(plant, pieces, tolerance, seconds, progress)
     parts = [plant, plant.scaled()] if plant.has_scales else [plant]
     scaled = None
     for part in reversed(parts):

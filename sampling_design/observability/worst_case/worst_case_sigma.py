@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,9 @@ from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, Attained, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
+from sampling_design.observability.worst_case.worst_case_over_box import WorstCaseOverBox, worst_case_over_box
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
@@ -29,6 +32,8 @@ Progress = Callable[[float, str], None]
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""
 LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
+RTOL, OVER_BOX = 0.01, 0.1
+"""Default widths of the bracket, relative: of one plant, and over a box of plants."""
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
@@ -159,28 +164,49 @@ class WorstCaseSigma(SigmaBracket):
         return self._concluded(proven, where, _REASONS)
 
 
-@door
+@overload
 def worst_case_sigma(
     plant: Plant,
     family: SpacedWindows,
-    rtol: float = 0.01,
+    rtol: float | None = None,
     budget: float | None = 60.0,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
     rigorous: bool = False,
-) -> WorstCaseSigma:
+) -> WorstCaseSigma: ...
+@overload
+def worst_case_sigma(
+    plant: UncertainPlant,
+    family: SpacedWindows,
+    rtol: float | None = None,
+    budget: float | None = 60.0,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+) -> WorstCaseOverBox: ...
+@door
+def worst_case_sigma(
+    plant: Plant | UncertainPlant,
+    family: SpacedWindows,
+    rtol: float | None = None,
+    budget: float | None = 60.0,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+) -> WorstCaseSigma | WorstCaseOverBox:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
         sigma_bar = min of sigma_n(rows C e^{A tau_i}) over 0 <= tau_1, tau_i + epsilon <= tau_{i+1}, tau_k <= T
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or UncertainPlant
+        With constant parameters in a box: the least over every plant of the box too.
     family : SpacedWindows
         T = window, k = count, epsilon = spacing. More than k samples in a window only raise sigma, so
         exactly k are looked at.
     rtol : float
-        The search ends when lower >= (1 - rtol) upper; in (0, 1).
+        The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.01, over a box 0.1.
     budget : float, optional [seconds]
         When it runs out, the bounds so far are returned with closed = False. None: no limit.
     rng : numpy.random.Generator, optional
@@ -193,7 +219,7 @@ def worst_case_sigma(
 
     Returns
     -------
-    WorstCaseSigma
+    WorstCaseSigma, or WorstCaseOverBox
         lower = upper = 0 where k samples give fewer measurements than states; infinity for a plant
         without states.
 
@@ -239,7 +265,7 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    if not isinstance(plant, Plant):
+    if not isinstance(plant, (Plant, UncertainPlant)):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     if not isinstance(family, SpacedWindows):
         raise ArgumentError(f"`family` must be a SpacedWindows, got {type(family).__name__}.")
@@ -247,10 +273,17 @@ def worst_case_sigma(
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
         )
-    tolerance = _checks.positive("rtol", rtol)
+    default = OVER_BOX if isinstance(plant, UncertainPlant) else RTOL
+    tolerance = _checks.positive("rtol", default if rtol is None else rtol)
     if tolerance >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    if isinstance(plant, UncertainPlant):
+        if rigorous:
+            raise ArgumentError(
+                "`rigorous` is for one plant: over a box the bound is proven by norms in every cell. Leave it out."
+            )
+        return _over_box(plant, family, tolerance, seconds)
     generator = np.random.default_rng(0) if rng is None else rng
     require_moderate(plant)
     _require_memory(plant, family)
@@ -262,6 +295,17 @@ def worst_case_sigma(
             result = _in_balls(result, part, seconds / len(parts))
     assert result is not None
     return result
+
+
+def _over_box(plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float) -> WorstCaseOverBox:
+    """Each plant that is judged has a search of its own."""
+
+    def one(member: Plant, tolerance: float, left: float) -> tuple[float, float, Array]:
+        bare = Plant(member.A, member.C)  # sigma in the plant's own coordinates only
+        found = worst_case_sigma(bare, replace(family, time_unit=None), tolerance, max(left, LEAST_SEARCH))
+        return found.lower, found.upper, found.witness
+
+    return worst_case_over_box(plant, family, rtol, seconds, one)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows) -> None:

@@ -1,0 +1,17 @@
+"""What records about a box of plants show and say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sampling_design._record import short
+
+REASONS = {
+    "budget": "the budget ran out before the bracket closed; more time, or a smaller box, narrows it",
+    "rounding": "rounding keeps the bracket open; scale the plant",
+}
+
+
+def at_parameters(values: Mapping[str, float]) -> str:
+    """The parameters in words, such as "omega^2 = 1.21"."""
+    return ", ".join(f"{name} = {short(value)}" for name, value in values.items()) or "the nominal plant"

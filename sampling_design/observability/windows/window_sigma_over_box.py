@@ -1,0 +1,222 @@
+"""Sigma over every real position of a sliding window and every plant of a box of constant parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, short
+from sampling_design.evidence import Claim
+from sampling_design.observability.box.branching import Branched, branch
+from sampling_design.observability.box.expansion import Cells
+from sampling_design.observability.box.least import least_sigma
+from sampling_design.observability.box.model import BoxModel
+from sampling_design.observability.box.question import REASONS, at_parameters
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.observability.windows.bracket import require_moderate
+from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowSigmaOverBox(SigmaBracket):
+    """Bounds on the least sigma over all real positions of a window and all plants of a box.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every plant of the box and every real position.
+    upper : float
+        Attained by the plant `worst` in the window that begins at `window_start`.
+    worst : mapping
+        Values of the parameters.
+    window_start : float [time]
+    samples : (k,) array [time]
+        In that window.
+    closed : bool
+        Whether lower >= (1 - rtol) upper, or sigma is zero at `worst`.
+    status : str
+        "closed", "unseen" (the plant `worst` is not seen, as nearly as a descent can tell), "too few samples",
+        "budget", "rounding" or "no states".
+    cells : int
+        How many cells of parameters and positions were judged.
+    scaled : WindowSigmaOverBox or None
+        The same in scaled coordinates, where the plant has scales.
+    """
+
+    lower: float
+    upper: float
+    worst: Mapping[str, float]
+    window_start: float
+    samples: Array
+    status: str
+    window: float
+    rtol: float
+    cells: int
+    plant: UncertainPlant
+    scaled: WindowSigmaOverBox | None = field(default=None, kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+
+    @property
+    def time_unit(self) -> str:
+        """Unit of all times."""
+        return self.plant.time_unit
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in REASONS
+
+    @property
+    def sees_every_plant(self) -> bool | None:
+        """Whether every plant of the box is seen in every window: proven, refuted by `worst`, or None (not decided)."""
+        if self.lower > 0:
+            return True
+        return False if self.status in ("unseen", "too few samples") else None
+
+    @property
+    def worst_plant(self) -> Plant:
+        """The plant at `worst`."""
+        return self.plant.at(self.worst)
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        return Claim(
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end t, "
+            f"T = {short(self.window)}",
+            theorem="Theorem 14, hypothesis, for each plant of the box",
+            assumptions=("constant parameters in their ranges", "the sample times are exact"),
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; infinite values (a plant without states) become None."""
+        finite = bool(np.isfinite(self.upper))
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "worst": dict(self.worst),
+            "window_start": self.window_start,
+            "samples": self.samples.tolist(),
+            "closed": self.closed,
+            "status": self.status,
+            "window": self.window,
+            "rtol": self.rtol,
+            "cells": self.cells,
+            "time_unit": self.time_unit,
+            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return self._between(
+            ("worst plant", at_parameters(self.worst)),
+            ("worst window begins", f"{short(self.window_start)} {self.time_unit}"),
+            ("samples in it", str(self.samples.size)),
+            ("window", f"{short(self.window)} {self.time_unit}"),
+            ("status", f"{self.status}, {self.cells} cells"),
+            scaled=self.scaled,
+        )
+
+    def explain(self) -> str:
+        """Say what was proven, and which plant is worst."""
+        where = f"The worst plant has {at_parameters(self.worst)}, in the window from {short(self.window_start)}"
+        if self.status == "no states":
+            return NO_STATES
+        if self.status == "too few samples":
+            return f"{where}: {self.samples.size} samples are too few, and sigma is 0."
+        if self.status == "unseen":
+            return f"Not every plant of the box is seen: {where[0].lower()}{where[1:]} sigma is {short(self.upper)}."
+        length = f"{short(self.window)} {self.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} for every plant of the box, over every window of {length}"
+        return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
+
+
+def window_sigma_over_box(
+    plant: UncertainPlant, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None
+) -> WindowSigmaOverBox:
+    """Bound sigma over all pieces and plants; in scaled coordinates too where the plant has scales."""
+    require_moderate(plant.nominal)
+    scaled: WindowSigmaOverBox | None = None
+    for inner in (True, False) if plant.nominal.has_scales else (False,):
+        model = BoxModel.of(plant, "window_sigma", inner)
+        share = seconds / (2 if plant.nominal.has_scales else 1)
+        scaled = _record(_searched(model, pieces, rtol, share, progress), model, pieces, rtol, scaled)
+    assert scaled is not None
+    return scaled
+
+
+def _record(
+    found: Branched, model: BoxModel, pieces: Pieces, rtol: float, scaled: WindowSigmaOverBox | None
+) -> WindowSigmaOverBox:
+    return WindowSigmaOverBox(
+        found.lower, found.upper, model.values(found.u), found.s, pieces.samples(found.piece), found.status,
+        pieces.window, rtol, found.cells, model.plant, scaled=scaled,
+    )  # fmt: skip
+
+
+def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> Branched:
+    """The bracket over the box and all pieces."""
+    asked = WindowsOverBox(model, pieces)
+    if not model.n:
+        return Branched(np.inf, np.inf, model.start, float(pieces.left[0]), 0, "no states", 0)
+    few = asked.too_few()
+    if few is not None:
+        return Branched(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
+    ends = (pieces.left, pieces.right)
+    return branch(asked.cells(), asked.judge, asked.value, asked.size, rtol, seconds, ends, progress)
+
+
+class WindowsOverBox:
+    """Sigma of the windows of one schedule, for cells of a box."""
+
+    def __init__(self, model: BoxModel, pieces: Pieces) -> None:
+        self.model, self.pieces = model, pieces
+        self.times, self.measured = _padded(pieces, len(model.C))
+        self.size = float(np.linalg.norm(model.C / model.unit)) if model.n else 1.0
+        """What counts as one: the outputs of a unit state."""
+
+    def too_few(self) -> int | None:
+        """A piece with fewer measurements than states."""
+        few = np.flatnonzero(self.measured.sum(axis=(1, 2)) < self.model.n)
+        return int(few[0]) if few.size else None
+
+    def cells(self) -> Cells:
+        """The whole box, once for each piece."""
+        pieces, count = self.pieces, len(self.pieces)
+        box = np.zeros((count, self.model.m))
+        half = (pieces.right - pieces.left) / 2 + pieces.tolerance
+        return Cells(box, box + 1, (pieces.left + pieces.right) / 2, half, np.arange(count))
+
+    def judge(self, cells: Cells) -> tuple[Array, Array, Array]:
+        """Lower bounds, values at the centres, and what each direction matters."""
+        piece = cells.piece
+        found = least_sigma(self.model, cells, self.times[piece] - cells.s[:, None], self.measured[piece])
+        return found.lower, found.centre, found.effect
+
+    def value(self, u: Array, s: float, piece: int) -> float:
+        """Sigma of one plant and window."""
+        A, C = self.model.at(u[None])
+        at = self.pieces.samples(piece) - s
+        rows = (C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]]
+        return float(np.linalg.svd(rows / self.model.unit, compute_uv=False)[self.model.n - 1])
+
+
+def _padded(pieces: Pieces, outputs: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Sample times (P, N) of every piece and what is measured (P, N, p), filled up with what is not."""
+    count = pieces.stop - pieces.first
+    most = max(1, int(count.max(initial=0)))
+    index = pieces.first[:, None] + np.arange(most)
+    there = index < pieces.stop[:, None]
+    if not len(pieces.times):
+        return np.zeros(there.shape), np.zeros((*there.shape, outputs), dtype=bool)
+    index = np.where(there, index, 0)
+    mask = np.ones((len(pieces.times), outputs), dtype=bool) if pieces.mask is None else pieces.mask
+    return pieces.times[index], there[..., None] & mask[index]

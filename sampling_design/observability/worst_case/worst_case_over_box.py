@@ -1,0 +1,186 @@
+"""The least sigma over all schedules that keep a spacing rule and all plants of a box of constant parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, short
+from sampling_design.evidence import Claim
+from sampling_design.observability.box.branching import halved
+from sampling_design.observability.box.expansion import UP, Cells, bases, beyond_first
+from sampling_design.observability.box.model import BoxModel
+from sampling_design.observability.box.question import REASONS, at_parameters
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.plants.plant import Plant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.schedules.spaced_windows import SpacedWindows
+
+Array = npt.NDArray[np.float64]
+OnePlant = Callable[[Plant, float, float], tuple[float, float, Array]]
+"""Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
+
+FINER = 0.25
+"""Share of the tolerance that the bracket of each single plant may take."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WorstCaseOverBox(SigmaBracket):
+    """Bounds on the least sigma over all schedules with k samples, epsilon apart, in a window, and all plants of a box.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every admissible schedule and every plant of the box.
+    upper : float
+        Attained by the plant `worst` at the times `witness`.
+    worst : mapping
+        Values of the parameters.
+    witness : (k,) array
+        Sample times within [0, T].
+    status : str
+        "closed", "unseen" (some plant and schedule see nothing of a state), "budget" or "no states".
+    plants : int
+        How many plants were judged one by one.
+    """
+
+    lower: float
+    upper: float
+    worst: Mapping[str, float]
+    witness: Array
+    status: str
+    family: SpacedWindows
+    rtol: float
+    plants: int
+    plant: UncertainPlant
+    rigorous: bool = field(default=False, kw_only=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in REASONS
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        f = self.family
+        return Claim(
+            f"sigma_n(O_s) >= {short(self.lower)} for every plant of the box and all schedules with at least {f.count} "
+            f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}",
+            theorem="Theorem 17, for each plant of the box",
+            assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; infinite values (a plant without states) become None."""
+        finite, f = bool(np.isfinite(self.upper)), self.family
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "worst": dict(self.worst),
+            "witness": self.witness.tolist(),
+            "status": self.status,
+            "rtol": self.rtol,
+            "plants": self.plants,
+            "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        f, unit = self.family, self.plant.time_unit
+        return self._between(
+            ("worst plant", at_parameters(self.worst)),
+            ("worst times", f"{short(self.witness)} {unit}"),
+            ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
+            ("status", f"{self.status}, {self.plants} plants"),
+            scaled=None,
+        )
+
+    def explain(self) -> str:
+        """Say what was proven, and which plant and times are worst."""
+        if self.status == "no states":
+            return NO_STATES
+        where = f"The worst plant has {at_parameters(self.worst)}, at {short(self.witness)} {self.plant.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} for every plant of the box and every such schedule"
+        return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
+
+
+def worst_case_over_box(
+    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, one: OnePlant
+) -> WorstCaseOverBox:
+    """Bracket the worst case over the box: single plants, and how far sigma can be from theirs within a cell.
+
+    |O(theta) x| >= |O(theta_0) x| - |O(theta) - O(theta_0)| |x|, the difference of each row bounded for all times.
+    """
+    model = BoxModel.of(plant, "worst_case_sigma")
+    if not model.n:
+        return WorstCaseOverBox(
+            np.inf, np.inf, model.values(model.start), np.zeros(0), "no states", family, rtol, 0, plant
+        )
+    began, judged, closed = time.monotonic(), 0, np.inf
+    start = np.zeros((1, model.m))
+    open_ = Cells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    bound, best = np.zeros(1), (np.inf, model.start, np.zeros(family.count))
+    while len(open_.s):
+        k = int(np.argmin(bound))
+        cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
+        left = seconds - (time.monotonic() - began)
+        if left <= 0 and judged:
+            low = min(closed, float(bound.min()))
+            return _record(model, family, rtol, "budget", judged, low, best)
+        lower, upper, times = one(plant.at(model.values(cell.u[0])), FINER * rtol, left)
+        judged += 1
+        if upper < best[0]:
+            best = (upper, cell.u[0], times)
+        if best[0] == 0:
+            return _record(model, family, rtol, "unseen", judged, 0.0, best)
+        reached, effect = np.maximum(lower - spread_over(model, cell, family), bound[k]), np.zeros((1, model.m + 1))
+        effect[:, :-1] = np.linalg.norm(model.parts_A, axis=(1, 2)) * family.window * cell.half
+        effect[:, :-1] += np.linalg.norm(model.parts_C, axis=(1, 2)) * cell.half
+        open_, bound = open_.take(rest), bound[rest]
+        if reached[0] >= (1 - rtol) * best[0]:
+            closed = min(closed, float(reached[0]))
+        else:
+            parts = halved(cell, effect)
+            open_ = Cells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
+            bound = np.append(bound, np.repeat(np.maximum(reached, 0.0), 2))
+        settled = bound >= (1 - rtol) * best[0]
+        closed = min(closed, float(bound[settled].min(initial=np.inf)))
+        open_, bound = open_.take(~settled), bound[~settled]
+    return _record(model, family, rtol, "closed", judged, closed, best)
+
+
+def _record(
+    model: BoxModel,
+    family: SpacedWindows,
+    rtol: float,
+    status: str,
+    judged: int,
+    lower: float,
+    best: tuple[float, Array, Array],
+) -> WorstCaseOverBox:
+    return WorstCaseOverBox(
+        min(lower, best[0]), best[0], model.values(best[1]), best[2], status, family, rtol, judged, model.plant
+    )
+
+
+def spread_over(model: BoxModel, cell: Cells, family: SpacedWindows) -> Array:
+    """At least |O(theta) - O(theta_0)| over a cell (1,), for any k times in the window."""
+    A, C = model.at(cell.u)
+    T_end, found = np.array([family.window]), np.full(1, np.inf)
+    for T in bases(A, C, T_end):
+        inverse = np.linalg.inv(T)
+        B = inverse @ A @ T
+        mu = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1]
+        e = UP * np.sum(cell.half * np.linalg.norm(inverse @ model.parts_A @ T, 2, axis=(1, 2)), axis=1)
+        c = UP * np.sum(cell.half * np.linalg.norm(model.parts_C @ T, 2, axis=(1, 2)), axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown, along = np.exp(np.maximum(mu, 0.0) * T_end), e * T_end
+            row = grown * (np.linalg.norm(C @ T, 2, axis=(1, 2)) * (along + beyond_first(along)) + c * np.exp(along))
+            whole = UP * np.sqrt(family.count) * row * np.linalg.norm(inverse / model.unit, 2, axis=(1, 2))
+        found = np.fmin(found, whole)
+    return np.asarray(found)

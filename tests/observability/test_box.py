@@ -1,0 +1,228 @@
+"""Sigma, counts, existence and accuracy over a box of constant parameters: proven, attained, refused."""
+
+import numpy as np
+import pytest
+
+from sampling_design import (
+    PeriodicSchedule,
+    Plant,
+    Signals,
+    SpacedWindows,
+    UncertainParameter,
+    UncertainPlant,
+    accuracy,
+    certificate_exists,
+    largest_box,
+    window_sigma,
+    worst_case_sigma,
+    zero_count_bound,
+)
+from sampling_design.certificates.existence.existence_over_box import existence_over_box
+from sampling_design.certificates.existence.periodic import margin_on
+from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
+from sampling_design.observability.box.branching import halved
+from sampling_design.observability.box.expansion import Cells, exponentials
+from sampling_design.observability.box.model import BoxModel
+from sampling_design.observability.count import zero_count_over_box
+from sampling_design.recovery.accuracy_over_box import accuracy_over_box
+from tests.oracles.observability import exponential_50_digits
+from tests.rescale import Units
+
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+STIFF = [[0.0, 0.0], [-1.0, 0.0]]
+DAMPED = [[0.0, 0.0], [0.0, -1.0]]
+
+
+def oscillator(low=0.81, high=1.21, **more):
+    return UncertainPlant(OSCILLATOR, [UncertainParameter("omega^2", low, high, A=STIFF, nominal=1.0)], **more)
+
+
+def test_sigma_over_a_box_of_frequencies_is_that_of_the_worst_frequency():
+    found = window_sigma(oscillator(), PeriodicSchedule([2.8]), 9.0)
+    scan = min(
+        window_sigma(oscillator().at([x]), PeriodicSchedule([2.8]), 9.0).upper for x in np.linspace(0.81, 1.21, 21)
+    )
+    assert found.closed
+    assert found.sees_every_plant
+    assert found.lower <= scan * (1 + 1e-9)
+    assert found.lower >= 0.98 * scan
+    assert found.worst["omega^2"] == pytest.approx(1.21, rel=1e-3)
+    assert "for every plant of the box" in found.explain()
+
+
+def test_a_schedule_that_misses_one_frequency_of_the_box_is_told_which():
+    found = window_sigma(oscillator(), PeriodicSchedule([2.857]), 9.0)
+    assert found.sees_every_plant is False
+    assert found.lower == 0.0
+    assert found.worst["omega^2"] == pytest.approx((np.pi / 2.857) ** 2, rel=1e-6)
+    assert "Not every plant" in found.explain()
+
+
+def test_a_window_that_holds_too_few_samples_sees_no_plant():
+    found = window_sigma(oscillator(), PeriodicSchedule([2.0]), 1.0)
+    assert (found.lower, found.status, found.sees_every_plant) == (0.0, "too few samples", False)
+
+
+def test_an_hour_is_not_spent_where_the_budget_is_none():
+    found = window_sigma(oscillator(0.2, 4.0), PeriodicSchedule([0.5, 0.9]), 3.0, rtol=1e-6, budget=0.0)
+    assert found.status == "budget"
+    assert not found.closed
+    assert found.lower <= found.upper
+
+
+def test_units_change_no_bound_over_a_box():
+    plant, schedule = oscillator(), PeriodicSchedule([1.0, 0.7])
+    plain = window_sigma(plant, schedule, 3.0)
+    units = Units(np.array([1e6, 1e-9]), np.array([1e-4]), disturbances=np.ones(2), time=1e5)
+    scaled = Plant(OSCILLATOR.A, OSCILLATOR.C, states=Signals(["x", "v"], (), [1.0, 1.0]))
+    moved = units.plant(scaled)
+    A = np.array(STIFF) * units.states[:, None] / units.states / units.time
+    other = UncertainPlant(moved, [UncertainParameter("omega^2", 0.81, 1.21, A=A, nominal=1.0)])
+    found = window_sigma(other, PeriodicSchedule(schedule.gaps * units.time), 3.0 * units.time)
+    assert found.scaled is not None
+    assert found.scaled.lower == pytest.approx(plain.lower, rel=0.02)
+    exists = [certificate_exists(p, s, 0.1 / t).cells for p, s, t in (
+        (plant, PeriodicSchedule([2.8]), 1.0), (other, PeriodicSchedule([2.8 * units.time]), units.time)
+    )]  # fmt: skip
+    assert exists[0] == exists[1]
+
+
+def test_a_count_over_a_box_is_that_of_its_fastest_plant():
+    found = zero_count_bound(oscillator(), np.pi)
+    assert found.samples == zero_count_bound(oscillator().at([1.21]), np.pi).samples == 3
+    assert 2.2 <= found.frequency_spread <= 2.21
+    assert found.attained == pytest.approx(2.2, rel=1e-6)
+    assert "fastest" in found.explain()
+
+
+def test_a_count_is_refused_where_a_plant_of_the_box_hides_a_mode():
+    hidden = UncertainPlant(OSCILLATOR, [UncertainParameter("gain", -0.1, 1.0, C=[[1.0, 0.0]], nominal=1.0)])
+    with pytest.raises(NotObservableError, match="for every plant of the box"):
+        zero_count_bound(hidden, 1.0)
+
+
+def test_a_count_says_when_it_could_not_be_decided(monkeypatch):
+    monkeypatch.setattr(zero_count_over_box, "SECONDS", 0.0)
+    model = BoxModel.of(oscillator(-8.0, 8.0), "zero_count_bound")
+    with pytest.raises(UndecidedError, match="whether every plant of the box is observable"):
+        zero_count_over_box.require_every_plant_observable(model)
+    with pytest.raises(ArgumentError, match="must hold fewer than"):
+        zero_count_bound(oscillator(), 1e17)
+
+
+def test_the_worst_case_over_a_box_holds_for_every_plant_drawn():
+    plant, family = oscillator(0.97, 1.03), SpacedWindows(4.0, 3, 0.8)
+    found = worst_case_sigma(plant, family, rtol=0.15)
+    assert found.closed
+    each = [worst_case_sigma(plant.at([x]), family).upper for x in (0.97, 1.0, 1.03)]
+    assert 0.85 * found.upper <= found.lower <= min(each)
+    assert "every such schedule" in found.explain()
+
+
+def test_the_frechet_derivative_and_the_exponential_agree_with_fifty_digits():
+    rng = np.random.default_rng(0)
+    M = rng.normal(size=(4, 3, 3)) * np.geomspace(0.01, 20, 4)[:, None, None]
+    for X, E in zip(M, exponentials(M), strict=True):
+        exact = exponential_50_digits(X, 1.0)
+        assert np.linalg.norm(E - exact) <= 1e-12 * np.linalg.norm(exact)
+
+
+def test_halves_cover_their_cell():
+    cells = Cells(np.zeros((1, 2)), np.ones((1, 2)), np.zeros(1), np.ones(1), np.zeros(1, dtype=int))
+    parts = halved(cells, np.array([[0.1, 2.0, 0.3]]))
+    np.testing.assert_array_equal(parts.u, [[0.0, -0.5], [0.0, 0.5]])
+    np.testing.assert_array_equal(parts.half, [[1.0, 0.5], [1.0, 0.5]])
+    assert halved(cells, np.array([[0.1, 0.2, 0.3]])).s.tolist() == [-0.5, 0.5]
+
+
+# --- certificates -----------------------------------------------------------------------------------------------------
+
+
+def test_certificates_exist_for_every_plant_or_the_plant_that_has_none_is_named():
+    assert certificate_exists(oscillator(), PeriodicSchedule([2.85]), 0.1).exists
+    found = certificate_exists(oscillator(), PeriodicSchedule([2.857]), 0.1)
+    assert not found.exists
+    assert found.worst["omega^2"] == pytest.approx((np.pi / 2.857) ** 2, rel=1e-6)
+    assert "aliased" in found.explain()
+    near = certificate_exists(oscillator(), PeriodicSchedule([3.0]), 0.1)
+    assert not near.exists
+    assert near.worst["omega^2"] == pytest.approx((np.pi / 3) ** 2, rel=1e-6)
+
+
+def test_a_mode_that_no_output_sees_may_decay_for_every_plant_of_a_box():
+    plant = Plant([[-1.0, 0.0], [0.0, 0.1]], [[0.0, 1.0]])
+    box = UncertainPlant(plant, [UncertainParameter("a", -0.5, 0.5, A=[[1.0, 0.2], [0.0, 0.1]])])
+    assert certificate_exists(box, PeriodicSchedule([1.0]), 0.3).exists
+    assert not certificate_exists(box, PeriodicSchedule([1.0]), 1.3).exists
+    assert certificate_exists(box, PeriodicSchedule([1.0]).between(0, 5), 1.3).exists
+
+
+def test_existence_that_is_not_decided_says_so():
+    schedule = PeriodicSchedule([2.85])
+    with pytest.raises(UndecidedError, match="exists for every plant of the box"):
+        existence_over_box(oscillator(), schedule, 0.1, margin_on(schedule, 0.1), seconds=0.0)
+
+
+def test_the_largest_box_ends_where_the_schedule_aliases():
+    plant, schedule = oscillator(0.5, 2.0), PeriodicSchedule([2.8])
+    edge = (np.pi / 2.8) ** 2
+    by_gains = largest_box(plant, schedule, eta=0.1)
+    assert by_gains.closed
+    assert by_gains.high["omega^2"] <= edge <= by_gains.high["omega^2"] * 1.01
+    assert by_gains.worst["omega^2"] == pytest.approx(edge, rel=1e-6)
+    assert certificate_exists(by_gains.box.at([by_gains.high["omega^2"]]), schedule, 0.1).exists
+    by_sigma = largest_box(plant, schedule, window=9.0, at_least=0.3)
+    ends = [by_sigma.low["omega^2"], by_sigma.high["omega^2"]]
+    assert min(window_sigma(plant.at([x]), schedule, 9.0).upper for x in ends) >= 0.3
+    assert window_sigma(plant.at(by_sigma.worst), schedule, 9.0).lower <= 0.3
+    assert largest_box(plant, PeriodicSchedule([0.5]), window=4.0).share == pytest.approx(1.0)
+    assert largest_box(plant, schedule, window=1.0).share == 0.0
+    assert "it fails at" in by_gains.explain()
+
+
+# --- accuracy ---------------------------------------------------------------------------------------------------------
+
+
+def test_accuracy_over_a_box_holds_between_its_worst_plant_and_all_of_them():
+    plant, schedule = oscillator(0.99, 1.01), PeriodicSchedule([1.2])
+    bounds = {"w_bound": [0.02, 0.02], "v_bound": 0.4, "of": "x1"}
+    found = accuracy(plant, schedule, rtol=0.2, **bounds)
+    each = [accuracy(plant.at([x]), schedule, **bounds) for x in (0.99, 1.0, 1.01)]
+    assert found.closed.all()
+    assert found.upper[0] >= max(a.lower[0] for a in each)
+    assert found.lower[0] <= max(a.upper[0] for a in each)
+    assert "Whichever plant" in found.explain()
+
+
+def test_accuracy_that_cannot_be_bounded_says_so():
+    def one(plant, w, v, rows, rtol):
+        return np.zeros(len(rows)), np.full(len(rows), np.inf)
+
+    with pytest.raises(UndecidedError, match="could not be bounded in"):
+        accuracy_over_box(oscillator(), PeriodicSchedule([1.0]), [1.0, 1.0], 1.0, None, 0.1, one, seconds=0.0)
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_what_has_no_meaning_over_a_box_is_refused():
+    schedule = PeriodicSchedule([1.0])
+    between = UncertainPlant(OSCILLATOR, vertices=[OSCILLATOR, OSCILLATOR])
+    with pytest.raises(ArgumentError, match="must have parameters in a box"):
+        window_sigma(between, schedule, 3.0)
+    with pytest.raises(ArgumentError, match="must have constant parameters"):
+        certificate_exists(oscillator(varying=True), schedule, 0.1)
+    with pytest.raises(ArgumentError, match="over a box the bound is proven by norms"):
+        window_sigma(oscillator(), schedule, 3.0, rigorous=True)
+    with pytest.raises(ArgumentError, match="over a box the bound is proven by norms"):
+        worst_case_sigma(oscillator(), SpacedWindows(4.0, 3, 0.8), rigorous=True)
+    with pytest.raises(ArgumentError, match="one of them and not both"):
+        largest_box(oscillator(), schedule)
+    with pytest.raises(ArgumentError, match="on a finite one every plant has a certificate"):
+        largest_box(oscillator(), schedule.between(0, 5), eta=0.1)
+    with pytest.raises(ArgumentError, match="must be periodic for accuracy over a box"):
+        accuracy(oscillator(), schedule.between(0, 5), w_bound=[1.0, 1.0], v_bound=1.0)
+    with pytest.raises(ArgumentError, match="one bound for each entry, for accuracy over a box"):
+        accuracy(oscillator(), schedule, w_bound=1.0, v_bound=1.0)
+    with pytest.raises(ArgumentError, match="must be left out for accuracy over a box"):
+        accuracy(oscillator(), schedule, w_bound=[1.0, 1.0], v_bound=1.0, start=0.0)

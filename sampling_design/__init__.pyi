@@ -26,7 +26,6 @@ from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.certificate import Certificate as Certificate
 from sampling_design.certificates.exact.information import information_curve as information_curve
 from sampling_design.certificates.existence.counterexample import find_counterexample as find_counterexample
-from sampling_design.certificates.existence.largest_box import largest_box as largest_box
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.certify_family import certify_family as certify_family
@@ -90,8 +89,6 @@ from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.plants.sparse import SparsePlant as SparsePlant
 from sampling_design.plants.sparse import split_sparse as split_sparse
-from sampling_design.plants.uncertain import UncertainParameter as UncertainParameter
-from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval

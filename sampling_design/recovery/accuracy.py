@@ -12,14 +12,15 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Gridded, Plain, Variable, short
-from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, OnePlant, accuracy_over_box
+from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, accuracy_over_box, one_plant, refuse_others
 from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
+from sampling_design.recovery.profile import AccuracyProfile, GapProof
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch, RowSearch
@@ -35,52 +36,10 @@ Array = npt.NDArray[np.float64]
 
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""
-
 RTOL, OVER_BOX = 0.01, 0.1
 """Default widths of the brackets, relative: of one plant, and over a box of plants."""
-
 MOST_SOLVES = 2000
 """Programs for one row; a bracket that is not closed by then says so."""
-
-
-@dataclass(frozen=True, eq=False)
-class GapProof:
-    """Gains for some directions at one sample: what bounds every row from above over the gap that follows.
-
-    Attributes
-    ----------
-    sample : int
-        Its place in the schedule's period.
-    directions : (m, n) array
-        In the coordinates of the chain.
-    gains : tuple of tuple of arrays
-        For each direction, the gains of the samples back in time, the latest last, in units of v_bound.
-    """
-
-    sample: int
-    directions: Array
-    gains: tuple[tuple[Array, ...], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class AccuracyProfile:
-    """Both bounds over time: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
-
-    Attributes
-    ----------
-    edges : (N+1,) array
-        From the first sample of a period on, or from the start of a finite schedule [the plant's time unit].
-    lower : (r, N) array
-    upper : (r, N) array
-        Infinite where the samples taken by then do not determine the row.
-    samples : (m,) array
-        Sample times.
-    """
-
-    edges: Array
-    lower: Array
-    upper: Array
-    samples: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -352,8 +311,7 @@ def accuracy(
     Parameters
     ----------
     plant : Plant or UncertainPlant
-        With constant parameters in a box (periodic schedules, a bound for each entry): the worst over every plant of
-        it, each with an estimator that knows its parameters.
+        With constant parameters in a box: the worst of its plants, each with an estimator that knows it.
     schedule : PeriodicSchedule or Schedule
         Periodic: without end, and so long under way that its start no longer matters. Finite: from `start` to `end`.
     w_bound : float, (q,) array or mapping
@@ -417,13 +375,10 @@ def accuracy(
     True
     """
     if isinstance(plant, UncertainPlant):
-        others = {"initial_error": initial_error, "start": start, "end": end, "w_intensity": w_intensity}
-        for name, given_ in {**others, "v_deviation": v_deviation}.items():
-            if given_ is not None:
-                raise ArgumentError(f"`{name}` must be left out for accuracy over a box of parameters.")
-        share = _checks.positive("rtol", OVER_BOX if rtol is None else rtol)
-        aligned = meet(plant.nominal, schedule)
-        return accuracy_over_box(plant, aligned, w_bound, v_bound, of, share, _one_plant(aligned))
+        refuse_others(initial_error=initial_error, start=start, end=end)
+        refuse_others(w_intensity=w_intensity, v_deviation=v_deviation)
+        aligned, share = meet(plant.nominal, schedule), _checks.positive("rtol", OVER_BOX if rtol is None else rtol)
+        return accuracy_over_box(plant, aligned, w_bound, v_bound, of, share, one_plant(accuracy, aligned))
     schedule = meet(plant, schedule)
     tolerance = _checks.positive("rtol", RTOL if rtol is None else rtol)
     rows = wanted_rows(plant, of)
@@ -543,16 +498,3 @@ def _finite(values: Array) -> list[float | None]:
 
 def _proof(j: int, atoms: Atoms) -> GapProof:
     return GapProof(j, freeze(atoms.mu), tuple(gains.gains for gains in atoms.gains))
-
-
-def _one_plant(schedule: Schedule | PeriodicSchedule) -> OnePlant:
-    """Both bounds of one plant of a box; nothing is proven where some mode of it is not seen."""
-
-    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> tuple[Array, Array]:
-        try:
-            found = accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
-        except NotDetectableError:
-            return np.zeros(len(rows)), np.full(len(rows), np.inf)
-        return np.asarray(found.lower), np.asarray(found.upper)
-
-    return one

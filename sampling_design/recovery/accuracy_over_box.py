@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Plain, Record, short
-from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.errors import ArgumentError, NotDetectableError, UndecidedError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.model import require_constant_box
 from sampling_design.observability.box.question import at_parameters
@@ -20,7 +21,7 @@ from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.recovery.bounds import Bound
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Both = tuple[Array, Array]
@@ -36,7 +37,7 @@ MOST_CORNERS = 2
 """Parameters up to which the corners of the box are looked at first."""
 RANK = 1e-13
 SMALLEST = 1e-6
-"""Cells below this share of the box are not halved further."""
+"""BoxCells below this share of the box are not halved further."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -261,3 +262,41 @@ def _entries(name: str, value: Bound, count: int) -> Array:
         f"`{name}` must be {count} numbers that are not negative, one bound for each entry, for accuracy over a box of "
         f"parameters, got {_checks.described(value)}."
     )
+
+
+def refuse_others(**others: object) -> None:
+    """Raise if something is given that has no meaning over a box.
+
+    Raises
+    ------
+    ArgumentError
+        The first of them that is not None.
+    """
+    for name, value in others.items():
+        if value is not None:
+            raise ArgumentError(f"`{name}` must be left out for accuracy over a box of parameters.")
+
+
+class Bracketed(Protocol):
+    """What `accuracy` returns of one plant."""
+
+    @property
+    def lower(self) -> Array:
+        """Attained."""
+
+    @property
+    def upper(self) -> Array:
+        """Proven."""
+
+
+def one_plant(verb: Callable[..., Bracketed], schedule: Schedule | PeriodicSchedule) -> OnePlant:
+    """Both bounds of one plant of a box; nothing is proven where some mode of it is not seen."""
+
+    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
+        try:
+            found = verb(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        except NotDetectableError:
+            return np.zeros(len(rows)), np.full(len(rows), np.inf)
+        return np.asarray(found.lower), np.asarray(found.upper)
+
+    return one

@@ -171,7 +171,7 @@ class RecordProgram:
     def solve(self, t: float, row: Array) -> tuple[End, End]:
         """Return the ends of a row of x at t, the upper one of c and that of -c, and the gains that prove them.
 
-        Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
+        BoxCells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
         """
         ends, open_ = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], []
         for level in range(1, LEVELS):
@@ -345,7 +345,7 @@ class RecordProgram:
     def least_multiple(self, which: str) -> tuple[float, float, Array]:
         """Return what gains prove to be the least multiple of some bounds, one that suffices, and those gains.
 
-        Cells become finer until both are equal but for `CLOSED`.
+        BoxCells become finer until both are equal but for `CLOSED`.
         """
         best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
         for level in range(LEVELS):

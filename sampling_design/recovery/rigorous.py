@@ -15,7 +15,7 @@ from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import CONTRACTED, SampleChain
 
 if TYPE_CHECKING:
-    from sampling_design.recovery.accuracy import GapProof
+    from sampling_design.recovery.profile import GapProof
     from sampling_design.recovery.witness import AccuracyWitness
 
 Array = npt.NDArray[np.float64]

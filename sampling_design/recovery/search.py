@@ -37,7 +37,7 @@ ATTACKS = (8, 32)
 """Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
 
 SMALL = 5000
-"""Cells times entries of w in a small program."""
+"""BoxCells times entries of w in a small program."""
 
 TOLERANCE = 1e-7
 """Asked of the solver: what both sides prove is second order in it."""

@@ -8,7 +8,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import library
 from sampling_design.errors import ArgumentError
-from sampling_design.recovery.accuracy import GapProof
+from sampling_design.recovery.profile import GapProof
 from tests.oracles import accuracy as oracle
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])

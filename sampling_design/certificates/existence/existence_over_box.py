@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -15,7 +15,7 @@ from sampling_design._linalg import positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.errors import UndecidedError
 from sampling_design.observability.box.branching import halved
-from sampling_design.observability.box.expansion import Cells, expanded
+from sampling_design.observability.box.expansion import BoxCells, expanded
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
 from sampling_design.plants.plant import Plant
@@ -30,9 +30,9 @@ PERIODS, SETTLED = 400, 1e-6
 """Periods of the filter that finds the gains, and the relative change at which it has settled."""
 SECONDS = 60.0
 SMALLEST = 1e-9
-"""Cells below this share of the box are not halved further."""
+"""BoxCells below this share of the box are not halved further."""
 LOOKS = 8
-"""Cells judged between two looks for a plant without certificate."""
+"""BoxCells judged between two looks for a plant without certificate."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,7 +49,7 @@ class ExistenceOverBox(Record):
         Of `certificate_exists` at `worst`.
     reason : str
     cells : int
-        Cells of the box, each with gains of its own.
+        BoxCells of the box, each with gains of its own.
     """
 
     exists: bool
@@ -89,7 +89,7 @@ def existence_over_box(
     """
     model = BoxModel.of(plant, "certificate_exists")
     gaps, began = GainedGaps(model, schedule, eta), time.monotonic()
-    cells = Cells(np.zeros((1, model.m)), np.ones((1, model.m)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    cells = BoxCells(np.zeros((1, model.m)), np.ones((1, model.m)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
     stack = [cells]
     while stack:
@@ -159,7 +159,7 @@ class GainedGaps:
         self.size = positive_or_one(np.linalg.norm(model.C, axis=1))
         self.identity = np.eye(n)
 
-    def contract(self, cell: Cells) -> bool:
+    def contract(self, cell: BoxCells) -> bool:
         """Whether gains were found with which the error of every plant of the cell contracts over a period."""
         n, m = self.model.n, self.model.m
         if not n:
@@ -171,10 +171,7 @@ class GainedGaps:
         gains, roots = found
         count = len(self.gaps)
         many = cell.take(np.zeros(count, dtype=int))
-        bare = BoxModel(
-            self.model.plant, self.model.A, self.identity, self.model.parts_A, np.zeros((m, n, n)), self.model.nominal,
-            self.model.middle, self.model.half, np.ones(n), self.model.place,
-        )  # fmt: skip
+        bare = replace(self.model, C=self.identity, parts_C=np.zeros((m, n, n)), unit=np.ones(n))
         flows = expanded(bare, many, self.gaps[:, None], np.ones((count, 1, n), dtype=bool))
         turned = cell.half[0][:, None, None] * self.model.parts_C / self.size[:, None]
         signs = np.array(list(product((-1.0, 1.0), repeat=m))).reshape(2**m, m)
@@ -196,7 +193,7 @@ class GainedGaps:
                 total += self.rate / 2 * gap + float(np.log(bound * (1 + 1e-10)))
         return bool(total < 0)
 
-    def effect(self, cell: Cells) -> Array:
+    def effect(self, cell: BoxCells) -> Array:
         """How much each parameter matters to a period."""
         model, span = self.model, float(self.gaps.sum())
         along = np.linalg.norm(model.parts_A, axis=(1, 2)) * span

@@ -18,7 +18,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import TOGETHER, UNSEEN, halved
 from sampling_design.observability.box.branching import descended as descended_sigma
-from sampling_design.observability.box.expansion import Cells
+from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
 from sampling_design.observability.meeting import meet
@@ -30,11 +30,11 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 Array = npt.NDArray[np.float64]
 Judged = tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], Array]
 SAME = 1e-9
-"""Cells below this share of the ranges are not halved further."""
+"""BoxCells below this share of the ranges are not halved further."""
 LOOKS = 6
 """Rounds between two searches for a plant that fails."""
 NEAREST = 32
-"""Cells judged together, those nearest to the nominal values."""
+"""BoxCells judged together, those nearest to the nominal values."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +144,7 @@ def largest_box(
 
     Notes
     -----
-    *Claim.* `share` is proven; at `refuted` a plant fails. *Method.* Cells of the box, those nearest to the nominal
+    *Claim.* `share` is proven; at `refuted` a plant fails. *Method.* BoxCells of the box, those nearest to the nominal
     values first; no cell beyond a plant that fails is looked at.
 
     Examples
@@ -178,7 +178,7 @@ def largest_box(
         rate = _checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
         start = np.zeros((1, model.m))
-        cells = Cells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+        cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
         judge = _ByGains(model, aligned, rate)
     return _searched(model, cells, judge, tolerance, _checks.positive("budget", budget), question)
 
@@ -190,12 +190,12 @@ class _BySigma:
         self.asked, self.least = asked, max(least, UNSEEN * asked.size)
         self.floor = least
 
-    def judge(self, cells: Cells) -> Judged:
+    def judge(self, cells: BoxCells) -> Judged:
         """Which cells are proven, which fail at their centre, and what each direction matters."""
         lower, centre, effect = self.asked.judge(cells)
         return lower > self.floor, centre <= self.least, effect
 
-    def failing(self, cell: Cells) -> Array | None:
+    def failing(self, cell: BoxCells) -> Array | None:
         """A plant near the cell that fails."""
         pieces = self.asked.pieces
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
@@ -209,7 +209,7 @@ class _ByGains:
     def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:
         self.model, self.gaps, self.margin = model, GainedGaps(model, schedule, eta), margin_on(schedule, eta)
 
-    def judge(self, cells: Cells) -> Judged:
+    def judge(self, cells: BoxCells) -> Judged:
         """Which cells are proven, which fail at their centre, and what each direction matters."""
         every = [cells.take(np.array([k])) for k in range(len(cells.s))]
         proven = np.array([self.gaps.contract(cell) for cell in every])
@@ -219,7 +219,7 @@ class _ByGains:
         ]
         return proven, np.array(lost), np.concatenate([self.gaps.effect(cell) for cell in every])
 
-    def failing(self, cell: Cells) -> Array | None:
+    def failing(self, cell: BoxCells) -> Array | None:
         """A plant near the cell that fails."""
         found = descended(self.model, self.margin, looked_at(self.model, self.margin, cell.u[0], None))
         return None if found[1] else found[2]
@@ -233,9 +233,9 @@ def _level(model: BoxModel, u: Array) -> Array:
 
 
 def _searched(
-    model: BoxModel, cells: Cells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
+    model: BoxModel, cells: BoxCells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
 ) -> LargestBox:
-    """Cells from the nominal values outwards."""
+    """BoxCells from the nominal values outwards."""
     began, judged_cells, failed, worst = time.monotonic(), 0, np.inf, model.start
     small, rounds = False, 0
     together = TOGETHER if isinstance(question_of, _BySigma) else NEAREST
@@ -264,7 +264,7 @@ def _searched(
                 failed, worst = float(centres[k]), near.u[k]
         parts = halved(near.take(~proven), effect[~proven]) if not proven.all() else near.take(~proven)
         small = bool(len(parts.s) and model.m and parts.half.max(axis=1).min() < SAME)
-        cells = Cells._make(np.concatenate(pair) for pair in zip(parts, later, strict=True))
+        cells = BoxCells._make(np.concatenate(pair) for pair in zip(parts, later, strict=True))
     share = min(1.0, failed)
     return _found(model, share, failed, worst, True, question, judged_cells)
 
@@ -279,4 +279,7 @@ def _found(
     low = {p.name: p.nominal - part[p.name] * (p.nominal - p.low) for p in listed}
     high = {p.name: p.nominal + part[p.name] * (p.high - p.nominal) for p in listed}
     lost = model.values(worst) if np.isfinite(failed) else None
-    return LargestBox(share, failed, low, high, lost, closed, question, cells, model.plant)
+    return LargestBox(
+        share=share, refuted=failed, low=low, high=high, worst=lost, closed=closed, question=question, cells=cells,
+        plant=model.plant,
+    )  # fmt: skip

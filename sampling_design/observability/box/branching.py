@@ -1,4 +1,4 @@
-"""Cells of a box, halved until the bracket of the least value over all of them closes."""
+"""BoxCells of a box, halved until the bracket of the least value over all of them closes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
-from sampling_design.observability.box.expansion import Cells
+from sampling_design.observability.box.expansion import BoxCells
 
 Array = npt.NDArray[np.float64]
-Judge = Callable[[Cells], tuple[Array, Array, Array]]
+Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
 Progress = Callable[[float, str], None]
 
 MOST_CELLS = 100_000
-"""Cells after which a search without a budget ends as well."""
+"""BoxCells after which a search without a budget ends as well."""
 TOGETHER = 512
-"""Cells judged in one batch."""
+"""BoxCells judged in one batch."""
 UNSEEN = 1e-8
 """A value this far below the size of the data, reached by a descent, counts as zero."""
 DESCENTS = 3
@@ -41,7 +41,7 @@ class Branched(NamedTuple):
 
 
 def branch(
-    start: Cells,
+    start: BoxCells,
     judge: Judge,
     value: Value,
     size: float,
@@ -83,7 +83,7 @@ def branch(
     return Branched(min(closed, best[0]), *best, status, judged)
 
 
-def halved(cells: Cells, effect: Array) -> Cells:
+def halved(cells: BoxCells, effect: Array) -> BoxCells:
     """Both halves of each cell, along the direction that matters most."""
     m = cells.u.shape[1]
     movable = np.column_stack([cells.half > 0, cells.h > 0])
@@ -97,8 +97,8 @@ def halved(cells: Cells, effect: Array) -> Cells:
         u[at] += sign * half[at]
         h[~along] /= 2
         s[~along] += sign * h[~along]
-        parts.append(Cells(u, half, s, h, cells.piece))
-    return Cells._make(np.concatenate(pair) for pair in zip(*parts, strict=True))
+        parts.append(BoxCells(u, half, s, h, cells.piece))
+    return BoxCells._make(np.concatenate(pair) for pair in zip(*parts, strict=True))
 
 
 def descended(

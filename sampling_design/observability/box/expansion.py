@@ -33,7 +33,7 @@ UP = 1 + 1e-9
 """Covers the rounding of the bounds themselves."""
 
 
-class Cells(NamedTuple):
+class BoxCells(NamedTuple):
     """Cells of u (parameters in units of their half-widths) and of window starts s, and the samples each looks at."""
 
     u: Array  # (K, m)
@@ -42,9 +42,9 @@ class Cells(NamedTuple):
     h: Array  # (K,)
     piece: npt.NDArray[np.int_]  # (K,)
 
-    def take(self, index: npt.NDArray[np.int_] | Mask) -> Cells:
+    def take(self, index: npt.NDArray[np.int_] | Mask) -> BoxCells:
         """The cells at `index`."""
-        return Cells._make(part[index] for part in self)
+        return BoxCells._make(part[index] for part in self)
 
 
 class Rest(NamedTuple):
@@ -65,7 +65,7 @@ class Expansion(NamedTuple):
     rest: tuple[Rest, ...]
 
 
-def expanded(model: BoxModel, cells: Cells, times: Array, measured: Mask) -> Expansion:
+def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Expansion:
     """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p)."""
     K, N = times.shape
     n, m, p = model.n, model.m, len(model.C)
@@ -103,7 +103,7 @@ def expanded(model: BoxModel, cells: Cells, times: Array, measured: Mask) -> Exp
 
 
 def _rest(
-    model: BoxModel, cells: Cells, A: Array, C: Array, T: Complex, inverse: Complex, r: Array, there: Mask
+    model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex, r: Array, there: Mask
 ) -> tuple[Array, Array, Array]:
     """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects."""
     B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))[:, None]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.observability.box.expansion import Cells, Expansion, expanded
+from sampling_design.observability.box.expansion import BoxCells, Expansion, expanded
 from sampling_design.observability.box.model import BoxModel
 
 Array = npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ class Least(NamedTuple):
     effect: Array
 
 
-def least_sigma(model: BoxModel, cells: Cells, times: Array, measured: Mask) -> Least:
+def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Least:
     """Bound sigma over every cell from below."""
     return bounded(model, expanded(model, cells, times, measured), cells.h)
 

@@ -62,14 +62,15 @@ class BoxModel:
         low, high = plant.low[own], plant.high[own]
         half, middle = high / 2 - low / 2, low / 2 + high / 2
         d = balance(P.A * x / x[:, None], P.C * x / y[:, None]).d
-        unit = d  # in the coordinates that sigma refers to
         to_z, rows = x * d, y[:, None]
         parts_A = np.array([_part(plant, k, "A") for k in own]).reshape(len(own), *P.A.shape)
         parts_C = np.array([_part(plant, k, "C") for k in own]).reshape(len(own), *P.C.shape)
         return cls(
-            plant, P.A * to_z / to_z[:, None], P.C * to_z / rows,
-            half[:, None, None] * parts_A * to_z / to_z[:, None], half[:, None, None] * parts_C * to_z / rows,
-            np.array([plant.parameters[k].nominal for k in own]), middle, half, unit, np.array(own, dtype=int),
+            plant=plant, A=P.A * to_z / to_z[:, None], C=P.C * to_z / rows,
+            parts_A=half[:, None, None] * parts_A * to_z / to_z[:, None],
+            parts_C=half[:, None, None] * parts_C * to_z / rows,
+            nominal=np.array([plant.parameters[k].nominal for k in own]), middle=middle, half=half, unit=d,
+            place=np.array(own, dtype=int),
         )  # fmt: skip
 
     @property

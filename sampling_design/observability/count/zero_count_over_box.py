@@ -13,7 +13,7 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import Branched, branch
-from sampling_design.observability.box.expansion import Cells, bases
+from sampling_design.observability.box.expansion import BoxCells, bases
 from sampling_design.observability.box.least import least_sigma
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
@@ -133,7 +133,7 @@ def _frequencies(model: BoxModel) -> tuple[Branched, float]:
     floor = SLOWEST * max(float(np.linalg.norm(model.A, 2)), 1e-300)
     signs = np.array(list(product((-1.0, 1.0), repeat=model.m))).reshape(2**model.m, model.m)
 
-    def judge(cells: Cells) -> tuple[Array, Array, Array]:
+    def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
         A, C = model.at(cells.u)
         parts = cells.half[:, :, None, None] * model.parts_A
         corners = A[:, None] + np.einsum("cm,kmij->kcij", signs, parts)
@@ -152,7 +152,7 @@ def _frequencies(model: BoxModel) -> tuple[Branched, float]:
         return float(1 / (floor + np.abs(np.linalg.eigvals(A[0]).imag).max()))
 
     start = np.zeros((1, model.m))
-    cells = Cells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     ends = (np.zeros(1), np.zeros(1))
     return branch(cells, judge, value, 0.0, CLOSE, SECONDS, ends, None), floor
 
@@ -172,7 +172,7 @@ def require_every_plant_observable(model: BoxModel) -> None:
     times = np.linspace(0.0, 1.0, 2 * n + 1)[None] * n / fastest
     measured = np.ones((1, times.size, p), dtype=bool)
 
-    def judge(cells: Cells) -> tuple[Array, Array, Array]:
+    def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
         count = len(cells.s)
         found = least_sigma(model, cells, np.tile(times, (count, 1)), np.tile(measured, (count, 1, 1)))
         return found.lower, found.centre, found.effect
@@ -183,7 +183,7 @@ def require_every_plant_observable(model: BoxModel) -> None:
         return float(np.linalg.svd(rows / model.unit, compute_uv=False)[n - 1])
 
     start = np.zeros((1, model.m))
-    cells = Cells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     size = float(np.linalg.norm(model.C / model.unit))
     ends = (np.zeros(1), np.zeros(1))
     found = branch(cells, judge, value, size * SEEN, 0.9, SECONDS, ends, None)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design._record import Plain, short
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import Branched, branch
-from sampling_design.observability.box.expansion import Cells
+from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.least import least_sigma
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
@@ -157,8 +157,9 @@ def _record(
     found: Branched, model: BoxModel, pieces: Pieces, rtol: float, scaled: WindowSigmaOverBox | None
 ) -> WindowSigmaOverBox:
     return WindowSigmaOverBox(
-        found.lower, found.upper, model.values(found.u), found.s, pieces.samples(found.piece), found.status,
-        pieces.window, rtol, found.cells, model.plant, scaled=scaled,
+        lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
+        samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
+        plant=model.plant, scaled=scaled,
     )  # fmt: skip
 
 
@@ -188,14 +189,14 @@ class WindowsOverBox:
         few = np.flatnonzero(self.measured.sum(axis=(1, 2)) < self.model.n)
         return int(few[0]) if few.size else None
 
-    def cells(self) -> Cells:
+    def cells(self) -> BoxCells:
         """The whole box, once for each piece."""
         pieces, count = self.pieces, len(self.pieces)
         box = np.zeros((count, self.model.m))
         half = (pieces.right - pieces.left) / 2 + pieces.tolerance
-        return Cells(box, box + 1, (pieces.left + pieces.right) / 2, half, np.arange(count))
+        return BoxCells(box, box + 1, (pieces.left + pieces.right) / 2, half, np.arange(count))
 
-    def judge(self, cells: Cells) -> tuple[Array, Array, Array]:
+    def judge(self, cells: BoxCells) -> tuple[Array, Array, Array]:
         """Lower bounds, values at the centres, and what each direction matters."""
         piece = cells.piece
         found = least_sigma(self.model, cells, self.times[piece] - cells.s[:, None], self.measured[piece])

@@ -30,7 +30,7 @@ from sampling_design.schedules.spaced_windows import SpacedWindows
 Array = npt.NDArray[np.float64]
 
 FIRST_GRID, LAST_GRID = 32, 8192
-"""Cells of the time grid at first and at most."""
+"""BoxCells of the time grid at first and at most."""
 THINNEST = 20
 """Most halvings of a side: products of such dyadic numbers are exact doubles."""
 MOST_STATES = 8

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design._record import Plain, short
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import halved
-from sampling_design.observability.box.expansion import UP, Cells, bases, beyond_first
+from sampling_design.observability.box.expansion import UP, BoxCells, bases, beyond_first
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
@@ -118,12 +118,10 @@ def worst_case_over_box(
     """
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
-        return WorstCaseOverBox(
-            np.inf, np.inf, model.values(model.start), np.zeros(0), "no states", family, rtol, 0, plant
-        )
+        return _record(model, family, rtol, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
     began, judged, closed = time.monotonic(), 0, np.inf
     start = np.zeros((1, model.m))
-    open_ = Cells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    open_ = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     bound, best = np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
         k = int(np.argmin(bound))
@@ -146,7 +144,7 @@ def worst_case_over_box(
             closed = min(closed, float(reached[0]))
         else:
             parts = halved(cell, effect)
-            open_ = Cells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
+            open_ = BoxCells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
             bound = np.append(bound, np.repeat(np.maximum(reached, 0.0), 2))
         settled = bound >= (1 - rtol) * best[0]
         closed = min(closed, float(bound[settled].min(initial=np.inf)))
@@ -164,11 +162,12 @@ def _record(
     best: tuple[float, Array, Array],
 ) -> WorstCaseOverBox:
     return WorstCaseOverBox(
-        min(lower, best[0]), best[0], model.values(best[1]), best[2], status, family, rtol, judged, model.plant
-    )
+        lower=min(lower, best[0]), upper=best[0], worst=model.values(best[1]), witness=best[2], status=status,
+        family=family, rtol=rtol, plants=judged, plant=model.plant,
+    )  # fmt: skip
 
 
-def spread_over(model: BoxModel, cell: Cells, family: SpacedWindows) -> Array:
+def spread_over(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> Array:
     """At least |O(theta) - O(theta_0)| over a cell (1,), for any k times in the window."""
     A, C = model.at(cell.u)
     T_end, found = np.array([family.window]), np.full(1, np.inf)

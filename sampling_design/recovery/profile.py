@@ -1,0 +1,50 @@
+"""What an accuracy shows over time, and the gains that prove it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class GapProof:
+    """Gains for some directions at one sample: what bounds every row from above over the gap that follows.
+
+    Attributes
+    ----------
+    sample : int
+        Its place in the schedule's period.
+    directions : (m, n) array
+        In the coordinates of the chain.
+    gains : tuple of tuple of arrays
+        For each direction, the gains of the samples back in time, the latest last, in units of v_bound.
+    """
+
+    sample: int
+    directions: Array
+    gains: tuple[tuple[Array, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyProfile:
+    """Both bounds over time: `upper` holds all along [edges[k], edges[k+1]], `lower` is attained at edges[k].
+
+    Attributes
+    ----------
+    edges : (N+1,) array
+        From the first sample of a period on, or from the start of a finite schedule [the plant's time unit].
+    lower : (r, N) array
+    upper : (r, N) array
+        Infinite where the samples taken by then do not determine the row.
+    samples : (m,) array
+        Sample times.
+    """
+
+    edges: Array
+    lower: Array
+    upper: Array
+    samples: Array

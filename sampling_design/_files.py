@@ -8,13 +8,21 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
 
 from sampling_design.checkers import strict
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
+
+PIECES = 1 << 14
+"""Tokens of JSON that are written at a time."""
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -31,12 +39,8 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     where = os.fspath(path)
     try:
         return Path(where).read_bytes()
-    except FileNotFoundError:
-        raise FileFormatError(f"{where}: no such file.", where) from None
-    except IsADirectoryError:
-        raise FileFormatError(f"{where}: is a folder, expected a file.", where) from None
     except OSError as error:
-        raise FileFormatError(f"{where}: cannot be read ({error.strerror}).", where) from None
+        raise _unreadable(where, error) from None
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -55,8 +59,40 @@ def read_text(path: str | os.PathLike[str]) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def csv_rows(lines: Iterable[tuple[int, str]], where: str) -> list[tuple[int, list[str]]]:
-    """Return the cells of numbered lines of a CSV file, the first of which is its header.
+def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
+    """Yield the lines of a UTF-8 file, without their ends; only the one that is read is held.
+
+    Raises
+    ------
+    FileFormatError
+        As `read_text`, where it comes to that.
+    """
+    where = os.fspath(path)
+    try:
+        with open(where, encoding="utf-8-sig") as stream:
+            for line in stream:
+                yield line.removesuffix("\n")
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
+    except OSError as error:
+        raise _unreadable(where, error) from None
+
+
+def _unreadable(where: str, error: OSError) -> FileFormatError:
+    if isinstance(error, FileNotFoundError):
+        return FileFormatError(f"{where}: no such file.", where)
+    if isinstance(error, IsADirectoryError):
+        return FileFormatError(f"{where}: is a folder, expected a file.", where)
+    return FileFormatError(f"{where}: cannot be read ({error.strerror}).", where)
+
+
+def separator(header: str) -> str:
+    """What separates the cells of a CSV file with this header: a comma, a semicolon or a tab."""
+    return max(",;\t", key=header.count) if header.count(",") == 0 else ","
+
+
+def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
+    """Return the cells of numbered lines of a CSV file, the first of which is its header unless `mark` separates cells.
 
     Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
     write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5.
@@ -67,10 +103,8 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str) -> list[tuple[int, li
         If a quote is left open or a cell is beyond all measure.
     """
     found: list[tuple[int, list[str]]] = []
-    mark = ","
     for number, line in lines:
-        if not found:
-            mark = max(",;\t", key=line.count) if line.count(",") == 0 else ","
+        mark = mark or separator(line)
         try:
             row = next(csv.reader([line], delimiter=mark, strict=True))
         except csv.Error as error:
@@ -95,6 +129,73 @@ def decimal(cell: str) -> float | None:
         return None
 
 
+def decimals(cells: Sequence[str], commas: bool, blank: bool) -> npt.NDArray[np.float64] | None:
+    """Return the numbers of a column of cells, NaN for an empty one where `blank`; None where `decimal` finds none.
+
+    With `commas` a cell may hold a decimal comma.
+    """
+    if commas:
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+    number = _DECIMAL.fullmatch
+    if not all(number(cell) or (blank and not cell) for cell in cells):
+        return None
+    values = np.array([float(cell) if cell else np.nan for cell in cells])
+    if np.isinf(values).any() or any(decimal(cells[k]) is None for k in map(int, np.flatnonzero(values == 0))):
+        return None
+    return values
+
+
+class Growing:
+    """A file that is written piece by piece beside its place, and stands there whole or not at all.
+
+    Used as a context: at its end the file is renamed into place, on any error it is removed.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder is missing or cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.target = Path(path)
+        self._stream: BinaryIO | None = None
+
+    def __enter__(self) -> Growing:
+        with self._said():
+            handle, self._temporary = tempfile.mkstemp(dir=self.target.parent, prefix=f".{self.target.name}.")
+            self._stream = os.fdopen(handle, "wb")
+        return self
+
+    def write(self, content: bytes) -> None:
+        """Add to the file."""
+        assert self._stream is not None
+        with self._said():
+            self._stream.write(content)
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        assert self._stream is not None
+        try:
+            with self._said():
+                if kind is None:
+                    self._stream.flush()
+                    os.fsync(self._stream.fileno())
+                    umask = os.umask(0)
+                    os.umask(umask)
+                    os.chmod(self._temporary, 0o666 & ~umask)
+                    os.replace(self._temporary, self.target)
+        finally:
+            with suppress(OSError):  # what could not be flushed is removed below
+                self._stream.close()
+            Path(self._temporary).unlink(missing_ok=True)
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FileFormatError(f"{self.target}: cannot be written ({error.strerror}).", str(self.target)) from None
+
+
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write `content` to a temporary file beside `path`, then rename it into place.
 
@@ -103,24 +204,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
     FileFormatError
         If the folder is missing or cannot be written.
     """
-    target = Path(path)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    except OSError as error:
-        raise FileFormatError(f"{target}: cannot be written ({error.strerror}).", str(target)) from None
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
-        raise FileFormatError(f"{target}: cannot be written ({error.strerror}).", str(target)) from None
-    return target
+    with Growing(path) as file:
+        file.write(content)
+    return file.target
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> Path:
@@ -131,6 +217,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> Path:
 def to_json(data: Mapping[str, object]) -> str:
     """Return `data` as indented JSON; floats as shortest repr, NaN and infinity refused."""
     return json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
+    """Yield the text of `to_json` piece by piece, for data that are larger than their text should be held."""
+    pieces = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
+    while block := "".join(islice(pieces, PIECES)):
+        yield block
+    yield "\n"
 
 
 def from_json(text: str, where: str) -> Tree:

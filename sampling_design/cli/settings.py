@@ -18,7 +18,7 @@ from rich.table import Table
 
 import sampling_design
 from sampling_design._checks import positive, whole
-from sampling_design._files import to_json, write_text
+from sampling_design._files import Growing, json_pieces
 from sampling_design._record import Record
 from sampling_design.errors import ArgumentError
 
@@ -94,13 +94,20 @@ class Settings:
 
     def write_json(self, path: Path, data: Mapping[str, object]) -> None:
         """Write a result with the name of its format, and remember the file."""
-        self.wrote(write_text(path, to_json(self.named(data))))
+        with Growing(path) as file:
+            for piece in json_pieces(self.named(data)):
+                file.write(piece.encode())
+        self.wrote(path)
 
     def show(self, data: Mapping[str, object], *tables: Table | str) -> None:
         """Print the result on stdout: `data` with --json, else the tables; name the written files on stderr."""
         if self.as_json:
-            sys.stdout.write(to_json(self.named(data)))
-        else:
+            sys.stdout.writelines(json_pieces(self.named(data)))
+        self.show_tables(*tables)
+
+    def show_tables(self, *tables: Table | str) -> None:
+        """Print tables on stdout, unless JSON was asked for; name the written files on stderr."""
+        if not self.as_json:
             console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
                 console.print(table, markup=False) if isinstance(table, str) else console.print(table)
@@ -139,10 +146,15 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 def record_table(record: Record) -> Table:
     """Return the table of a record's rows."""
-    result = Table(title=type(record).__name__, title_justify="left", show_header=False)
+    return rows_table(type(record).__name__, record._rows())
+
+
+def rows_table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
+    """Return a table of labels and values."""
+    result = Table(title=title, title_justify="left", show_header=False)
     result.add_column(style="bold")
     result.add_column()
-    for label, value in record._rows():
+    for label, value in rows:
         result.add_row(label, value)
     return result
 

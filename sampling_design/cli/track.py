@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -11,26 +11,22 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 import typer
-from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design._checks import freeze
 from sampling_design._files import write_text
 from sampling_design._record import short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
+from sampling_design.cli.following import CLOSELY, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
-from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.report import ValidationReport
 
-POINTS_PER_GAP = 12
-"""Points of the open-loop prediction between two samples, for the picture."""
 GAPS_IN_HORIZON = 10
 """Longest gaps in the horizon of an estimator that has no certificate."""
 
@@ -57,6 +53,13 @@ def estimate(
     v_bound: VBound = None,
     initial_error: InitialError = None,
     eta: Eta = None,
+    radii: Annotated[
+        str | None,
+        typer.Option(
+            help="intervals: as narrow as data and bounds allow; ellipsoids: wider, a hundred times faster. Default: "
+            f"intervals up to {CLOSELY} rows, ellipsoids beyond."
+        ),
+    ] = None,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
@@ -78,34 +81,9 @@ def estimate(
     certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta, bounds)
     settings.notice(words)
     estimator = _estimator(settings, plant, certificate, inside, horizon, _numbers("--prior", prior), bounds)
-    with settings.progress("estimate") as progress:
-        rows, between, tube = _followed(estimator, inside, progress)
-    found, curve = _moved(rows, start), _moved(between, start)
-    tube = None if tube is None else replace(tube, times=tube.times + start)
-    data = {**found.to_dict(), "guarantee": words, "horizon": estimator.horizon}
-    _write(settings, data, found, curve, tube, record)
-    settings.show(data, record_table(found), _last(found), f"{words} {found.explain()}")
-    if "bounds disproved" in found.status:
+    tally = followed(settings, estimator, inside, start, record.origin, radii, words)
+    if any(status == "bounds disproved" for status in tally.status):
         raise typer.Exit(1)
-
-
-def _write(
-    settings: Settings,
-    data: Mapping[str, object],
-    found: sd.EstimateRecord,
-    curve: sd.EstimateRecord,
-    tube: Tube | None,
-    record: sd.Measurements,
-) -> None:
-    folder = settings.folder()
-    if folder is not None:
-        settings.wrote(sd.write_estimates(found, folder / "estimates.csv", origin=record.origin))
-        settings.write_json(folder / "estimates.json", data)
-        settings.wrote(save_picture(curve, folder / "estimates.png", measurements=record, tube=tube))
-
-
-def _moved(record: sd.EstimateRecord, start: float) -> sd.EstimateRecord:
-    return replace(record, times=freeze(record.times + start))
 
 
 def _guarantee(
@@ -240,34 +218,6 @@ def _estimator(
     for warning in caught:
         settings.notice(str(warning.message))
     return estimator
-
-
-def _followed(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, progress: Progress
-) -> tuple[sd.EstimateRecord, sd.EstimateRecord, Tube | None]:
-    """Estimates at every row, the same with the open loop between them, and the tube that holds the truth there."""
-    rows, curve, last, tubes = [], [estimator.predict(0.0)], 0.0, []
-    for k, (t, y, u) in enumerate(record):
-        if t > last:
-            times = np.linspace(last, t, POINTS_PER_GAP + 1)
-            ahead = [estimator.predict(s) for s in times]
-            if ahead[0].proof is not None:
-                tubes.append(ahead[0].proof.tube(times, np.array([each.x for each in ahead])))
-            curve += ahead[1:]
-        rows.append(estimator.update(t, y, u))
-        if t >= last:
-            curve.append(rows[-1])
-            last = t
-        progress((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
-    found, open_loop = (sd.EstimateRecord.collect(estimator.plant, each) for each in (rows, curve))
-    return found, open_loop, joined(tubes)
-
-
-def _last(record: sd.EstimateRecord) -> RichTable:
-    states, unit = record.plant.states, record.plant.time_unit
-    labels = states.labels()
-    rows = [[labels[i], short(record.x[-1, i]), short(record.radii[-1, i])] for i in range(len(states))]
-    return table(f"Last estimate, at {short(record.times[-1], 9)} {unit}", ["state", "estimate", "radius"], rows)
 
 
 def validate(

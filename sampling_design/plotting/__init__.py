@@ -34,6 +34,7 @@ _PICTURES = {
     "Robustness": ("robustness", "draw_robustness"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
     "EstimateRecord": ("estimates", "draw_estimates"),
+    "EstimateEnvelope": ("estimates", "draw_envelope"),
     "ValidationReport": ("validation", "draw_validation"),
     "ScheduleLog": ("validation", "draw_schedule_log"),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 
 from sampling_design._units import SECONDS
+from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.estimators.online.tube import Tube
 from sampling_design.estimators.records.measurements import Measurements
@@ -39,6 +41,35 @@ def draw_estimates(
         if i + 1 < len(axes):
             panel.set_xlabel("")
             panel.tick_params(labelbottom=False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=4, fontsize="small", frameon=False)
+    return axes
+
+
+def draw_envelope(
+    record: EstimateEnvelope, ax: Axes | None = None, measurements: Measurements | None = None
+) -> Axes | style.Panels:
+    """Draw one panel per state: over stretches of time the extremes of the estimates and of what is proven."""
+    states = record.plant.states
+    figure, axes = style.new_figure(len(states) if ax is None else 1, row_height=1.7)
+    panels: Sequence[Axes] = axes if ax is None else [ax]
+    when = _AxisClock(record, measurements)
+    edges = when(record.edges)
+    for i, panel in enumerate(panels):
+        low, high = record.lower[:, i], record.upper[:, i]
+        panel.stairs(high, edges, baseline=low, fill=True, color=style.PROVEN, alpha=0.2, label="proven at the samples")
+        for level, label in ((record.lowest[:, i], "estimates, least and largest"), (record.highest[:, i], None)):
+            panel.stairs(level, edges, baseline=None, color=style.ATTAINED, linewidth=0.9, label=label)
+        _not_ruled_by_the_start(panel, low, high)
+        for edge in edges[:-1][record.failed]:
+            panel.axvline(float(edge), color=style.FAILED, linewidth=0.5)
+        panel.set_ylabel(states.labels()[i], fontsize="small")
+        panel.margins(x=0.01)
+    when.label(panels[-1])
+    for panel in panels[:-1]:
+        panel.tick_params(labelbottom=False)
+    if ax is not None:
+        return ax
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=4, fontsize="small", frameon=False)
     return axes
@@ -88,7 +119,7 @@ def _not_ruled_by_the_start(ax: Axes, low: Array, high: Array) -> None:
 class _AxisClock:
     """Times as they stand on the axis: dates where the measurements have them."""
 
-    def __init__(self, record: EstimateRecord, measurements: Measurements | None):
+    def __init__(self, record: EstimateRecord | EstimateEnvelope, measurements: Measurements | None):
         self.unit = record.plant.time_unit
         self.origin = measurements.origin if measurements is not None else ""
 

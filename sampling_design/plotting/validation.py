@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
@@ -68,22 +69,32 @@ def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     ax.margins(x=0.01)
 
 
+DRAWN = 300
+"""Planned samples of a log that are drawn: of a longer one those around its worst window."""
+
+
 def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.Panels:
-    """Draw planned and actual times and, below, sigma over the window's end for both."""
+    """Draw planned and actual times and, below, sigma over the window's end for both.
+
+    Of a long record what lies around its worst window is drawn.
+    """
+    low, high = _drawn(log)
     if ax is not None:
-        return _times(log, ax)
+        return _times(log, ax, low, high)
     if log.planned_sigma is None or log.actual_sigma is None:
-        return _times(log, style.new_axes(height=2.0))
+        return _times(log, style.new_axes(height=2.0), low, high)
     _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.4))
-    _times(log, top)
+    _times(log, top, low, high)
     for sigma, colour, name in (
         (log.planned_sigma, style.ALLOWED, "planned"),
         (log.actual_sigma, style.MEASURED, "actual"),
     ):
         label: str | None = f"{name}: at least {short(sigma.lower, 4)}"
-        for index in np.unique(sigma.profile.piece):
-            here = sigma.profile.piece == index
-            bottom.plot(sigma.profile.t[here], sigma.profile.sigma[here], color=colour, linewidth=1.3, label=label)
+        seen = (low <= sigma.profile.t) & (sigma.profile.t <= high)
+        t, value, piece = sigma.profile.t[seen], sigma.profile.sigma[seen], sigma.profile.piece[seen]
+        for index in np.unique(piece):
+            here = piece == index
+            bottom.plot(t[here], value[here], color=colour, linewidth=1.3, label=label)
             label = None
     bottom.set_ylim(bottom=0.0)
     bottom.set_xlabel(style.time_label(log.time_unit, f"end of the window of length {short(log.planned_sigma.window)}"))
@@ -92,14 +103,28 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
     return style.Panels([top, bottom])
 
 
-def _times(log: ScheduleLog, ax: Axes) -> Axes:
-    ax.vlines(log.planned.times, 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)
-    ax.vlines(log.actual.times, -0.4, 0.4, color=style.MEASURED, linewidth=1.8)
-    for k, at in enumerate(log.match):
-        if at >= 0:
-            ax.plot([log.planned.times[k], log.actual.times[at]], [0.6, 0.4], color=style.TRUTH, linewidth=0.6)
-    ax.plot(log.missed, np.ones(log.missed.size), "x", color=style.FAILED)
-    ax.plot(log.extra, np.zeros(log.extra.size), "o", color=style.ATTAINED, markerfacecolor="none")
+def _drawn(log: ScheduleLog) -> tuple[float, float]:
+    """The stretch of time that is drawn."""
+    times = log.planned.times
+    if times.size <= DRAWN:
+        return -np.inf, np.inf
+    worst = times[0] if log.actual_sigma is None else log.actual_sigma.witness.t
+    first = min(max(int(np.searchsorted(times, worst)) - DRAWN // 2, 0), times.size - DRAWN)
+    return float(times[first]), float(times[first + DRAWN - 1])
+
+
+def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
+    def seen(times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return times[(low <= times) & (times <= high)]
+
+    ax.vlines(seen(log.planned.times), 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)
+    ax.vlines(seen(log.actual.times), -0.4, 0.4, color=style.MEASURED, linewidth=1.8)
+    drawn = (low <= log.planned.times) & (log.planned.times <= high) & (log.match >= 0)
+    for k in np.flatnonzero(drawn):
+        ax.plot([log.planned.times[k], log.actual.times[log.match[k]]], [0.6, 0.4], color=style.TRUTH, linewidth=0.6)
+    missed, extra = seen(log.missed), seen(log.extra)
+    ax.plot(missed, np.ones(missed.size), "x", color=style.FAILED)
+    ax.plot(extra, np.zeros(extra.size), "o", color=style.ATTAINED, markerfacecolor="none")
     ax.set_yticks([0, 1], ["actual", "planned"])
     ax.set_ylim(-0.6, 1.6)
     ax.set_xlabel(style.time_label(log.time_unit))

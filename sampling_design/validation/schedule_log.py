@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+STRETCH = 20_000
+"""Samples whose windows are judged at a time: what is held does not grow with the record."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,7 +37,8 @@ class ScheduleLog(Record):
     lacking : (N,) array of bool
         Taken, but without an output that was planned.
     planned_sigma, actual_sigma : WindowSigma or None
-        Over every position of the window; None where the log is shorter than the window.
+        Over every position of the window; None where the log is shorter than the window. Of a long record (more than
+        `STRETCH` samples) the profile is that of the stretch with the worst window.
     time_unit : str
     """
 
@@ -132,7 +137,7 @@ def compare_schedule(
     outputs: npt.ArrayLike | None = None,
     retained: Plant | None = None,
     budget: float = 20.0,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> ScheduleLog:
     """Compare the times at which samples were taken with those that were planned.
 
@@ -191,12 +196,40 @@ def compare_schedule(
     after: WindowSigma | None = None
     start, end = float(min(planned.times[0], actual[0])), float(min(planned.times[-1], actual[-1]))
     if judged.n_states and end - start >= length:
-        before, after = (
-            window_sigma(judged, each, length, budget=budget, progress=progress, start=start)
-            for each in (planned, taken)
-        )
+        before, after = (_judged(judged, each, length, budget, progress, start) for each in (planned, taken))
     lacking = _lacking(plant, planned, taken, match)
     return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit)
+
+
+def _judged(
+    plant: Plant, schedule: Schedule, window: float, budget: float, progress: Progress | None, start: float
+) -> WindowSigma:
+    """Sigma over every window of a record: of a long one the worst of its stretches, which overlap by a window.
+
+    Notes
+    -----
+    *Method.* A stretch ends with a sample, and the next one's first window is the one that ends there: every real
+    position of the window lies in one of them.
+    """
+    times = schedule.times
+    ends = [*range(STRETCH, len(schedule) - STRETCH // 2, STRETCH), len(schedule) - 1]
+    ends = [k for k in ends if k == len(schedule) - 1 or times[k] - window > start]
+    if len(ends) == 1:
+        return window_sigma(plant, schedule, window, budget=budget, progress=progress, start=start)
+    worst: WindowSigma | None = None
+    lower = np.inf
+    for k, end in enumerate(ends):
+        within = slice(int(np.searchsorted(times, start)), end + 1)
+        mask = None if schedule.outputs is None else schedule.outputs[within]
+        part = Schedule(times[within], mask, time_unit=schedule.time_unit)
+        found = window_sigma(plant, part, window, budget=budget / len(ends), start=start)
+        lower = min(lower, found.lower)
+        worst = found if worst is None or found.upper < worst.upper else worst
+        start = float(times[end]) - window
+        if progress is not None:
+            progress((k + 1) / len(ends), f"sigma over windows: {end + 1} of {len(schedule)} samples")
+    assert worst is not None
+    return replace(worst, lower=lower)
 
 
 def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
@@ -209,12 +242,14 @@ def _matched(planned: Array, actual: Array) -> npt.NDArray[np.intp]:
     before, after = np.append(np.inf, gaps) / 2, np.append(gaps, np.inf) / 2
     if gaps.size:
         before[0], after[-1] = after[0], before[-1]
+    after_it = np.searchsorted(actual, planned).clip(0, actual.size - 1)
+    before_it = (after_it - 1).clip(0)
+    near = np.where(np.abs(actual[before_it] - planned) <= np.abs(actual[after_it] - planned), before_it, after_it)
+    away = actual[near] - planned
+    fits = np.flatnonzero((-before <= away) & (away < after))
+    _, first = np.unique(near[fits], return_index=True)  # of several that are nearest to one sample the first has it
     match = np.full(planned.size, -1, dtype=np.intp)
-    for k, t in enumerate(planned):
-        near = int(np.argmin(np.abs(actual - t)))
-        away = actual[near] - t
-        if -before[k] <= away < after[k] and near not in match[:k]:
-            match[k] = near
+    match[fits[first]] = near[fits[first]]
     return match
 
 
@@ -223,4 +258,4 @@ def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: npt.NDArra
     wanted = full if planned.outputs is None else planned.outputs
     if taken.outputs is None:
         return np.zeros(len(planned), dtype=bool)
-    return np.array([k >= 0 and bool(np.any(row & ~taken.outputs[k])) for k, row in zip(match, wanted, strict=True)])
+    return (match >= 0) & np.asarray((wanted & ~taken.outputs[match]).any(axis=1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from sampling_design.plants.plant import Plant
 from sampling_design.recovery.interval import Interval
 from sampling_design.recovery.readings import Told
 from sampling_design.recovery.rows import Wanted
+
+if TYPE_CHECKING:
+    from sampling_design.estimators.online.tally import Tally
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -77,6 +80,10 @@ class Contradiction(NamedTuple):
     output: str
     factor: float
     alone: bool = True
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; an infinite factor becomes None."""
+        return {**self._asdict(), "factor": _finite(self.factor)}
 
     def __str__(self) -> str:
         sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"
@@ -263,12 +270,8 @@ class Estimate(Record):
             "certified": self.certified,
             "on_schedule": self.on_schedule,
             "note": self.note,
-            "contradiction": None if self.contradiction is None else _plain(self.contradiction),
+            "contradiction": None if self.contradiction is None else self.contradiction.to_dict(),
         }
-
-
-def _plain(contradiction: Contradiction) -> dict[str, object]:
-    return {**contradiction._asdict(), "factor": _finite(contradiction.factor)}
 
 
 def half_widths(radius: Array, variance: Array) -> Array:
@@ -364,7 +367,7 @@ class EstimateRecord(Table, Gridded):
             "certified": self.certified.tolist(),
             "on_schedule": self.on_schedule.tolist(),
             "notes": list(self.notes),
-            "contradictions": [_plain(each) for each in self.first_contradictions],
+            "contradictions": [each.to_dict() for each in self.first_contradictions],
         }
 
     def _variables(self) -> dict[str, Variable]:
@@ -402,25 +405,23 @@ class EstimateRecord(Table, Gridded):
         """The different samples that contradict the bounds, in order."""
         return tuple(dict.fromkeys(each for each in self.contradictions if each is not None))
 
+    @property
+    def _tally(self) -> Tally:
+        from sampling_design.estimators.online.tally import Tally
+
+        found = Tally(self.plant.time_unit)
+        contradictions = self.contradictions or (None,) * len(self)
+        flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)
+        for each in zip(self.times.tolist(), *flags, strict=True):
+            found.take(*each)
+        return found
+
     def _rows(self) -> list[tuple[str, str]]:
-        span = f"{short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}" if len(self) else "-"
-        counts = {s: self.status.count(s) for s in dict.fromkeys(self.status)}
-        return [
-            ("estimates", str(len(self))),
-            ("time", span),
-            ("status", ", ".join(f"{k}: {v}" for k, v in counts.items()) or "-"),
-            ("certified", f"{int(self.certified.sum())} of {len(self)}"),
-            ("on schedule", f"{int(self.on_schedule.sum())} of {len(self)}"),
-            *(("contradiction", str(each)) for each in self.first_contradictions),
-        ]
+        return self._tally.rows()
 
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""
-        failed = sum(s in FAILURES for s in self.status)
-        trouble = f" {failed} failed; their notes say why." if failed else ""
-        for each in self.first_contradictions:
-            trouble += f" The data contradict the bounds: {each}."
-        return f"{len(self)} estimates, {int(self.certified.sum())} of them with a proven radius.{trouble}"
+        return self._tally.explain()
 
 
 @runtime_checkable

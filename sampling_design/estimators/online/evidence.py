@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.online.history import Node
+from sampling_design.estimators.online.history import Inputs, Node
 from sampling_design.estimators.online.tube import Tube, open_tube
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.gap_table import GapTable
@@ -65,9 +65,7 @@ class Evidence:
 
     __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
 
-    def __init__(
-        self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: tuple[tuple[float, Array], ...], known: bool
-    ):
+    def __init__(self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: Inputs, known: bool):
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 
@@ -112,7 +110,7 @@ class Evidence:
             first.t,
             sorted(rows.items()),
             ball=self.assumed.noise.ball,
-            inputs=self.inputs,
+            inputs=tuple(self.inputs),
         )
 
     def _rows(self, node: Node) -> tuple[Row, ...]:
@@ -123,7 +121,7 @@ class Evidence:
         for each in node.sample.told:
             if each.since is None or each.since >= first:
                 size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
-                rows += rows_told(self.assumed.plant, node.t, each, size, centre, self.inputs)
+                rows += rows_told(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs))
         return tuple(rows)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -40,19 +41,73 @@ class Node(NamedTuple):
     number: int = 0
 
 
+class Inputs(Sequence[tuple[float, Array]]):
+    """Pairs (t, u) by time, never changed; one that is later than all is added without a copy of those before it.
+
+    Notes
+    -----
+    *Method.* Views of one list that only grows: the view that ends where the list ends lengthens it, any other view
+    copies what it sees first.
+    """
+
+    __slots__ = ("_end", "_log", "_start")
+
+    def __init__(self, pairs: Iterable[tuple[float, Array]] = ()):
+        self._log = list(pairs)
+        self._start, self._end = 0, len(self._log)
+
+    @classmethod
+    def _view(cls, log: list[tuple[float, Array]], start: int, end: int) -> Inputs:
+        found = cls.__new__(cls)
+        found._log, found._start, found._end = log, start, end
+        return found
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @overload
+    def __getitem__(self, at: int) -> tuple[float, Array]: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[tuple[float, Array], ...]: ...
+    def __getitem__(self, at: int | slice) -> tuple[float, Array] | tuple[tuple[float, Array], ...]:
+        if isinstance(at, slice):
+            first, last, step = at.indices(len(self))
+            return tuple(self._log[self._start + first : self._start + max(first, last)])[::step]
+        if not -len(self) <= at < len(self):
+            raise IndexError(at)
+        return self._log[(self._start if at >= 0 else self._end) + at]
+
+    def added(self, at: int, t: float, u: Array) -> Inputs:
+        """Return these inputs with one more, at place `at`."""
+        if at < len(self):
+            return Inputs((*self[:at], (t, u), *self[at:]))
+        log, start = self._log, self._start
+        if not len(self) or self._end < len(log):
+            log, start = list(self), 0
+        log.append((t, u))
+        return self._view(log, start, len(log))
+
+    def since(self, first: int) -> Inputs:
+        """Return these inputs without the first ones."""
+        start = self._start + first
+        if 2 * start > self._end:  # what nobody sees any more is let go
+            return Inputs(self._log[start : self._end])
+        return self._view(self._log, start, self._end)
+
+
 class State(NamedTuple):
     """Everything an estimator knows. Never changed; `step` returns a new one.
 
     Attributes
     ----------
     nodes : tuple of Node, by time; the first is the prior or the oldest snapshot kept.
-    inputs : tuple of (t, u), by time; u holds from t on.
+    inputs : Inputs (t, u), by time; u holds from t on.
     reached : (a, b, drift) or None
         What the inputs add from the last node at a to the last input at b, so that many inputs cost each their own.
     """
 
     nodes: tuple[Node, ...]
-    inputs: tuple[tuple[float, Array], ...] = ()
+    inputs: Inputs = Inputs()
     reached: tuple[float, float, Array] | None = None
 
     @property
@@ -79,7 +134,7 @@ class State(NamedTuple):
             return self
         nodes = self.nodes[first:]
         keep = max(0, bisect_right(self.inputs, nodes[0].t, key=_first) - 2)
-        return State(nodes, self.inputs[keep:])
+        return State(nodes, self.inputs.since(keep) if keep else self.inputs)
 
 
 def _time(node: Node) -> float:

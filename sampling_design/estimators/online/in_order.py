@@ -18,7 +18,8 @@ from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample, Taken
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.records.measurements import DataFrame, Measured, read_measurements
+from sampling_design.estimators.records.measurement_table import Measured
+from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Told, told
 
@@ -256,7 +257,7 @@ def _with_input(state: State, sample: Taken) -> State:
             )
         return state
     reached = state.reached if at == len(state.inputs) else None
-    return State(state.nodes, (*state.inputs[:at], (sample.t, sample.u), *state.inputs[at:]), reached)
+    return State(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
 
 
 def _merge(old: Taken, new: Taken) -> Taken | None:

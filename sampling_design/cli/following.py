@@ -1,0 +1,169 @@
+"""Estimates along a record: each written as it comes, so that memory does not grow with the record."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from rich.table import Table as RichTable
+
+import sampling_design as sd
+from sampling_design._checks import freeze
+from sampling_design._files import Growing
+from sampling_design._record import Record, short
+from sampling_design.cli.settings import Settings, rows_table, save_picture, table
+from sampling_design.estimators.estimate_file import EstimateColumns, EstimateTable, check_radii
+from sampling_design.estimators.online.envelope import EstimateEnvelope
+from sampling_design.estimators.online.estimator import Estimate, Progress
+from sampling_design.estimators.online.tally import Tally
+from sampling_design.estimators.online.tube import Tube, joined
+
+Array = npt.NDArray[np.float64]
+
+POINTS_PER_GAP = 12
+"""Points of the open-loop prediction between two samples, for the picture."""
+CLOSELY = 1000
+"""Rows up to which radii are those of intervals unless told, and the picture shows every gap between samples."""
+TOLD = 1000
+"""Times that the progress of a record is told."""
+
+
+def followed(
+    settings: Settings,
+    estimator: sd.MovingHorizonEstimator,
+    record: sd.Measurements,
+    start: float,
+    origin: str,
+    radii: str | None,
+    guarantee: str,
+) -> Tally:
+    """Estimate at every row of `record`, whose times count from `start`; write and show what was asked for."""
+    if radii is None:
+        radii = "intervals" if len(record) <= CLOSELY else "ellipsoids"
+        if len(record) > CLOSELY and not estimator.radius_note:
+            settings.notice(f"--radii not given: of {len(record)} rows the radii are those of ellipsoids.")
+    kind, plant, folder = check_radii(radii), estimator.plant, settings.folder()
+    picture = None if folder is None else _picture(estimator, record, start)
+    after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
+    with ExitStack() as open_files:
+        rows = EstimateTable(plant, folder / "estimates.csv", origin=origin, radii=kind) if folder else None
+        columns = EstimateColumns(plant, kind) if folder or settings.as_json else None
+        for each in (rows, columns):
+            if each is not None:
+                open_files.enter_context(each)
+        tally, last = Tally(plant.time_unit), None
+        with settings.progress("estimate") as progress:
+            for estimate in _told(_each(estimator, record, picture), len(record), progress):
+                last, t = estimate, estimate.t + start
+                tally.add(t, estimate)
+                for each in (rows, columns):
+                    if each is not None:
+                        each.add(estimate, t)
+                if isinstance(picture, _Extremes):
+                    picture.envelope.add(t, estimate, np.asarray(_own_radii(estimate, kind)))
+        if columns is not None and folder is not None:
+            with Growing(folder / "estimates.json") as file:
+                columns.write(file, settings.named({}), after)
+        if columns is not None and settings.as_json:
+            columns.write(sys.stdout, settings.named({}), after)
+    if folder is not None and picture is not None:
+        drawn, beside = picture.drawn(start)
+        settings.wrote(folder / "estimates.csv")
+        settings.wrote(folder / "estimates.json")
+        seen = replace(record, times=record.times + start, origin=origin)
+        settings.wrote(save_picture(drawn, folder / "estimates.png", measurements=seen, **beside))
+    assert last is not None
+    shown = rows_table("EstimateRecord", tally.rows())
+    settings.show_tables(shown, _last(plant, last, start, kind), f"{guarantee} {tally.explain()}")
+    return tally
+
+
+class _Curve:
+    """The open loop between samples, with the tube that holds the truth there, of a record of few rows."""
+
+    def __init__(self, estimator: sd.MovingHorizonEstimator):
+        self.estimator = estimator
+        self.points, self.tubes, self.last = [estimator.predict(0.0)], list[Tube](), 0.0
+
+    def before(self, t: float) -> None:
+        """Draw on to t, with what is known before the sample there."""
+        if t > self.last:
+            times = np.linspace(self.last, t, POINTS_PER_GAP + 1)
+            ahead = [self.estimator.predict(s) for s in times]
+            if ahead[0].proof is not None:
+                self.tubes.append(ahead[0].proof.tube(times, np.array([each.x for each in ahead])))
+            self.points += ahead[1:]
+
+    def after(self, t: float, estimate: Estimate) -> None:
+        """Go on from the estimate at t, unless its sample was late."""
+        if t >= self.last:
+            self.points.append(estimate)
+            self.last = t
+
+    def drawn(self, start: float) -> tuple[Record, dict[str, Tube | None]]:
+        """The record of the picture, and what stands beside it."""
+        curve = sd.EstimateRecord.collect(self.estimator.plant, self.points)
+        tube = joined(self.tubes)
+        moved = replace(curve, times=freeze(curve.times + start))
+        return moved, {"tube": None if tube is None else replace(tube, times=tube.times + start)}
+
+
+class _Extremes:
+    """The extremes over stretches of time, of a record of many rows."""
+
+    def __init__(self, envelope: EstimateEnvelope):
+        self.envelope = envelope
+
+    def before(self, t: float) -> None:
+        """Nothing: only samples are drawn."""
+
+    def after(self, t: float, estimate: Estimate) -> None:
+        """Nothing: radii are taken where they are written."""
+
+    def drawn(self, start: float) -> tuple[Record, dict[str, Tube | None]]:
+        """The record of the picture, and what stands beside it: nothing."""
+        return self.envelope, {}
+
+
+def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float) -> _Curve | _Extremes:
+    if len(record) <= CLOSELY:
+        return _Curve(estimator)
+    first, last = float(record.times.min()) + start, float(record.times.max()) + start
+    return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))
+
+
+def _each(
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: _Curve | _Extremes | None
+) -> Iterator[Estimate]:
+    """Estimates at every row."""
+    for t, y, u in record:
+        if picture is not None:
+            picture.before(t)
+        estimate = estimator.update(t, y, u)
+        if picture is not None:
+            picture.after(t, estimate)
+        yield estimate
+
+
+def _told(estimates: Iterator[Estimate], count: int, progress: Progress) -> Iterator[Estimate]:
+    """The same, with its progress told now and then."""
+    every = max(1, count // TOLD)
+    for k, estimate in enumerate(estimates, 1):
+        yield estimate
+        if k % every == 0 or k == count:
+            progress(k / count, f"{k} of {count} rows")
+
+
+def _own_radii(estimate: Estimate, kind: str) -> Array:
+    return estimate.radii if kind == "intervals" else estimate.ellipsoid_radii
+
+
+def _last(plant: sd.Plant, estimate: Estimate, start: float, kind: str) -> RichTable:
+    radii, labels = _own_radii(estimate, kind), plant.states.labels()
+    rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
+    when = f"{short(estimate.t + start, 9)} {plant.time_unit}"
+    return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

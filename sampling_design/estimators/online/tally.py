@@ -1,0 +1,61 @@
+"""What many estimates come to, counted as they come."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from sampling_design._record import short
+from sampling_design.estimators.online.estimator import FAILURES, Contradiction, Estimate, Status
+
+
+@dataclass
+class Tally:
+    """Counts of estimates in order of time."""
+
+    time_unit: str
+    count: int = 0
+    first: float = 0.0
+    last: float = 0.0
+    status: Counter[Status] = field(default_factory=Counter)
+    certified: int = 0
+    on_schedule: int = 0
+    contradictions: dict[Contradiction, None] = field(default_factory=dict)
+
+    def add(self, t: float, estimate: Estimate) -> None:
+        """Count one estimate more, at t."""
+        self.take(t, estimate.status, estimate.certified, estimate.on_schedule, estimate.contradiction)
+
+    def take(
+        self, t: float, status: Status, certified: bool, on_schedule: bool, contradiction: Contradiction | None
+    ) -> None:
+        """Count what is said of one estimate more."""
+        if not self.count:
+            self.first = t
+        self.count += 1
+        self.last = t
+        self.status[status] += 1
+        self.certified += bool(certified)
+        self.on_schedule += bool(on_schedule)
+        if contradiction is not None:
+            self.contradictions.setdefault(contradiction)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Rows of a table."""
+        span = f"{short(self.first)} to {short(self.last)} {self.time_unit}" if self.count else "-"
+        return [
+            ("estimates", str(self.count)),
+            ("time", span),
+            ("status", ", ".join(f"{k}: {v}" for k, v in self.status.items()) or "-"),
+            ("certified", f"{self.certified} of {self.count}"),
+            ("on schedule", f"{self.on_schedule} of {self.count}"),
+            *(("contradiction", str(each)) for each in self.contradictions),
+        ]
+
+    def explain(self) -> str:
+        """Say how many estimates there are and what they promise."""
+        failed = sum(count for status, count in self.status.items() if status in FAILURES)
+        trouble = f" {failed} failed; their notes say why." if failed else ""
+        for each in self.contradictions:
+            trouble += f" The data contradict the bounds: {each}."
+        return f"{self.count} estimates, {self.certified} of them with a proven radius.{trouble}"

@@ -1,0 +1,327 @@
+"""The grammar of measurement files: blocks of plain rows as columns of numbers, every other row by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from itertools import islice
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks, _files
+from sampling_design._units import SECONDS
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.plant import Signals
+from sampling_design.recovery.readings import Told
+
+Array = npt.NDArray[np.float64]
+Numbered = tuple[int, str]
+
+SINCE = "_since"
+"""Ending of the column that says where a composite sample of an output began."""
+
+BLOCK = 4096
+"""Lines that are held as text at a time; what they say is held as numbers."""
+
+LONGEST_LINE = 100_000
+"""Characters; a longer line is read by itself, where a cell beyond all measure is refused."""
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """What a file of measurements needs of a plant, linear or not."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def time_unit(self) -> str: ...
+    @property
+    def outputs(self) -> Signals: ...
+    @property
+    def inputs(self) -> Signals: ...
+    @property
+    def n_outputs(self) -> int: ...
+    @property
+    def n_inputs(self) -> int: ...
+
+
+def read_table(where: str, lines: Iterator[str], plant: Measured, origin: str | None) -> MeasurementTable:
+    """Return what the lines of a file say, read block by block.
+
+    Raises
+    ------
+    FileFormatError
+        As `read_measurements`.
+    """
+    held = ((k, line) for k, line in enumerate(lines, 1) if _counts(line))
+    first = next(held, None)
+    if first is None:
+        raise FileFormatError(f"{where}: is empty, expected a header line.", where)
+    mark = _files.separator(first[1])
+    ((_, header),) = _files.csv_rows([first], where)
+    stamp = _check_header(where, header, plant)
+    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin))
+    table = MeasurementTable(where, plant, header, mark, clock, stamp)
+    while block := list(islice(held, BLOCK)):
+        table.add_block(block)
+    return table
+
+
+class _Clock:
+    """Turns dates into times since the origin, by default the first date seen."""
+
+    def __init__(self, where: str, plant: Measured, zero: datetime | None):
+        self.where, self.unit, self.zero = where, SECONDS[plant.time_unit], zero
+
+    def time(self, line: int, cell: str) -> float:
+        return _number(self.where, line, "time", cell)
+
+    def date(self, line: int, cell: str) -> float:
+        date = date_of(self.where, line, cell)
+        self.zero = date if self.zero is None else self.zero
+        return (date - self.zero).total_seconds() / self.unit
+
+
+class MeasurementTable:
+    """Rows that were read so far, eight bytes a cell; a time may come twice if the rows agree."""
+
+    def __init__(self, where: str, plant: Measured, header: list[str], mark: str, clock: _Clock, stamp: str):
+        self.where, self.plant, self.header, self.mark = where, plant, header, mark
+        self.clock, self.stamp = clock, stamp
+        self.read = clock.date if stamp == "date" else clock.time
+        self.told: list[tuple[Told, ...]] = []
+        self._blocks: list[tuple[Array, Array, Array, npt.NDArray[np.intp]]] = []
+        self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
+        self._rows = _Rows()
+        self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
+
+    @property
+    def origin(self) -> str:
+        """Date of time 0, where the file has dates."""
+        return "" if self.stamp == "time" or self.clock.zero is None else self.clock.zero.isoformat()
+
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """Times, outputs and inputs of all rows; the table is empty after that."""
+        p, m = self.plant.n_outputs, self.plant.n_inputs
+        blocks, self._blocks = self._blocks, []
+        empty = (np.zeros(0), np.zeros((0, p)), np.zeros((0, m)))
+        times, y, u = (np.concatenate([empty[i], *(block[i] for block in blocks)]) for i in range(3))
+        return times, y, u
+
+    def add_block(self, lines: list[Numbered]) -> None:
+        """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
+        plain = self._plain(lines) if self._seen is None else None
+        if plain is not None:
+            times, y, u = plain
+            self._blocks.append((times, y, u, np.array([number for number, _ in lines])))
+            self.told += [()] * times.size
+            self._latest = float(times[-1])
+            self._held = u[-1]
+            return
+        for number, cells in _files.csv_rows(lines, self.where, self.mark):
+            if len(cells) != len(self.header):
+                raise FileFormatError(
+                    f"{self.where}: line {number} has {len(cells)} cells, expected {len(self.header)}.", self.where
+                )
+            cell = dict(zip(self.header, cells, strict=True))
+            self._add(number, self.read(number, cell[self.stamp]), cell)
+        self._close()
+
+    def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array] | None:
+        """Times, outputs and inputs of rows of numbers and blanks in order of time; None for any other rows."""
+        texts = [line for _, line in lines]
+        if any('"' in text or len(text) > LONGEST_LINE for text in texts):
+            return None
+        rows = [text.split(self.mark) for text in texts]
+        if any(len(row) != len(self.header) for row in rows):
+            return None
+        columns = dict(zip(self.header, zip(*rows, strict=True), strict=True))
+        times = self._stamps(columns[self.stamp])
+        if times is None or not times[0] > self._latest or not (np.diff(times) > 0).all():
+            return None
+        names = self.plant.outputs.names
+        if any(cell.strip() for name in names for cell in columns.get(name + SINCE, ())):
+            return None
+        outputs, inputs = (
+            [self._column(columns[name]) for name in signals.names]
+            for signals in (self.plant.outputs, self.plant.inputs)
+        )
+        y = _beside(outputs, times.size)
+        u = _beside(inputs, times.size)
+        if y is None or u is None or (not inputs and np.isnan(y).all(axis=1).any()):
+            return None
+        for i in range(u.shape[1]):
+            u[:, i] = _held_on(u[:, i], float(self._held[i]))
+        return None if np.isnan(u).any() else (times, y, u)
+
+    def _stamps(self, cells: tuple[str, ...]) -> Array | None:
+        if self.stamp == "time":
+            return self._column(cells, blank=False)
+        try:
+            dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
+        except ValueError:
+            return None
+        dates = [date.replace(tzinfo=UTC) if date.tzinfo is None else date for date in dates]
+        self.clock.zero = zero = dates[0] if self.clock.zero is None else self.clock.zero
+        return np.array([(date - zero).total_seconds() for date in dates]) / self.clock.unit
+
+    def _column(self, cells: tuple[str, ...], blank: bool = True) -> Array | None:
+        return _files.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
+
+    def _add(self, line: int, t: float, cell: dict[str, str]) -> None:
+        outputs: list[float] = []
+        told: list[Told] = []
+        for i, name in enumerate(self.plant.outputs.names):
+            limit = cell[name][:1] if cell[name][:1] in ("<", ">") else ""
+            value = _number(self.where, line, name, cell[name].removeprefix(limit).strip(), blank=not limit)
+            since = self._since(line, t, cell.get(name + SINCE, ""))
+            if np.isnan(value) and since is not None:
+                raise FileFormatError(
+                    f"{self.where}: {name}{SINCE} in line {line} has no {name} beside it. Leave both cells empty.",
+                    self.where,
+                )
+            if limit or since is not None:
+                ends = {"<": (-np.inf, value), ">": (value, np.inf), "": (value, value)}[limit]
+                told.append(Told(i, *ends, since))
+            outputs.append(np.nan if limit or since is not None else value)
+        inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
+        inputs = self._filled(line, inputs)
+        if np.isnan(outputs).all() and not told and not inputs:
+            raise FileFormatError(f"{self.where}: line {line} measures nothing. Leave a lost sample out.", self.where)
+        content = _content(outputs, inputs, told)
+        if self._seen is None and t <= self._latest:
+            self._seen = self._all_seen()
+        if self._seen is not None:
+            if t in self._seen:
+                _check_twin(self.where, line, content, self._seen[t])
+                return
+            self._seen[t] = (line, content)
+        self._latest, self._held = max(t, self._latest), np.array(inputs)
+        self._rows.add(t, outputs, inputs, line)
+        self.told.append(tuple(told))
+
+    def _filled(self, line: int, inputs: list[float]) -> list[float]:
+        """Fill empty input cells with the value that holds."""
+        for i, value in enumerate(inputs):
+            if np.isnan(value) and np.isnan(self._held[i]):
+                name = self.plant.inputs.names[i]
+                raise FileFormatError(
+                    f"{self.where}: input {name} has no value in line {line}, the first row.", self.where
+                )
+        return [float(held) if np.isnan(value) else value for value, held in zip(inputs, self._held, strict=True)]
+
+    def _close(self) -> None:
+        """Put the rows that were read one by one among the others, as numbers."""
+        if self._rows.times:
+            self._blocks.append(self._rows.arrays(self.plant.n_outputs, self.plant.n_inputs))
+            self._rows = _Rows()
+
+    def _all_seen(self) -> dict[float, tuple[int, tuple[float, ...]]]:
+        """Every row so far by its time, for a file whose rows are not in order of time."""
+        self._close()
+        seen: dict[float, tuple[int, tuple[float, ...]]] = {}
+        for times, y, u, lines in self._blocks:
+            for t, outputs, inputs, line in zip(*(each.tolist() for each in (times, y, u, lines)), strict=True):
+                seen[t] = (line, _content(outputs, inputs, list(self.told[len(seen)])))
+        return seen
+
+    def _since(self, line: int, t: float, cell: str) -> float | None:
+        if cell == "":
+            return None
+        since = self.read(line, cell)
+        if since >= t:
+            raise FileFormatError(
+                f"{self.where}: line {line} begins a composite sample at {cell!r:.60}, which is not before its end.",
+                self.where,
+            )
+        return since
+
+
+class _Rows:
+    """Rows that were read one by one."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.y: list[list[float]] = []
+        self.u: list[list[float]] = []
+        self.lines: list[int] = []
+
+    def add(self, t: float, outputs: list[float], inputs: list[float], line: int) -> None:
+        self.times.append(t)
+        self.y.append(outputs)
+        self.u.append(inputs)
+        self.lines.append(line)
+
+    def arrays(self, p: int, m: int) -> tuple[Array, Array, Array, npt.NDArray[np.intp]]:
+        count = len(self.times)
+        y, u = np.reshape(self.y, (count, p)), np.reshape(self.u, (count, m))
+        return np.array(self.times), y, u, np.array(self.lines)
+
+
+def _content(outputs: list[float], inputs: list[float], told: list[Told]) -> tuple[float, ...]:
+    return (*outputs, *inputs, *(np.nan if x is None else x for each in told for x in each))
+
+
+def _beside(columns: list[Array | None], rows: int) -> Array | None:
+    """Columns as one table; None where one of them is."""
+    found = [column for column in columns if column is not None]
+    if len(found) < len(columns):
+        return None
+    return np.stack(found, axis=1) if found else np.zeros((rows, 0))
+
+
+def _held_on(column: Array, before: float) -> Array:
+    """A column of inputs whose blanks are what held before."""
+    known = np.isfinite(column)
+    last = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
+    return np.where(last < 0, before, column[last])
+
+
+def _counts(line: str) -> bool:
+    text = line.strip()
+    return bool(text) and not text.startswith("#")
+
+
+def _check_header(where: str, header: list[str], plant: Measured) -> str:
+    stamps = [name for name in ("time", "date") if name in header]
+    if len(stamps) != 1:
+        raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.", where)
+    wanted = [*plant.outputs.names, *plant.inputs.names]
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        raise FileFormatError(f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.", where)
+    twice = [name for i, name in enumerate(header) if name in header[:i]]
+    if twice:
+        raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
+    try:
+        known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
+        _checks.known_keys("the header", header, known)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: unknown column: {error}", where) from None
+    return stamps[0]
+
+
+def _number(where: str, line: int, name: str, cell: str, blank: bool = False) -> float:
+    if blank and cell == "":
+        return float("nan")
+    value = _files.decimal(cell)
+    if value is None:
+        hint = " Leave the cell empty if nothing was measured." if blank else ""
+        raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
+    return value
+
+
+def date_of(where: str, line: int, cell: str) -> datetime:
+    try:
+        date = datetime.fromisoformat(cell)
+    except ValueError:
+        at = f"in line {line}" if line else "given as origin"
+        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.", where) from None
+    return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+
+
+def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:
+    if not np.array_equal(new, old[1], equal_nan=True):
+        raise FileFormatError(f"{where}: line {line} repeats the time of line {old[0]} with other values.", where)

@@ -1,0 +1,196 @@
+"""Files that are read in blocks and written row by row are those of the whole record, to the last byte."""
+
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import _files
+from sampling_design._files import to_json
+from sampling_design.cli import following
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.estimators.online.history import Inputs
+from sampling_design.estimators.records import measurement_table
+from sampling_design.estimators.records.measurement_table import MeasurementTable
+from sampling_design.validation import schedule_log
+from sampling_design.validation.schedule_log import _matched
+
+PLANT = sd.Plant(
+    [[0.0, 1.0], [-1.0, 0.0]],
+    [[1.0, 0.0], [0.0, 1.0]],
+    [[0.0], [1.0]],
+    time_unit="h",
+    states=["level", "rate"],
+    outputs=["gauge", "flow"],
+    inputs=["pump"],
+)
+BOUNDS = {"w_bound": 0.01, "v_bound": 0.2, "initial_error": 1.5}
+
+
+def drawn_file(rng, path, rows=60, dates=False, awkward=True):
+    """A file with blanks, held inputs, limits, late rows and rows that come twice."""
+    times = np.round(np.cumsum(rng.uniform(0.2, 0.9, rows)), 3)
+    lines = []
+    for t in times:
+        stamp = f"2026-01-05T{int(t) % 24:02d}:{int(t * 60) % 60:02d}:00" if dates else repr(float(t))
+        cells = [f"{np.cos(t):.6f}", "" if rng.random() < 0.3 else f"{-np.sin(t):.6f}", "", stamp]
+        if awkward and rng.random() < 0.1:
+            cells[0] = "<2.5"
+        if awkward and rng.random() < 0.1:
+            cells[1] = '"0.1"' if rng.random() < 0.5 else " -0.0 "
+        if not lines or rng.random() < 0.3:
+            cells[2] = f"{rng.normal():.3e}"
+        lines.append(",".join(cells))
+    if awkward:
+        lines[20], lines[21] = lines[21], lines[20].replace(",,", ",,0.5,", 0)
+        held = lines[30].split(",")
+        lines[30] = ",".join([*held[:2], held[2] or "0.25", held[3]])
+        lines.insert(33, lines[30])
+    path.write_text("gauge,flow,pump," + ("date" if dates else "time") + "\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def read(path, monkeypatch, block, plain):
+    with monkeypatch.context() as patched:
+        patched.setattr(measurement_table, "BLOCK", block)
+        if not plain:
+            patched.setattr(MeasurementTable, "_plain", lambda self, lines: None)
+        try:
+            found = sd.read_measurements(path, PLANT)
+        except FileFormatError as error:
+            return str(error)
+    return [found.times.tobytes(), found.y.tobytes(), found.u.tobytes(), found.told, found.origin]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_blocks_are_read_as_single_rows_are(tmp_path, monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+    path = drawn_file(rng, tmp_path / "y.csv", dates=seed % 3 == 2, awkward=seed % 4 > 0)
+    whole = read(path, monkeypatch, 10_000, plain=False)
+    for block in (1, 7, 10_000):
+        assert read(path, monkeypatch, block, plain=True) == whole
+    lines = path.read_text().splitlines()
+    at = int(rng.integers(1, len(lines)))
+    for spoilt in ("nan", "1_0", "1e-999", "1e999", "٣", "0x1", "", '"'):
+        cells = lines[at].split(",")
+        cells[int(rng.integers(0, 4))] = spoilt
+        path.write_text("\n".join([*lines[:at], ",".join(cells), *lines[at + 1 :]]) + "\n")
+        assert read(path, monkeypatch, 7, plain=True) == read(path, monkeypatch, 10_000, plain=False)
+
+
+@pytest.mark.parametrize("radii", ["intervals", "ellipsoids"])
+def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypatch, capsys, radii):
+    monkeypatch.setattr(following, "CLOSELY", 5)
+    path = drawn_file(np.random.default_rng(3), tmp_path / "y.csv", rows=12, awkward=False)
+    record = sd.read_measurements(path, PLANT)
+    start = 0.125
+
+    def estimator():
+        return sd.MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.1, **BOUNDS)
+
+    whole = estimator().run(record)
+    moved = sd.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
+    object.__setattr__(moved, "times", whole.times + start)
+    if radii == "ellipsoids":
+        object.__setattr__(moved, "radii", whole.ellipsoid_radii)
+        moved.__dict__["estimates"] = tuple(each.known_by(None) for each in whole.estimates)
+    settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
+    tally = following.followed(settings, estimator(), record, start, "2026-03-01", radii, "words")
+    printed = capsys.readouterr().out
+    expected = {**moved.to_dict(), "radii_of": radii, "guarantee": "words", "horizon": 3.0}
+    assert printed == to_json(settings.named(expected)) == (tmp_path / "out/estimates.json").read_text()
+    file = sd.write_estimates(moved, tmp_path / "whole.csv", origin="2026-03-01")
+    assert (tmp_path / "out/estimates.csv").read_bytes() == file.read_bytes()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
+    assert tally.rows() == moved._rows()
+    assert json.loads(printed)["states"] == ["level", "rate"]
+
+
+def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
+    record = sd.Measurements(PLANT, [1.0, 50.0, 2.0], [[1.0, 0.0]] * 3, [[0.0]] * 3)
+    settings = Settings("estimate", output=tmp_path / "out", quiet=True)
+    with pytest.raises(ArgumentError, match="goes back beyond the window"):
+        following.followed(
+            settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipsoids", "words"
+        )
+    assert list((tmp_path / "out").iterdir()) == []
+    with pytest.raises(ArgumentError, match="`radii` must be one of intervals, ellipsoids, got 'ellipses'"):
+        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipses", "")
+
+
+def test_memory_does_not_grow_with_the_record():
+    """A thousand rows more hold no more than their numbers: 40 bytes each, with room to spare."""
+
+    def held(rows):
+        times = np.arange(1.0, rows + 1)
+        record = sd.Measurements(PLANT, times, np.stack([np.cos(times), -np.sin(times)], axis=1))
+        settings = Settings("estimate", quiet=True)
+        tracemalloc.start()
+        estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.1, **BOUNDS)
+        following.followed(settings, estimator, record, 0.0, "", "ellipsoids", "words")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    held(50)
+    assert held(250) - held(100) < 150 * 600  # flows and nodes that are kept for a while are larger than that
+
+
+def test_inputs_are_added_without_a_copy_of_those_before():
+    first = Inputs([(0.0, np.zeros(1))])
+    second, third = first.added(1, 1.0, np.ones(1)), first.added(1, 2.0, np.ones(1))
+    assert second._log is first._log
+    assert third._log is not first._log  # another future of the same past
+    assert [t for t, _ in second] == [0.0, 1.0]
+    assert [t for t, _ in third] == [0.0, 2.0]
+    assert [t for t, _ in second.added(1, 0.5, np.ones(1))] == [0.0, 0.5, 1.0]
+    assert [t for t, _ in second.since(1)] == [1.0]
+    assert second[-1][0] == 1.0
+    with pytest.raises(IndexError, match="2"):
+        second[2]
+
+
+def test_planned_samples_are_matched_as_one_by_one():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        planned = np.unique(np.round(rng.uniform(0, 10, rng.integers(1, 12)), 1))
+        actual = np.unique(np.round(planned[rng.random(planned.size) < 0.8] + rng.uniform(-0.6, 0.6), 1))
+        actual = np.unique([*actual, *np.round(rng.uniform(0, 10, rng.integers(1, 4)), 1)])
+        assert _matched(planned, actual).tolist() == one_by_one(planned, actual)
+
+
+def test_a_long_record_is_judged_in_stretches_as_a_whole(monkeypatch):
+    rng = np.random.default_rng(1)
+    plan = sd.PeriodicSchedule([1.0, 1.3, 0.9], time_unit="h")
+    times = plan.between(0, 60.0).times
+    times = (times + rng.uniform(-0.2, 0.2, times.size))[rng.random(times.size) > 0.1]
+    masks = rng.random((times.size, 2)) < 0.8
+    masks[~masks.any(axis=1)] = True
+    whole = sd.compare_schedule(PLANT, plan, times, 4.0, outputs=masks)
+    monkeypatch.setattr(schedule_log, "STRETCH", 7)
+    parts = sd.compare_schedule(PLANT, plan, times, 4.0, outputs=masks)
+    for one, other in ((whole.planned_sigma, parts.planned_sigma), (whole.actual_sigma, parts.actual_sigma)):
+        assert other.upper == pytest.approx(one.upper, rel=1.1e-3)
+        assert max(one.lower, other.lower) <= min(one.upper, other.upper)
+        assert other.lower >= (1 - 1.1e-3) * one.lower
+
+
+def test_json_in_pieces_is_the_json(monkeypatch):
+    monkeypatch.setattr(_files, "PIECES", 3)
+    data = {"a": [1.0, 2.5e-300], "b": {"c": None, "d": ["ä", True]}}
+    assert "".join(_files.json_pieces(data)) == to_json(data)
+
+
+def one_by_one(planned, actual):
+    gaps = np.diff(planned)
+    before, after = np.append(np.inf, gaps) / 2, np.append(gaps, np.inf) / 2
+    if gaps.size:
+        before[0], after[-1] = after[0], before[-1]
+    match = []
+    for k, t in enumerate(planned):
+        near = int(np.argmin(np.abs(actual - t)))
+        match.append(near if -before[k] <= actual[near] - t < after[k] and near not in match else -1)
+    return match

@@ -53,7 +53,7 @@ _FRONT_DOOR = {
     "estimators.constraints.convex_set": ("ConvexSet",),
     "estimators.baselines": ("standard_mhe", "periodic_at_equal_cost"),
     "estimators.records.measurements": ("Measurements", "read_measurements", "write_measurements"),
-    "estimators.estimate_file": ("EstimateTable", "write_estimates"),
+    "estimators.estimate_file": ("write_estimates",),
     "nonlinear": ("thyroid",),
     "nonlinear.model": ("NonlinearPlant",),
     "nonlinear.conversion": ("from_expressions", "from_linear"),

@@ -12,7 +12,7 @@ from sampling_design._files import to_json
 from sampling_design.cli import following
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.online.history import Inputs
+from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.measurement_table import MeasurementTable
 from sampling_design.validation import schedule_log
@@ -140,7 +140,7 @@ def test_memory_does_not_grow_with_the_record():
 
 
 def test_inputs_are_added_without_a_copy_of_those_before():
-    first = Inputs([(0.0, np.zeros(1))])
+    first = InputHistory([(0.0, np.zeros(1))])
     second, third = first.added(1, 1.0, np.ones(1)), first.added(1, 2.0, np.ones(1))
     assert second._log is first._log
     assert third._log is not first._log  # another future of the same past

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.online.history import Inputs, Node
+from sampling_design.estimators.online.history import InputHistory, Node
 from sampling_design.estimators.online.tube import Tube, open_tube
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.gap_table import GapTable
@@ -65,7 +65,7 @@ class Evidence:
 
     __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
 
-    def __init__(self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: Inputs, known: bool):
+    def __init__(self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: InputHistory, known: bool):
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 

@@ -41,7 +41,7 @@ class Node(NamedTuple):
     number: int = 0
 
 
-class Inputs(Sequence[tuple[float, Array]]):
+class InputHistory(Sequence[tuple[float, Array]]):
     """Pairs (t, u) by time, never changed; one that is later than all is added without a copy of those before it.
 
     Notes
@@ -57,7 +57,7 @@ class Inputs(Sequence[tuple[float, Array]]):
         self._start, self._end = 0, len(self._log)
 
     @classmethod
-    def _view(cls, log: list[tuple[float, Array]], start: int, end: int) -> Inputs:
+    def _view(cls, log: list[tuple[float, Array]], start: int, end: int) -> InputHistory:
         found = cls.__new__(cls)
         found._log, found._start, found._end = log, start, end
         return found
@@ -77,21 +77,21 @@ class Inputs(Sequence[tuple[float, Array]]):
             raise IndexError(at)
         return self._log[(self._start if at >= 0 else self._end) + at]
 
-    def added(self, at: int, t: float, u: Array) -> Inputs:
+    def added(self, at: int, t: float, u: Array) -> InputHistory:
         """Return these inputs with one more, at place `at`."""
         if at < len(self):
-            return Inputs((*self[:at], (t, u), *self[at:]))
+            return InputHistory((*self[:at], (t, u), *self[at:]))
         log, start = self._log, self._start
         if not len(self) or self._end < len(log):
             log, start = list(self), 0
         log.append((t, u))
         return self._view(log, start, len(log))
 
-    def since(self, first: int) -> Inputs:
+    def since(self, first: int) -> InputHistory:
         """Return these inputs without the first ones."""
         start = self._start + first
         if 2 * start > self._end:  # what nobody sees any more is let go
-            return Inputs(self._log[start : self._end])
+            return InputHistory(self._log[start : self._end])
         return self._view(self._log, start, self._end)
 
 
@@ -101,13 +101,13 @@ class State(NamedTuple):
     Attributes
     ----------
     nodes : tuple of Node, by time; the first is the prior or the oldest snapshot kept.
-    inputs : Inputs (t, u), by time; u holds from t on.
+    inputs : InputHistory (t, u), by time; u holds from t on.
     reached : (a, b, drift) or None
         What the inputs add from the last node at a to the last input at b, so that many inputs cost each their own.
     """
 
     nodes: tuple[Node, ...]
-    inputs: Inputs = Inputs()
+    inputs: InputHistory = InputHistory()
     reached: tuple[float, float, Array] | None = None
 
     @property

@@ -69,6 +69,8 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     settings.wrote(save_plan(result, folder / "plan.json"))
     settings.wrote(sd.write_plant(result.plant, folder / "plant.toml"))
     settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
+    if result.certificate is not None:
+        settings.wrote(result.certificate.save(folder / "certificate.json"))
     settings.wrote(save_picture(result, folder / "plan.png"))
     if dates is not None and dates.entries and result.requirement.calendar is not None:
         real, zone = dates.schedule(), result.requirement.calendar.zone

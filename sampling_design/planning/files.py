@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, usable, write_text
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.files import certificate_from_dict
+from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     Reader,
     anything,
@@ -18,6 +23,7 @@ from sampling_design.checkers.strict import (
     flag,
     list_of,
     matrix,
+    nonnegative,
     number,
     or_nothing,
     positive,
@@ -29,10 +35,12 @@ from sampling_design.planning.bounds import CostBranch, CostLeaf, CostProof, Cos
 from sampling_design.planning.evidence import PlanBound, attack_of
 from sampling_design.planning.motion import Motion, motion_of
 from sampling_design.planning.plan import proven_plan
-from sampling_design.planning.plan_record import FORMAT, Plan
+from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
+from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import first_difference
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -54,6 +62,14 @@ _ATTACK = table(
 )
 _NODE = table({}, {"variable": count, "multipliers": list_of(list_of(number, 2))})
 _PROOF = table({"level": positive, "value": number, "rows": list_of(list_of(count, 2)), "tree": list_of(_NODE)})
+_ROBUSTNESS = table(
+    {
+        "time_unit": time_unit,
+        **dict.fromkeys(("times", "late", "step", "late_ratio"), list_of(nonnegative)),
+        "lost": count,
+        "lost_ratio": list_of(or_nothing(nonnegative)),
+    }
+)
 _TREE: Reader = table(
     {
         "format": word(FORMAT),
@@ -68,6 +84,7 @@ _TREE: Reader = table(
         "no_better_than": or_nothing(_PROOF),
         "no_cheaper_than": or_nothing(_PROOF),
     },
+    {"certificate": anything, "robustness": or_nothing(_ROBUSTNESS)},
     whole="the plan",
 )
 
@@ -133,7 +150,36 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
                 raise refuse(
                     key, f"is {given.tolist()!r:.40} where the schedule gives {np.asarray(mine).tolist()!r:.40}"
                 )
-        return found
+        return replace(
+            found,
+            certificate=_certificate(tree.get("certificate"), found),
+            robustness=_robustness(tree.get("robustness"), found),
+        )
+
+
+def _certificate(data: object, found: Plan) -> Certificate | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict):
+        raise refuse("certificate", "must be a table of keys and values")
+    certificate = certificate_from_dict(data, "certificate")
+    if not isinstance(certificate, Certificate) or first_difference(found.plant, certificate.plant):
+        raise refuse("certificate", "is of another plant, or of no schedule")
+    if not same_samples(certificate.schedule, found.schedule):
+        raise refuse("certificate", "is of another schedule")
+    return certificate
+
+
+def _robustness(data: object, found: Plan) -> PlanRobustness | None:
+    if data is None:
+        return None
+    assert isinstance(data, Mapping)
+    arrays = {}
+    for key in ("times", "late", "step", "late_ratio", "lost_ratio"):
+        arrays[key] = freeze(np.array([np.inf if x is None else x for x in data[key]], dtype=float))
+        if arrays[key].size != found.samples:
+            raise refuse(f"robustness.{key}", f"must have {found.samples} entries, one for each sample")
+    return PlanRobustness(time_unit=data["time_unit"], lost=data["lost"], **arrays)
 
 
 def _bound(problem: PlanProblem, motion: Motion, tree: Mapping[str, object]) -> PlanBound:

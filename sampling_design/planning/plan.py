@@ -12,7 +12,9 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.certificates.certify import certify
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
@@ -21,6 +23,7 @@ from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.search import PlanSearch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import Accuracy, accuracy
@@ -43,6 +46,8 @@ ROUNDS = 60
 RTOL = 0.005
 """Width of the brackets that prove a plan."""
 
+CERTIFICATE_SECONDS = 2.0
+
 WIDTH = 0.002
 """Relative width to which the level out of reach is found."""
 
@@ -53,6 +58,8 @@ def plan(
     requirement: PlanRequirement,
     *,
     search_seconds: float | None = 60.0,
+    certificate: bool = True,
+    robustness: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
     """Choose when to measure what, so that wanted accuracies are kept at the least cost, or are best for a cost.
@@ -66,6 +73,10 @@ def plan(
     search_seconds : float, optional
         The search for choices stops then, and the status says "budget"; to prove what it has takes its own time on top
         (seconds, more the more samples it has). None: no limit.
+    certificate : bool
+        Also certify the samples, where they show the whole state.
+    robustness : bool
+        Also prove how late samples may be, and how many may be lost, before a tolerance breaks.
     progress : callable, optional
         Called with the fraction done and a message.
 
@@ -106,7 +117,22 @@ def plan(
     problem = pose_plan(plant, requirement)
     seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
     run = _Planning(problem, time.perf_counter() + seconds, progress)
-    return run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
+    found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
+    if progress and (certificate or robustness):
+        progress(0.9, "certificate and robustness")
+    return replace(
+        found,
+        certificate=plan_certificate(found) if certificate else None,
+        robustness=plan_robustness(found) if robustness else None,
+    )
+
+
+def plan_certificate(found: Plan) -> Certificate | None:
+    """That the samples show the whole state, or None."""
+    try:
+        return certify(found.plant, found.schedule, budget=CERTIFICATE_SECONDS)
+    except (CertificateError, UndecidedError, NotDetectableError):
+        return None
 
 
 class _Planning:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import SECONDS
+from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.recovery.accuracy import Accuracy
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+if TYPE_CHECKING:
+    from sampling_design.planning.robustness import PlanRobustness
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -46,6 +51,10 @@ class Plan(Record):
     bound : PlanBound
     status : str
         "complete" where nothing better can be found on the raster (to the search's accuracy), else "budget".
+    certificate : Certificate or None
+        That the samples show the whole state, with a rate; None where they do not, or where it was not asked for.
+    robustness : PlanRobustness or None
+        How late samples may be and how many may be lost before a tolerance breaks.
     """
 
     plant: Plant
@@ -55,7 +64,8 @@ class Plan(Record):
     reached: Array
     bound: PlanBound
     status: str = "complete"
-    history: tuple[str, ...] = field(default=())
+    certificate: Certificate | None = None
+    robustness: PlanRobustness | None = None
 
     @cached_property
     def problem(self) -> PlanProblem:
@@ -124,11 +134,25 @@ class Plan(Record):
             self.accuracy.verify() and np.allclose(reached(problem, self.accuracy), self.reached, rtol=1e-6)
         ):
             return False
+        if not self._extras_hold():
+            return False
         free = is_free(problem)
         ends = [ends_of(problem, g) for g in range(len(problem.goals))]
         limited, most = Cover(problem, fixed=free), limit_of(problem, self.cost)
         loose = Cover(without_limits(problem), fixed=free)
         return holds(self.bound, loose, limited, motion_of(problem), ends, most)
+
+    def _extras_hold(self) -> bool:
+        """Whether certificate and robustness are of this plan, and proven anew."""
+        from sampling_design.planning.robustness import bears
+
+        if self.certificate is not None:
+            mine = self.certificate.plant is self.plant or not first_difference(self.plant, self.certificate.plant)
+            if not mine or not same_samples(self.certificate.schedule, self.schedule):
+                return False
+            if not self.certificate.verify():
+                return False
+        return self.robustness is None or bears(self, self.robustness)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data with everything that a re-check needs."""
@@ -144,6 +168,8 @@ class Plan(Record):
             "attacks": [attack_to_dict(attack) for attack in self.bound.attacks],
             "no_better_than": None if self.bound.ratio is None else proof_to_dict(self.bound.ratio),
             "no_cheaper_than": None if self.bound.cost is None else proof_to_dict(self.bound.cost),
+            "certificate": None if self.certificate is None else self.certificate.to_dict(),
+            "robustness": None if self.robustness is None else self.robustness.to_dict(),
         }
         return data  # type: ignore[return-value]
 
@@ -161,6 +187,10 @@ class Plan(Record):
         if self.bound.ratio is not None and len(self.goals) > 1:
             level = short(self.bound.ratio.level, 4)
             rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
+        rows += [] if self.robustness is None else self.robustness.lines()
+        if self.certificate is not None:
+            eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
+            rows.append(("certificate", f"the samples show the whole state; rate {eta}"))
         return [*rows, ("status", self.status)]
 
     def explain(self) -> str:
@@ -176,7 +206,16 @@ class Plan(Record):
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
             text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
-        return text
+        return text if self.robustness is None else f"{text} {self.robustness.explain()}"
+
+
+def same_samples(one: Schedule | PeriodicSchedule | None, other: PeriodicSchedule) -> bool:
+    """Whether two schedules measure the same at the same times of the same period."""
+    if not isinstance(one, PeriodicSchedule) or len(one) != len(other):
+        return False
+    masks = [np.asarray(True) if s.outputs is None else np.asarray(s.outputs) for s in (one, other)]
+    close = np.allclose(one.times, other.times, rtol=0, atol=1e-9 * other.period)
+    return close and bool(np.all(masks[0] == masks[1])) and bool(np.isclose(one.period, other.period, rtol=1e-12))
 
 
 def is_free(problem: PlanProblem) -> bool:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._units import SECONDS, time_factor
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.planning.opening import week_hours
+from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import PlanRequirement, SensorTerms, duration
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.rows import wanted_rows
@@ -203,7 +203,9 @@ def _raster(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int,
             f"`raster` must divide the period {period!r} {unit} into 1 to {MOST_STEPS} whole steps, got {raster!r}."
         )
     if calendar is not None:
-        whole = "wk" if calendar.hours is not None or any(t.hours for t in requirement.sensors.values()) else "d"
+        own = [week_hours("hours", t.hours) for t in requirement.sensors.values() if t.hours is not None]
+        every = [calendar.open_hours(), *own]
+        whole = "d" if all(len({hours.get(day) for day in DAYS}) == 1 for hours in every) else "wk"
         count = period * SECONDS[unit] / SECONDS[whole]
         if abs(count - round(count)) > WHOLE:
             raise ArgumentError(

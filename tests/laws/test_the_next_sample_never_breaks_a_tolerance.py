@@ -18,6 +18,7 @@ import pytest
 import sampling_design as sd
 from tests.oracles import planning as oracle
 
+BARE = {"certificate": False, "robustness": False}
 DECISIONS = 3
 CALENDAR = {
     "start": "2026-03-23",
@@ -34,7 +35,7 @@ def platform():
     wanted = sd.PlanRequirement(
         {"place": 0.477}, period=6.4, raster=0.4, spacing=1.2, w_bound=[0.15], sensors={"y": {"noise_bound": 0.1}}
     )
-    return sd.plan(BODY, wanted, search_seconds=8.0)
+    return sd.plan(BODY, wanted, search_seconds=8.0, **BARE)
 
 
 def asked():
@@ -43,7 +44,7 @@ def asked():
     wanted = sd.PlanRequirement(
         goals, period=6.4, raster=0.4, spacing=0.8, w_bound=[0.02], sensors={"y": {"noise_bound": 0.2}}
     )
-    return sd.plan(BODY, wanted)
+    return sd.plan(BODY, wanted, **BARE)
 
 
 def tank():
@@ -59,7 +60,7 @@ def tank():
     wanted = sd.PlanRequirement(
         {"level": 14.0}, raster="2 h", w_bound=[0.02, 0.002], sensors=sensors, visit_price=1.0, calendar=CALENDAR
     )
-    return sd.plan(plant, wanted)
+    return sd.plan(plant, wanted, **BARE)
 
 
 PLANS = {"platform": platform, "asked": asked, "tank": tank}

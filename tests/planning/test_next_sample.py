@@ -9,6 +9,8 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.sequence import deviating, plan_chain, planned, proven_ratio
 
+BARE = {"certificate": False, "robustness": False}
+
 
 def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     found = sd.next_sample(week, now=0.0)
@@ -48,6 +50,8 @@ def test_wrong_arguments_are_refused(week):
 def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
     plant = sd.Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["y"])
     terms = {"y": {"noise_bound": 0.1}}
-    found = sd.plan(plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, raster=2.0, w_bound=[0.1, 0.0], sensors=terms))
+    found = sd.plan(
+        plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, raster=2.0, w_bound=[0.1, 0.0], sensors=terms), **BARE
+    )
     with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):
         plan_chain(found)

@@ -9,13 +9,14 @@ import sampling_design as sd
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.planning.evidence import PlanBound
 
+BARE = {"certificate": False, "robustness": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "raster": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 
 
 @pytest.fixture(scope="module")
 def cheapest():
-    return sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.35}, **GIVEN))
+    return sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.35}, **GIVEN), **BARE)
 
 
 def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
@@ -27,7 +28,7 @@ def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
 
 
 def test_four_looks_at_an_oscillator_reach_what_no_plan_beats():
-    found = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN))
+    found = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN), **BARE)
     assert found.gap <= 0.03
     assert found.bound.ratio.level <= 0.3175 <= found.reached[0] * 1.01  # even spacing, as the oracle has it
     assert found.verify()
@@ -49,7 +50,7 @@ def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):
 
 def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
     with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time") as refused:
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN))
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN), **BARE)
     nearest = refused.value.nearest["position"]
     assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
 
@@ -57,10 +58,10 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "raster": 0.8})
     with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
-        sd.plan(OSCILLATOR, spaced, search_seconds=2.0)
+        sd.plan(OSCILLATOR, spaced, search_seconds=2.0, **BARE)
     near = refused.value.nearest["position"]
     # what it names can be kept; one look, almost once in a swing, only seems to keep it to who looks back a little
-    found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}))
+    found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)
     assert found.keeps
     assert found.samples == 2
 
@@ -68,11 +69,11 @@ def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
 def test_what_nobody_can_afford_is_refused():
     dear = {**GIVEN, "sensors": {"y": {"noise_bound": 0.2, "price": 5.0}}}
     with pytest.raises(InfeasibleRequirementError, match="No measurement is admissible within"):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, cost_limit=3.0, **dear))
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, cost_limit=3.0, **dear), **BARE)
 
 
 def test_spacing_and_limits_are_kept():
     wanted = sd.PlanRequirement({"velocity": 1.0}, samples=3, spacing=1.5, **GIVEN)
-    found = sd.plan(OSCILLATOR, wanted)
+    found = sd.plan(OSCILLATOR, wanted, **BARE)
     assert len(found.schedule) <= 3
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9

@@ -1,0 +1,85 @@
+"""What a plan bears is proven, stands in its file, and more than that is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import FileFormatError
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.plan import plan_certificate
+from sampling_design.planning.robustness import plan_robustness
+from tests.oracles import planning as oracle
+
+
+@pytest.fixture(scope="module")
+def whole(week):
+    """The week with its certificate and what it bears."""
+    return replace(week, certificate=plan_certificate(week), robustness=plan_robustness(week))
+
+
+def worst_level(plan, times, seen):
+    """The level's largest hidden motion over all gaps after the first eight samples, by another program."""
+    plant, w, v = plan.plant, np.array([0.02, 0.01]), np.array([0.5, 0.1])
+    found = 0.0
+    for k in range(8, len(times) - 1):
+        for end in np.linspace(times[k], times[k + 1], 3):
+            program = oracle.hidden(plant.A, plant.C, plant.G, times[: k + 1], seen[: k + 1], [1.0, 0.0], end, w, v)
+            found = max(found, program[0])
+    return found
+
+
+def test_so_late_is_kept_and_a_lost_sample_is_told(whole):
+    schedule, masks = whole.schedule, whole.chosen[whole.chosen.any(axis=1)]
+    laps = 8
+    times = (np.arange(laps)[:, None] * schedule.period + schedule.times).ravel()
+    seen = np.tile(masks, (laps, 1))
+    k = 5 * whole.samples
+    late = times.copy()
+    late[k] += whole.robustness.late[0]
+    assert whole.robustness.late[0] > 0
+    assert worst_level(whole, late, seen) <= 3.0
+    assert whole.robustness.lost == 0
+    lost = worst_level(whole, np.delete(times, k), np.delete(seen, k, axis=0)) / 3.0
+    assert lost == pytest.approx(whole.robustness.lost_ratio[0], rel=0.02)
+    assert "no sample may be lost" in whole.explain()
+
+
+def test_it_is_in_the_file_and_proven_again(whole, tmp_path):
+    path = save_plan(whole, tmp_path / "plan.json")
+    back = sd.load_plan(path)
+    assert back.robustness.to_dict() == whole.robustness.to_dict()
+    assert back.certificate.to_dict() == whole.certificate.to_dict()
+    assert back.verify()
+    data = json.loads(path.read_text())
+    other = sd.certify(sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0]))
+    cases = [
+        ({"certificate": 3}, "must be a table of keys and values"),
+        ({"certificate": other.to_dict()}, "is of another plant, or of no schedule"),
+        ({"robustness": {**data["robustness"], "late": [1.0]}}, "must have 2 entries, one for each sample"),
+    ]
+    for changed, words in cases:
+        path.write_text(json.dumps({**data, **changed}))
+        with pytest.raises(FileFormatError, match=words):
+            sd.load_plan(path)
+    schedule = sd.PeriodicSchedule.from_times([100.0, 132.0], 168.0, [[True, True]] * 2, time_unit="h")
+    forged = sd.certify(whole.plant, schedule)
+    path.write_text(json.dumps({**data, "certificate": forged.to_dict()}))
+    with pytest.raises(FileFormatError, match="is of another schedule"):
+        sd.load_plan(path)
+
+
+def test_more_than_it_bears_does_not_verify(whole):
+    robustness = whole.robustness
+    for more in (
+        replace(robustness, lost=1),
+        replace(robustness, late=robustness.late + 60.0),
+        replace(robustness, lost_ratio=robustness.lost_ratio * 0.5),
+    ):
+        assert not replace(whole, certificate=None, robustness=more).verify()
+
+
+def test_a_plan_that_breaks_its_tolerance_bears_nothing(week):
+    assert plan_robustness(replace(week, reached=week.reached * 2)) is None

@@ -26,6 +26,17 @@ class Members(NamedTuple):
     complete: bool
 
 
+class Columns(NamedTuple):
+    """A box of many parameters: (A, G) at its middle (n, n + q), changes d_k add[:, k] (x, w)_at[k] with |d_k| <= 1.
+
+    In the order in which certificate files hold a multiplier for each: by parameter, then by the column it moves.
+    """
+
+    middle: Array
+    add: Array
+    at: tuple[int, ...]
+
+
 class LinearInclusion(ABC):
     """A plant of which certificates know a set: two trajectories with the same parameters and inputs differ by Dx with
 
@@ -52,6 +63,11 @@ class LinearInclusion(ABC):
     @abstractmethod
     def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
         """Linear plants that, each for itself, are possible for all time, the extreme ones first, and their names."""
+
+    @property
+    def columns(self) -> Columns | None:
+        """The changes for which multipliers take the place of members that are too many; None where they are not."""
+        return None
 
     @property
     def members_are_plants(self) -> bool:

@@ -15,13 +15,15 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.inclusion import LinearInclusion, Members
+from sampling_design.plants.inclusion import Columns, LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
 
 Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
 MOST_CORNERS = 10
 """Parameters of a box up to which all its corners are listed; beyond it random ones."""
+MOST_LISTED = 8
+"""Parameters that move A or G up to which a certificate's program knows corners; beyond it multipliers."""
 DRAWN = 1024
 """Corners that are drawn where there are more."""
 
@@ -303,6 +305,26 @@ class UncertainPlant(LinearInclusion, Record):
             for each, u, v, m in zip(self.parameters, a, b, middle, strict=True)
         ]
         return UncertainPlant(self.at(middle), parts, varying=self.varying)
+
+    @property
+    def columns(self) -> Columns | None:
+        """The columns of (A, G) that parameters move, where there are more than `MOST_LISTED` of them."""
+        moving = [
+            each for each in self.parameters if each.low < each.high and (each.A is not None or each.G is not None)
+        ]
+        if len(moving) <= MOST_LISTED:
+            return None
+        middle, add, at = np.hstack([self.nominal.A, self.nominal.G]), [], []
+        for each in self.parameters:
+            parts = [
+                np.zeros_like(getattr(self.nominal, k)) if getattr(each, k) is None else getattr(each, k) for k in "AG"
+            ]
+            M = np.hstack(parts)
+            middle = middle + (each.low / 2 + each.high / 2 - each.nominal) * M
+            for k in np.flatnonzero(np.any(M != 0, axis=0)).tolist():
+                add.append((each.high - each.low) / 2 * M[:, k])
+                at.append(k)
+        return Columns(middle, np.array(add).T, tuple(at))
 
     # --- what certificates need ---------------------------------------------------------------------------------------
 

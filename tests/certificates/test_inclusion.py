@@ -1,6 +1,7 @@
 """Certificates for uncertain plants: proven, tight, refused where they are wrong, read back from their file."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -315,3 +316,51 @@ def test_part_of_the_outputs_is_refused():
     two = UncertainPlant(Plant(OSCILLATOR.A, np.eye(2)), [STIFFNESS])
     with pytest.raises(ArgumentError, match="must measure every output at each sample"):
         certify(two, PeriodicSchedule([1.0], outputs=[[1, 0]]))
+
+
+# --- many parameters --------------------------------------------------------------------------------------------------
+
+
+def many_parameters():
+    A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.2, 0.3], [0.0, 0.1, -0.5]])
+    G = np.array([[0.0], [1.0], [0.2]])
+    off = 0.03 * np.abs(A) + 0.005
+    return UncertainPlant.from_intervals((A - off, A + off), [[1.0, 0.0, 0.0]], (0.95 * G, 1.05 * G))
+
+
+def test_a_box_of_many_parameters_is_certified_with_multipliers():
+    plant = many_parameters()
+    assert len(plant.parameters) == 11
+    made = certify_inclusion(plant, GapRange(0.2, 0.8), eta=0.15, pieces=4)
+    assert made.multipliers is not None
+    assert made.verify().passed
+    data = made.to_dict()
+    assert check(resealed(data, multipliers=None))["verdict"] != "proven"
+    rng = np.random.default_rng(0)
+    drawn = [plant.draw(rng) for _ in range(20)]
+    listed = [(one.A, one.C, one.G) for one in drawn]
+    assert inclusions.adversary(made, listed, rng) <= 1.0
+    few = np.asarray(made.multipliers).tolist()
+    few[0][0][0] = few[0][0][0] * 1e-9 if few[0][0][0] > 1e-6 else 1e9
+    assert check(resealed(data, multipliers=few))["verdict"] != "proven"
+
+
+def test_multipliers_cost_nothing_where_one_parameter_is_unknown(monkeypatch, certificate):
+    corners = certify_inclusion(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1, pieces=8)
+    monkeypatch.setattr("sampling_design.plants.uncertain.MOST_LISTED", 0)
+    for scale, per in ((1e6, 1e3),):
+        D = np.array([scale, 1.0])
+        plant = Plant(OSCILLATOR.A * D[:, None] / D / per, OSCILLATOR.C / D, G=np.diag(D) / per,
+                      states=Signals(["a", "b"], (), D))  # fmt: skip
+        part = UncertainParameter("k", 0.81, 1.21, A=np.array(STIFFNESS.A) * D[:, None] / D / per, nominal=1.0)
+        made = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5 * per, 1.5 * per), eta=0.1 / per,
+                                 Qw=np.eye(2) / per, pieces=8)  # fmt: skip
+        assert made.multipliers is not None
+        assert made.lam == pytest.approx(corners.lam, rel=1e-2)
+
+
+def test_matrices_of_a_file_are_not_made_symmetric_in_silence(certificate):
+    P = np.array(certificate.P)
+    P[0, 1, 0] += 0.1
+    with pytest.raises(ArgumentError, match="must be symmetric"):
+        replace(certificate, P=P)

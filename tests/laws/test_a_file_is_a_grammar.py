@@ -15,13 +15,15 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, Schedule, SpacedWindows
+from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.checkers import check
 from sampling_design.checkers.grammar import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 from sampling_design.schedules.family_files import family_from_dict
 from tests import mutants
-from tests.oracles import dissipation, families
+from tests.oracles import dissipation, families, inclusions
 from tests.oracles.files import facts_of_plant, facts_of_requirement, facts_of_schedule, facts_of_table, same
 
 MOST = 150
@@ -59,6 +61,10 @@ REQUIREMENT = sd.Requirement(
     time_unit="h",
     scaled=True,
 )
+UNCERTAIN = UncertainPlant(
+    Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1.0]]),
+    [UncertainParameter("k", 0.9, 1.1, [[0.0, 0.0], [-1.0, 0.0]]), UncertainParameter("c", 0.9, 1.1, C=[[1.0, 0.0]])],
+)
 CERTIFICATES = {
     "periodic": lambda: sd.certify(TWO, PARTLY, eta=0.2, P2=np.eye(2)),
     "finite": lambda: sd.certify(OSCILLATOR, Schedule([0.5, 1.5, 3.0]), eta=0.4, P2=np.eye(2)),
@@ -67,6 +73,7 @@ CERTIFICATES = {
     "lost samples": lambda: sd.certify_family(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0),
     "jitter": lambda: sd.certify_family(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0),
     "detectability": lambda: sd.certify_detectability(OSCILLATOR),
+    "inclusion": lambda: certify_inclusion(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1, pieces=2),
 }
 FAMILIES = {
     "gap range": GapRange(0.9, 1.1, time_unit="h"),
@@ -215,6 +222,8 @@ def true(data):
     """Whether what a certificate states holds where an oracle looks: 50 digits, or Riccati along schedules."""
     if data["claim"] == "detectability":
         return dissipation.holds(data)
+    if data["claim"] == "inclusion":
+        return inclusions.holds(data, facts_of_plant(data["plant"]))
     facts = facts_of_plant(data["plant"])
     plant = Plant(facts["A"], facts["C"], G=facts["G"])
     weights = tuple(np.array(data[key], dtype=float) for key in ("Qw", "R", "Qv"))

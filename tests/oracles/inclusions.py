@@ -6,6 +6,8 @@ matrix, and P1 <= Pi is asked at every corner of time, just before and just afte
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -55,3 +57,34 @@ def adversary(certificate, members, rng, samples=8, parts=3):
         switches.append([(float(s), int(rng.integers(len(members)))) for s in shares])
     weights = (certificate.Qw, certificate.R, certificate.Qv)
     return largest_ratio(members, weights, certificate.eta, certificate.P1, certificate.P2, gaps, switches)
+
+
+def corners(data, facts):
+    """(A, C, G) at the corners of the box that a file's model describes, read off the plain data."""
+    found = []
+    for signs in product((0, 1), repeat=len(data["model"]["parameters"])):
+        parts = {key: np.array(facts[key], dtype=float) for key in "ACG"}
+        for p, high in zip(data["model"]["parameters"], signs, strict=True):
+            move = (p["high"] if high else p["low"]) - p["nominal"]
+            for key in parts:
+                parts[key] = parts[key] + move * np.array(p.get(key, np.zeros(parts[key].shape)), dtype=float)
+        found.append((parts["A"], parts["C"], parts["G"]))
+    return found
+
+
+def holds(data, facts, draws=3):
+    """Whether what a file of claim "inclusion" states about a box holds along switching corners, and P2 <= lam P1."""
+    weights = tuple(np.array(data[key], dtype=float) for key in ("Qw", "R", "Qv"))
+    P1, P2 = (np.array(data[key], dtype=float) for key in ("P1", "P2"))
+    times, rng, every = data["times"], np.random.default_rng(5), corners(data, facts)
+    room = (1 + 1e-6) / (1 + data["margin"])
+    root = np.linalg.cholesky(P1)
+    between = np.linalg.solve(root, np.linalg.solve(root, P2).T)
+    if np.linalg.eigvalsh((between + between.T) / 2)[-1] > data["lam"] * (1 + 2e-3):
+        return False
+    for _ in range(draws):
+        gaps = rng.choice([times["shortest"], times["longest"]], 8)
+        switches = [[(0.5, int(rng.integers(len(every)))), (0.5, int(rng.integers(len(every))))] for _ in gaps]
+        if largest_ratio(every, weights, data["eta"], P1, P2, gaps, switches) > room:
+            return False
+    return True

@@ -80,7 +80,8 @@ class InclusionCertificate(SampledCertificate):
         if self.model is not None and not self.model_data:
             object.__setattr__(self, "model_data", self.model.model_to_dict())
         object.__setattr__(self, "nodes", nodes)
-        object.__setattr__(self, "P", _checks.freeze((P + np.swapaxes(P, 1, 2)) / 2))
+        P = np.array([_checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
+        object.__setattr__(self, "P", _checks.freeze(P))
 
     @property
     def covers(self) -> GapRange:

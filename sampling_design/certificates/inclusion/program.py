@@ -43,8 +43,9 @@ class Posed:
     first: int
     margin: float = MARGIN
     columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """(n, m): what uncertain columns add, for multipliers; `chosen` says which entry of (x, w) each multiplies."""
-    chosen: tuple[int, ...] = ()
+    """(n, m): what uncertain columns add, for multipliers; the dynamics are then those of the middle alone."""
+    seen: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """(m, n + q): the combination of (x, w) that each of them multiplies."""
 
     @property
     def n(self) -> int:
@@ -58,8 +59,11 @@ class Posed:
         A, G = self.dynamics[:, :, :n], self.dynamics[:, :, n:]
         dynamics = np.concatenate([T.T @ A @ inverse.T, T.T @ G], axis=2) if q else T.T @ A @ inverse.T
         unit = inverse @ self.unit @ inverse.T
+        seen = np.hstack([self.seen[:, :n] @ inverse.T, self.seen[:, n:]]) if len(self.seen) else self.seen
         return replace(
             self,
+            columns=T.T @ self.columns if len(self.seen) else self.columns,
+            seen=seen,
             dynamics=dynamics,
             outputs=self.outputs @ inverse.T,
             centre=self.centre @ inverse.T,
@@ -77,7 +81,7 @@ class InclusionProgram:
         self.basis = np.asarray(_conic.smat(np.eye(self.pairs)), dtype=np.float64)
         self.count = posed.nodes.size
         self.ends = 2 * (self.count - 1)
-        self.width = self.count * self.pairs + self.ends * len(posed.chosen) + 2
+        self.width = self.count * self.pairs + self.ends * len(posed.seen) + 2
         self.fixed = [*self._flow(), *self._jump()]
 
     def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
@@ -94,7 +98,7 @@ class InclusionProgram:
 
     def _padded(self, corner: Array, side: Array | None = None) -> Array:
         """svec of [corner, side; side', 0] for each of a stack, as columns."""
-        n, m = self.posed.n, self.posed.dynamics.shape[2] + len(self.posed.chosen)
+        n, m = self.posed.n, self.posed.dynamics.shape[2] + len(self.posed.seen)
         full = np.zeros((len(corner), m, m))
         full[:, :n, :n] = corner
         if side is not None:
@@ -104,13 +108,13 @@ class InclusionProgram:
 
     def _flow(self) -> list[Block]:
         p, n = self.posed, self.posed.n
-        q, m = p.dynamics.shape[2] - n, len(p.chosen)
+        q, m = p.dynamics.shape[2] - n, len(p.seen)
         right = np.zeros((n + q + m, n + q + m))
         right[:n, :n] = -p.margin * np.eye(n)
         right[n : n + q, n : n + q] = (1 - p.margin) * p.Qw
         floor = vector(right)
         still, found = self._padded(self.basis), []
-        for k, M in enumerate(p.dynamics):
+        for M in p.dynamics:
             A, G = M[:, :n], M[:, n:]
             drift = self.basis @ A
             side = np.concatenate(
@@ -121,19 +125,17 @@ class InclusionProgram:
                 a, b = i * self.pairs, (i + 1) * self.pairs
                 found.append(self._block([(a, along + still / h), (b, -still / h), *self._own(2 * i)], floor))
                 found.append(self._block([(b, along - still / h), (a, still / h), *self._own(2 * i + 1)], floor))
-            if m and k:
-                break  # multipliers stand for all members: the first is the middle
         return found
 
     def _own(self, end: int) -> list[tuple[int, Array]]:
         """What the multipliers of one end add: p_k^2 - z_k^2."""
-        p, m = self.posed, len(self.posed.chosen)
+        p, m = self.posed, len(self.posed.seen)
         if not m:
             return []
         size = p.dynamics.shape[2]
         full = np.zeros((m, size + m, size + m))
-        for k, z in enumerate(p.chosen):
-            full[k, z, z] = -1.0
+        full[:, :size, :size] = -p.seen[:, :, None] * p.seen[:, None, :]
+        for k in range(m):
             full[k, size + k, size + k] = 1.0
         return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(full).T))]
 
@@ -163,7 +165,7 @@ class InclusionProgram:
         return found
 
     def _solved(self, cost: Array, blocks: list[Block]) -> tuple[Array | None, SolverRecord]:
-        m = len(self.posed.chosen) * self.ends
+        m = len(self.posed.seen) * self.ends
         every = [*self.fixed, *blocks]
         if m:
             signs = sparse.csc_matrix(
@@ -180,7 +182,7 @@ class InclusionProgram:
 
     def diagonals(self, x: Array) -> Array:
         """Multipliers per piece and end."""
-        m = len(self.posed.chosen)
+        m = len(self.posed.seen)
         start = self.count * self.pairs
         return np.maximum(x[start : start + self.ends * m], 0.0).reshape(self.count - 1, 2, m)
 

@@ -77,6 +77,9 @@ class InclusionSearch:
         self.plant, self.family, self.weights, self.budget = plant, family, weights, budget
         self.centre = plant.centre
         self.members: Members = plant.members(np.random.default_rng(seed))
+        self.columns, self.sizes = plant.columns, np.zeros(0)
+        if self.columns is not None:  # multipliers stand for all members
+            self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
         self.chosen = self._first()
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self.extra: list[Array] = []
@@ -113,9 +116,17 @@ class InclusionSearch:
         outputs = root_y.T @ self.members.outputs @ inverse.T
         unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
         q, p = G.shape[2], len(root_y)
+        columns = seen = np.zeros((0, 0))
+        if self.columns is not None:
+            to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
+            axes = np.vstack([np.hstack([inverse.T, np.zeros((n, q))]), np.hstack([np.zeros((q, n)), to_w])])
+            seen = axes[list(self.columns.at)]
+            self.sizes = np.linalg.norm(seen, axis=1)
+            columns, seen = b * (T.T @ self.columns.add) * self.sizes, seen / self.sizes[:, None]
         posed = Posed(
             dynamics=np.concatenate([A, G], axis=2), outputs=outputs, centre=root_y.T @ self.centre.C @ inverse.T,
             Qw=np.eye(q), Rt=np.eye(p), unit=unit, eta=eta * b, nodes=nodes, first=first,
+            columns=columns, seen=seen,
         )  # fmt: skip
         return posed, T
 
@@ -158,7 +169,7 @@ class InclusionSearch:
         if x is None:
             return None
         P = search.matrices(x)
-        best = self._found(some, P, np.eye(some.n), T, None, record)
+        best = self._found(some, P, np.eye(some.n), T, search.diagonals(x), record)
         if not narrow:
             return best
         current, basis = some, np.eye(some.n)
@@ -170,7 +181,7 @@ class InclusionSearch:
             if x is None:
                 break
             P = search.matrices(x)
-            found = self._found(current, P, np.eye(some.n), T @ basis, None, record)
+            found = self._found(current, P, np.eye(some.n), T @ basis, search.diagonals(x), record)
             better = found.lam < best.lam
             done = found.lam > 0.98 * best.lam
             best = found if better else best
@@ -230,8 +241,15 @@ class InclusionSearch:
         return InclusionCertificate(
             self.centre, self.family, P1=P1, P2=P2, Qw=self.weights.Qw, R=self.weights.R, Qv=self.weights.Qv,
             eta=eta, lam=max(lam, 1.0), lam_samples=max(lam, 1.0), solver=solver,
-            model=model, model_data=model.model_to_dict(), nodes=nodes, P=P,
+            model=model, model_data=model.model_to_dict(), nodes=nodes, P=P, multipliers=self._multipliers(found),
         )  # fmt: skip
+
+    def _multipliers(self, found: InclusionSolution) -> Array | None:
+        """Those of physical columns, in short decimals."""
+        if self.columns is None or found.diagonals is None:
+            return None
+        own = found.diagonals / (self.family.longest * self.sizes**2)
+        return np.array([float(f"{x:.9g}") for x in own.ravel().tolist()]).reshape(own.shape)
 
     def nodes(self, posed: Posed) -> Array:
         """Times since the last sample, the ends of the range as they were given."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -117,7 +118,7 @@ class NominalFilter(KalmanFilter):
         )
         self._shown = _outputs(plant)
         self._before: tuple[Array, Array, float] | None = None
-        self._inputs: tuple[tuple[float, Array], ...] = ()
+        self._inputs: Sequence[tuple[float, Array]] = ()
         super().__init__(
             wide, cost=inside, prior=prior, prior_time=prior_time,
             w_bound=None if bound is None else np.zeros(wide.n_disturbances), v_bound=v_bound,

@@ -11,17 +11,25 @@ import typer
 
 from sampling_design.cli import reading
 from sampling_design.cli.accuracy import NUMBERS, _numbers
-from sampling_design.cli.plan import PlantFile, schedule_for
+from sampling_design.cli.plan import schedule_for
 from sampling_design.cli.settings import Settings
+from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.requirement_file import requirement_and_plant
+from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
 def explore(
     settings: Settings,
-    plant_file: PlantFile,
+    plant_file: Annotated[
+        Path | None,
+        typer.Argument(metavar="PLANT", help="Plant file (.toml), or a plan requirement that holds its plant."),
+    ] = None,
     requirement_file: Annotated[
-        Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
+        Path | None,
+        typer.Argument(metavar="REQUIREMENT", help="Requirement, or plan requirement (.toml); without it, defaults."),
     ] = None,
     schedule_file: Annotated[
         Path | None, typer.Option("--schedule", metavar="FILE", help="Schedule to begin with; default: saved, or even.")
@@ -31,6 +39,7 @@ def explore(
     ] = None,
     v_bound: Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the noise v. {NUMBERS}")] = None,
     tolerance: Annotated[str | None, typer.Option(help="Error of each state that would do, commas between.")] = None,
+    scene: Annotated[str | None, typer.Option(help="A ready-made scene for lectures, instead of files.")] = None,
     port: Annotated[int, typer.Option(help="Port on this machine; 0 takes a free one.")] = 0,
     idle: Annotated[float, typer.Option(help="End when nobody has asked for so many seconds.")] = 3600.0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser.")] = True,
@@ -40,24 +49,30 @@ def explore(
     Example: sampling-design explore examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
     from sampling_design.explorer import Bench, serve
+    from sampling_design.explorer import scene as ready_made
 
-    plant = reading.plant(plant_file)
-    requirement = reading.requirement(requirement_file)
-    if settings.decay_rate is not None:
-        requirement = requirement.replace(decay_rate=settings.decay_rate)
-    schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
-    if schedule is not None and not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError(f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period.")
-    wanted = _numbers("--tolerance", tolerance)
-    bench = Bench(
-        plant,
-        requirement,
-        schedule,
-        w_bound=_numbers("--w-bound", w_bound),
-        v_bound=_numbers("--v-bound", v_bound),
-        tolerance=[wanted] if isinstance(wanted, float) else wanted,
-        folder=settings.folder(),
-    )
+    if scene is not None:
+        if plant_file is not None:
+            raise ArgumentError(f"`--scene` {scene} brings its own plant, got {plant_file} too. Leave one out.")
+        bench = ready_made(scene)
+        bench.folder = settings.folder()
+    else:
+        plant, requirement = _wanted(settings, plant_file, requirement_file)
+        schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
+        if schedule is not None and not isinstance(schedule, PeriodicSchedule):
+            raise ArgumentError(
+                f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period."
+            )
+        wanted = _numbers("--tolerance", tolerance)
+        bench = Bench(
+            plant,
+            requirement,
+            schedule,
+            w_bound=_numbers("--w-bound", w_bound),
+            v_bound=_numbers("--v-bound", v_bound),
+            tolerance=[wanted] if isinstance(wanted, float) else wanted,
+            folder=settings.folder(),
+        )
 
     def ready(address: str) -> None:
         settings.show({"address": address}, f"The explorer is open at {address}")
@@ -68,6 +83,26 @@ def explore(
             webbrowser.open(address)
 
     serve(bench, port, idle, ready)
+
+
+def _wanted(
+    settings: Settings, plant_file: Path | None, requirement_file: Path | None
+) -> tuple[Plant, Requirement | PlanRequirement]:
+    """The plant and what is wanted of its schedule; a plan requirement may hold its plant."""
+    if plant_file is None:
+        raise ArgumentError("`PLANT` is missing: give a plant file, or one of the scenes with `--scene`.")
+    plan_file = requirement_file or plant_file
+    if reading.is_plan_requirement(plan_file):
+        wanted, plant = requirement_and_plant(plan_file)
+        if requirement_file is not None:
+            plant = reading.plant(plant_file)
+        if plant is None:
+            raise ArgumentError(f"`PLANT` is missing: {plan_file} is a requirement that holds no plant.")
+        return plant, wanted
+    requirement = reading.requirement(requirement_file)
+    if settings.decay_rate is not None:
+        requirement = requirement.replace(decay_rate=settings.decay_rate)
+    return reading.plant(plant_file), requirement
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (explore,)

@@ -68,6 +68,15 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
         raise
 
 
+def is_plan_requirement(path: Path) -> bool:
+    """Whether a file says that it is a plan requirement."""
+    try:
+        text = read_text(path)
+        return from_toml(text, "").get("format") == "sampling-design/plan-requirement/1"
+    except SamplingDesignError:
+        return False
+
+
 def kind_of(path: Path) -> str:
     """What a file seems to be: plant, schedule, requirement, certificate, measurement, or "" where that is open."""
     try:

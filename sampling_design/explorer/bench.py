@@ -13,7 +13,7 @@ from sampling_design._files import from_json, to_json
 from sampling_design._record import Plain, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
-from sampling_design.certificates.existence.periodic import certificate_exists, smallest_repair
+from sampling_design.certificates.existence.periodic import certificate_exists
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.posing import in_unit
 from sampling_design.design.problem.requirement import Requirement
@@ -21,11 +21,16 @@ from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
 from sampling_design.observability.windows.window_sigma import window_sigma
+from sampling_design.planning.plan import plan
+from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import accuracy
+from sampling_design.recovery.start import InitialError
 from sampling_design.schedules.files import read_schedule, write_schedule
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Answer = dict[str, Plain]
@@ -35,6 +40,21 @@ LIVE_BUDGET = 0.5
 
 MOST_MARKS = 400
 """Samples of a period beyond which a time line is no picture any more."""
+
+PLAN_SECONDS = 15.0
+"""Seconds that the search of a plan may take on a press of its button; its proof comes on top."""
+
+MOVES = (0.05, 0.1, 0.2)
+"""Shares of the mean gap by which a sample is moved to mend what broke, the smallest first."""
+
+MENDED = 0.5
+"""Share of the best sigma among those moves that a smaller one must reach to be proposed."""
+
+MOST_SHADOWS = 6
+"""Polygons that are still told apart."""
+
+MOST_MOVED = 6
+"""Samples of a period up to which every one is tried."""
 
 TOGETHER = 1e-9
 """Share of the period within which the marks of two sensors are one sample."""
@@ -46,13 +66,18 @@ class Bench:
     Parameters
     ----------
     plant : Plant
-    requirement : Requirement, optional
+    requirement : Requirement or PlanRequirement, optional
+        A plan requirement brings period, opening hours, bounds and tolerances along, and can be planned for.
     schedule : PeriodicSchedule, optional
         Where to begin; default: what was saved in `folder` before, else evenly spaced samples.
     w_bound, v_bound : as for `accuracy`
         With both, the accuracy of every state is shown as well.
     tolerance : (n,) array, optional
         The error of each state that would do, drawn beside its accuracy.
+    shadow : (str, str), optional
+        Two states or outputs: what the samples of one period leave possible of them is drawn, sample by sample.
+    initial_error : as for `accuracy`
+        What is known at the start of that period.
     folder : path, optional
         Where `save` writes, and what was saved is found again; default: the current one, where nothing is looked for.
     words : str
@@ -67,16 +92,23 @@ class Bench:
     def __init__(
         self,
         plant: Plant,
-        requirement: Requirement | None = None,
+        requirement: Requirement | PlanRequirement | None = None,
         schedule: PeriodicSchedule | None = None,
         *,
         w_bound: npt.ArrayLike | None = None,
         v_bound: npt.ArrayLike | None = None,
         tolerance: npt.ArrayLike | None = None,
+        shadow: tuple[str, str] | None = None,
+        initial_error: InitialError = None,
         folder: str | Path | None = None,
         words: str = "",
     ) -> None:
         self.plant = plant
+        self.problem: PlanProblem | None = None
+        if isinstance(requirement, PlanRequirement):
+            self.problem = posed = pose_plan(plant, requirement)
+            w_bound, v_bound = requirement.w_bound, np.where(np.isfinite(posed.v_bound), posed.v_bound, 1.0)
+            requirement = Requirement(period=posed.period, time_unit=plant.time_unit)
         self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
         self.split = split_modes(plant, self.requirement.decay_rate)
         self.window = float(self.requirement.window or default_window(self.split) or 1.0)
@@ -84,6 +116,14 @@ class Bench:
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
         self.folder = None if folder is None else Path(folder)
         self.tolerance = None if tolerance is None else _checks.vector("tolerance", tolerance, plant.n_states)
+        self.rows: list[str] | Array | None = None
+        self.labels = list(plant.states.labels())
+        if self.problem is not None:
+            goals = self.problem.goals
+            self.rows, self.labels = np.array([goal.row for goal in goals]), [goal.name for goal in goals]
+            self.tolerance = np.array([goal.tolerance for goal in goals])
+        self.shadow, self.initial_error = shadow, initial_error
+        self.closed = [self._closed(k) for k in range(plant.n_outputs)]
         self.schedule = self._begin(schedule)
 
     def _begin(self, given: PeriodicSchedule | None) -> PeriodicSchedule:
@@ -146,6 +186,9 @@ class Bench:
             "open": self._open,
             "sigma": self._sigma,
             "accuracy": self._accuracy,
+            "mend": self._mend,
+            "shadow": self._shadow,
+            "plan": self._plan,
             "design": self._design,
             "certify": self._certify,
             "horizons": self._horizons,
@@ -166,10 +209,8 @@ class Bench:
 
     def _open(self) -> Answer:
         sensors: list[Plain] = []
-        for name, label in zip(self.plant.outputs.names, self.plant.outputs.labels(), strict=True):
-            access = self.requirement.outputs.get(name)
-            closed = [] if access is None else self._outside(access.available)
-            sensors.append({"name": label, "closed": closed, "cost": 0.0 if access is None else access.cost})
+        for label, closed, price in zip(self.plant.outputs.labels(), self.closed, self._prices(), strict=True):
+            sensors.append({"name": label, "closed": [[a, b] for a, b in closed], "cost": price})
         return {
             "name": self.plant.name or "plant",
             "unit": self.plant.time_unit,
@@ -177,19 +218,33 @@ class Bench:
             "window": self.window,
             "forbidden": [[float(a), float(b)] for a, b in self.requirement.forbidden],
             "sensors": sensors,
-            "states": list(self.plant.states.labels()),
+            "states": list(self.labels),
+            "plan": self.problem is not None,
+            "shadow": self.shadow is not None,
             "tolerance": None if self.tolerance is None else [float(x) for x in self.tolerance],
             "bounds": self.w_bound is not None and self.v_bound is not None,
             "marks": self.marks(),
             "words": self.words,
         }
 
-    def _outside(self, available: Array | None) -> list[Plain]:
-        """What is not available, within the period."""
-        if available is None:
+    def _prices(self) -> list[float]:
+        """Of one measurement by each sensor."""
+        if self.problem is not None:
+            return [float(price) for price in self.problem.price]
+        access = self.requirement.outputs
+        return [access[name].cost if name in access else 0.0 for name in self.plant.outputs.names]
+
+    def _closed(self, sensor: int) -> list[tuple[float, float]]:
+        """When a sensor cannot be read, within the period."""
+        if self.problem is not None:
+            allowed, step = self.problem.allowed[:, sensor], self.problem.step
+            edges = np.flatnonzero(np.diff(allowed, prepend=True, append=True))
+            return [(float(a * step), float(b * step)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        access = self.requirement.outputs.get(self.plant.outputs.names[sensor])
+        if access is None or access.available is None:
             return []
-        edges = [0.0, *(float(x) for x in np.ravel(available)), self.period]
-        return [[a, b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+        edges = np.array([0.0, *np.ravel(access.available), self.period])
+        return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
     def _sigma(self) -> Answer:
         told = self._rules()
@@ -198,6 +253,7 @@ class Bench:
         found = window_sigma(self.split.retained, self.schedule, self.window, budget=LIVE_BUDGET)
         shown = found.scaled or found
         profile = shown.profile
+        broken = self._broken(shown.lower)
         return {
             "t": profile.t.tolist(),
             "sigma": profile.sigma.tolist(),
@@ -206,7 +262,8 @@ class Bench:
             "upper": shown.upper,
             "worst": shown.witness.t,
             "scaled": found.scaled is not None,
-            "told": [*told, *self._broken(shown.lower)],
+            "told": [*told, *broken],
+            "broken": bool(broken),
         }
 
     def _rules(self) -> list[Plain]:
@@ -214,14 +271,12 @@ class Bench:
         told: list[Plain] = []
         times, gaps = self.schedule.times % self.period, self.schedule.gaps
         closed = [t for t in times if any(a <= t < b for a, b in self.requirement.forbidden)]
-        for k, (name, access) in enumerate(self.requirement.outputs.items()):
-            column = self.plant.outputs.names.index(name) if name in self.plant.outputs.names else k
-            mask = self.schedule.outputs
-            if access.available is not None:
-                read = times if mask is None else times[mask[:, column]]
-                shut = [t for t in read if not any(a <= t < b for a, b in access.available)]
-                if shut:
-                    told.append(f"{name} cannot be read at {', '.join(short(t, 4) for t in shut[:4])}.")
+        mask = self.schedule.outputs
+        for k, (name, hours) in enumerate(zip(self.plant.outputs.names, self.closed, strict=True)):
+            read = times if mask is None else times[mask[:, k]]
+            shut = [t for t in read if any(a <= t < b for a, b in hours)]
+            if shut:
+                told.append(f"{name} cannot be read at {', '.join(short(t, 4) for t in shut[:4])}.")
         if closed:
             told.append(f"Closed at {', '.join(short(t, 4) for t in closed[:4])}: no sample is allowed there.")
         least = self.requirement.spacing
@@ -238,25 +293,117 @@ class Bench:
         existence = certificate_exists(self.split.retained, self.schedule, 0.0)
         if existence.exists:
             return [] if lower > 0 else ["Some window holds too few samples: sigma is zero there."]
-        told = f"These samples miss something in every window, however many periods one waits: {existence.reason}."
-        repair = smallest_repair(self.split.retained, self.schedule, 0.0)
-        if repair is not None:
-            t = self.schedule.times[repair["gap"]] % self.period
-            by = repair["to"] - repair["from"]
-            told += f" Move the sample at {short(t, 4)} by {short(by, 3)} and it is seen."
-        return [told]
+        if existence.eigenvalue is None or not existence.partners:
+            return [
+                f"These samples miss something in every window, however many periods one waits: {existence.reason}."
+            ]
+        modes = [existence.eigenvalue, *existence.partners]
+        pair = len(modes) == 2 and abs(modes[0] - modes[1].conjugate()) <= TOGETHER * abs(modes[0])
+        names = [format_eigenvalue(mode, grain=1e-12 * abs(mode)) for mode in modes]
+        if pair:
+            real = "" if abs(modes[0].real) <= TOGETHER * abs(modes[0]) else short(modes[0].real)
+            names = [f"{real}±{short(abs(modes[0].imag))}i"]
+        times = [short(t, 4) for t in self.schedule.times % self.period]
+        who = f"The samples at {' and '.join(times)} alias" if len(times) <= 3 else f"All {len(times)} samples alias"
+        if len(times) == 1:
+            who = f"The sample at {times[0]} of every period aliases"
+        return [f"{who} the modes {' and '.join(names)}: they look alike in every window, however long one waits."]
+
+    def _mend(self) -> Answer:
+        """The least move of one sample that brings back a good part of what a move can, and its sigma."""
+        times, mask = np.sort(self.schedule.times % self.period), self.schedule.outputs
+        order = np.argsort(self.schedule.times % self.period)
+        on = np.ones((times.size, self.plant.n_outputs), dtype=bool) if mask is None else mask[order]
+        step = self.period / times.size
+        tried: list[tuple[float, float, int]] = []
+        for share in MOVES:
+            for sign in (1.0, -1.0):
+                for k in range(min(times.size, MOST_MOVED)):
+                    moved = np.array(times)
+                    moved[k] += sign * share * step
+                    marks = [{"t": float(t), "on": row.tolist()} for t, row in zip(moved, on, strict=True)]
+                    if not 0 <= moved[k] < self.period or np.unique(moved).size < moved.size:
+                        continue
+                    found = window_sigma(self.split.retained, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
+                    tried.append(((found.scaled or found).lower, sign * share * step, k))
+        best = max((sigma for sigma, _, _ in tried), default=0.0)
+        if not best > 0:
+            return {"said": "No small move of one sample mends it: add one."}
+        sigma, by, k = next(one for one in tried if one[0] >= MENDED * best)
+        at = short(float(times[k]), 4)
+        said = f"Move the sample at {at} by {short(by, 2)}: sigma is then at least {short(sigma, 3)}."
+        return {"said": said, "at": float(times[k]), "to": float(times[k] + by)}
 
     def _accuracy(self) -> Answer:
         if self.w_bound is None or self.v_bound is None:
             raise ArgumentError("`w_bound` and `v_bound` are needed for the accuracy: give both at the start.")
-        found = accuracy(self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, rtol=0.05)
+        found = accuracy(self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, of=self.rows, rtol=0.05)
         profile = found.profile
         finite = np.isfinite(found.upper)
         return {
             "edges": profile.edges.tolist(),
             "upper": [row.tolist() if ok else None for row, ok in zip(profile.upper, finite, strict=True)],
             "worst": [float(x) if ok else None for x, ok in zip(found.upper, finite, strict=True)],
+            "told": self._late(profile.edges, profile.upper),
         }
+
+    def _late(self, edges: Array, upper: Array) -> list[Plain]:
+        """Which tolerance is broken, from when to when, and what would keep it."""
+        told: list[Plain] = []
+        if self.tolerance is None:
+            return told
+        for label, wanted, row in zip(self.labels, self.tolerance.tolist(), upper, strict=True):
+            over = np.flatnonzero(row > wanted)
+            if not over.size or not np.all(np.isfinite(row)):
+                continue
+            last = int(next((k for k in range(over.size - 1) if over[k + 1] > over[k] + 1), over.size - 1))
+            begin, end = (float(edges[k]) for k in (over[0], over[last] + 1))
+            worst = short(float(row.max()), 3)
+            if over.size == row.size:
+                told.append(f"{label}: {worst} is guaranteed, {short(wanted, 3)} wanted; at no time is it kept.")
+                continue
+            told.append(
+                f"{label}: {worst} is guaranteed, {short(wanted, 3)} wanted; not kept from "
+                f"{short(begin % self.period, 4)} to {short(end % self.period, 4)}. A sample before then would help."
+            )
+        return told
+
+    def _shadow(self) -> Answer:
+        """What the first sample, the first two, ... of a period leave possible at its end: a polygon for each."""
+        if self.shadow is None or self.w_bound is None or self.v_bound is None:
+            raise ArgumentError("`shadow` and both bounds are needed for the set: give them at the start.")
+        mask, times = self.schedule.outputs, np.sort(self.schedule.times % self.period)
+        order = np.argsort(self.schedule.times % self.period)
+        steps: list[Plain] = []
+        names: tuple[str, ...] = self.shadow
+        for k in range(1, min(times.size, MOST_SHADOWS) + 1):
+            kept = None if mask is None else mask[order][:k]
+            labels = None if mask is None else self.plant.outputs.names
+            first = Schedule(times[:k], outputs=kept, output_names=labels, time_unit=self.plant.time_unit)
+            found = accuracy(
+                self.plant,
+                first,
+                w_bound=self.w_bound,
+                v_bound=self.v_bound,
+                of=list(self.shadow),
+                initial_error=self.initial_error,
+                start=0.0,
+                end=self.period,
+            )
+            if not np.all(np.isfinite(found.upper)) or np.any(found.known_from > self.period):
+                steps.append({"after": k, "corners": []})
+                continue
+            seen = found.shadow(*self.shadow, self.period, directions=8)
+            steps.append({"after": k, "corners": seen.outer.tolist(), "area": float(seen.areas().outer)})
+            names = tuple(f"{n} [{u}]" if u else n for n, u in zip(seen.names, seen.units, strict=True))
+        return {"steps": steps, "names": list(names)}
+
+    def _plan(self) -> Answer:
+        if self.problem is None:
+            raise ArgumentError("`requirement` must be a plan requirement for that: tolerances, prices, opening hours.")
+        found = plan(self.plant, self.problem.requirement, search_seconds=PLAN_SECONDS)
+        self.schedule = found.schedule
+        return {"said": found.explain(), "marks": self.marks()}
 
     def _design(self) -> Answer:
         count = len(self.schedule)

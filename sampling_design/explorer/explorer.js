@@ -13,6 +13,7 @@ const STYLE = `
 .sd button:hover, .sd button:focus-visible { background: #1f5fa8; color: #fff; } .sd button:disabled { opacity: 0.5; cursor: wait; }
 .sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
 .sd .told { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
+.sd .mend button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
 const short = (x) => (x === null || x === undefined ? "–" : Number(x).toPrecision(4).replace(/\.?0+($|e)/, "$1"));
@@ -53,11 +54,14 @@ export async function mount(element, ask) {
   if (opened.words) html("p", { class: "words" }, root, opened.words);
   const line = node("svg", { role: "group", "aria-label": "samples of one period" }, root);
   const told = html("p", { class: "told", role: "status", "aria-live": "polite" }, root);
+  const mend = html("p", { class: "mend", role: "status" }, root);
   const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
   const buttons = html("div", {}, root);
   const said = html("p", { class: "said", role: "status", "aria-live": "polite" }, root);
   const unknown = html("p", { class: "unknown", role: "status" }, root);
   const errors = opened.bounds ? node("svg", { class: "accuracy", role: "img", "aria-label": "least error that can be guaranteed" }, root) : null;
+  const set = opened.shadow ? html("div", { class: "shadow" }, root) : null;
+  if (set && errors) root.insertBefore(set, errors);
   html("p", { class: "hint" }, root, "Drag a sample. Click a row to add one, double-click a sample (or press Delete) to take it away; arrow keys move it; with Shift one sensor moves alone.");
 
   const { period, sensors, unit } = opened;
@@ -184,6 +188,7 @@ export async function mount(element, ask) {
 
   function drawSigma(answer) {
     told.textContent = answer.error || answer.told.join(" ");
+    mend.replaceChildren();
     chart.replaceChildren();
     chart.setAttribute("viewBox", `0 0 ${WIDE} ${CHART + (narrow ? 66 : 50)}`);
     if (answer.error || !answer.t.length) return;
@@ -202,7 +207,7 @@ export async function mount(element, ask) {
 
   function drawAccuracy(answer) {
     errors.replaceChildren();
-    unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : "";
+    unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : answer.told.join("\n");
     if (answer.error) return;
     const one = 90;
     errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 24}`);
@@ -222,15 +227,65 @@ export async function mount(element, ask) {
     });
   }
 
-  const live = () => send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
-  function settled() {
-    send({ ask: "sigma", marks }, (answer) => {
-      drawSigma(answer);
-      if (errors && !answer.error) send({ ask: "accuracy", marks }, drawAccuracy);
+  /* What the first sample, the first two, ... leave possible: one polygon in the next, the last one filled. */
+  const SHADES = ["#767676", "#9b6205", "#2b6398", "#20793e", "#910d11", "#222222"];
+  function drawShadow(answer) {
+    set.replaceChildren();
+    if (answer.error) return html("p", { class: "told" }, set, answer.error);
+    const seen = answer.steps.filter((step) => step.corners.length);
+    html("p", {}, set, seen.length ? "What the samples leave possible at the end of the period, one after the other:" : "So few samples leave everything possible.");
+    if (!seen.length) return undefined;
+    const tall = Math.min(WIDE * 0.55, 360), points = seen.flatMap((step) => step.corners);
+    const [a, b] = [0, 1].map((j) => 1.1 * Math.max(...points.map((p) => Math.abs(p[j]))));
+    const x = (p) => LEFT + ((WIDE - LEFT - RIGHT) * (p + a)) / (2 * a), y = (p) => 8 + (tall * (b - p)) / (2 * b);
+    const chart = node("svg", { viewBox: `0 0 ${WIDE} ${tall + 52}`, role: "img", "aria-label": `${answer.names.join(" and ")} that the samples leave possible` }, set);
+    for (const v of ticks(-a, a)) node("text", { x: x(v), y: tall + 26, "text-anchor": "middle", class: "soft" }, chart, Math.abs(v) < 1e-9 * a ? "0" : short(v));
+    for (const v of ticks(-b, b)) node("text", { x: LEFT - 8, y: y(v) + 4, "text-anchor": "end", class: "soft" }, chart, Math.abs(v) < 1e-9 * b ? "0" : short(v));
+    node("rect", { x: LEFT, y: 8, width: WIDE - LEFT - RIGHT, height: tall, fill: "none", stroke: "#888" }, chart);
+    node("text", { x: WIDE - RIGHT, y: tall + 44, "text-anchor": "end", class: "soft" }, chart, `error of ${answer.names[0]}`);
+    node("text", { x: LEFT + 6, y: 24, class: "soft" }, chart, `error of ${answer.names[1]}`);
+    seen.forEach((step, k) => {
+      const colour = SHADES[(step.after - 1) % SHADES.length], last = k === seen.length - 1;
+      node("polygon", { points: step.corners.map((p) => `${x(p[0]).toFixed(1)},${y(p[1]).toFixed(1)}`).join(" "), fill: colour, "fill-opacity": last ? 0.35 : 0.08, stroke: colour, "stroke-width": 2, class: "set" }, chart);
+      html("span", { class: "after", style: `color: ${colour}` }, set, `after ${step.after}: area ${short(step.area)}`);
+    });
+    return undefined;
+  }
+
+  function drawMend(answer) {
+    mend.replaceChildren();
+    if (answer.error) return;
+    html("span", {}, mend, answer.said);
+    if (answer.to === undefined) return;
+    const button = html("button", { type: "button", class: "move" }, mend, "Move it");
+    button.addEventListener("click", () => {
+      const mark = marks.find((each) => Math.abs(each.t - answer.at) <= 1e-9 * period);
+      if (mark) mark.t = answer.to;
+      drawLine();
+      settled();
     });
   }
 
-  for (const [name, verb] of [["Design", "design"], ["Certify", "certify"], ["Horizons", "horizons"], ["Save", "save"]]) {
+  const live = () => send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
+  function settled() {
+    unknown.textContent = "";
+    send({ ask: "sigma", marks }, (answer) => {
+      drawSigma(answer);
+      if (answer.error) return;
+      const later = [];
+      if (answer.broken) later.push([{ ask: "mend", marks }, drawMend]);
+      if (errors) later.push([{ ask: "accuracy", marks }, drawAccuracy]);
+      if (set) later.push([{ ask: "shadow", marks }, drawShadow]);
+      // one after the other, and none of them once a mark moves again
+      const after = () => {
+        const [question, draw] = later.shift() || [];
+        if (question) send(question, (found) => { draw(found); after(); });
+      };
+      after();
+    });
+  }
+
+  for (const [name, verb] of [["Design", "design"], ...(opened.plan ? [["Plan", "plan"]] : []), ["Certify", "certify"], ["Horizons", "horizons"], ["Save", "save"]]) {
     const button = html("button", { "data-verb": verb, type: "button" }, buttons, name);
     button.addEventListener("click", () => {
       button.disabled = true;

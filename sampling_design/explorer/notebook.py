@@ -11,7 +11,9 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError
 from sampling_design.explorer.bench import Bench
 from sampling_design.explorer.server import MODULE
+from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery.start import InitialError
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ class Wishes(TypedDict, total=False):
     w_bound: npt.ArrayLike
     v_bound: npt.ArrayLike
     tolerance: npt.ArrayLike
+    shadow: tuple[str, str]
+    initial_error: InitialError
     folder: str
     words: str
 
@@ -31,7 +35,7 @@ class Wishes(TypedDict, total=False):
 @door
 def explore(
     plant: Plant | Bench,
-    requirement: Requirement | None = None,
+    requirement: Requirement | PlanRequirement | None = None,
     schedule: PeriodicSchedule | None = None,
     **wishes: Unpack[Wishes],
 ) -> AnyWidget:

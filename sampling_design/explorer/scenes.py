@@ -8,6 +8,7 @@ from sampling_design._door import door
 from sampling_design.design.problem.requirement import OutputAccess, Requirement
 from sampling_design.errors import ArgumentError
 from sampling_design.explorer.bench import Bench
+from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, SensorTerms
 from sampling_design.plants.library import oscillator
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -67,8 +68,38 @@ def _laboratory() -> Bench:
     )
 
 
-SCENES = {"pathological": _pathological, "even": _even, "laboratory": _laboratory}
-"""Each scene by its name: pathological sampling, design against even spacing, two sensors with opening hours."""
+def _set() -> Bench:
+    return Bench(
+        oscillator(),
+        Requirement(window=4.5, period=4.5),
+        PeriodicSchedule.from_times([0.4, 1.0, 1.6, 3.0], 4.5, time_unit="s"),
+        w_bound=0.02,
+        v_bound=0.1,
+        shadow=("position", "velocity"),
+        initial_error=1.5,
+        words="Each sample cuts the set of what is possible. Which cuts most? Move one next to another, then away.",
+    )
+
+
+def _plan() -> Bench:
+    wanted = PlanRequirement(
+        {"position": AccuracyGoal(0.35)},
+        period=6.4,
+        raster=0.4,
+        w_bound=0.02,
+        sensors={"position": SensorTerms(noise_bound=0.2)},
+    )
+    return Bench(
+        oscillator(),
+        wanted,
+        PeriodicSchedule.from_times([0.4, 1.2, 2.0], 6.4, time_unit="s"),
+        words="The position must be known within 0.35, always. Can three samples keep that? Then press Plan.",
+    )
+
+
+SCENES = {"pathological": _pathological, "even": _even, "laboratory": _laboratory, "set": _set, "plan": _plan}
+"""Each scene by its name: pathological sampling, design against even spacing, two sensors with opening hours, the exact
+set shrinking sample by sample, the cheapest plan that keeps a tolerance."""
 
 
 @door

@@ -63,8 +63,8 @@ def drag(page, mark, by, steps=12):
 
 def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
     visit(page, explorer(scene("pathological")))
-    assert "aliased" in page.locator(".told").text_content()
-    assert "Move the sample at" in page.locator(".told").text_content()
+    assert "alias the modes" in page.locator(".told").text_content()
+    until(page, "document.querySelector('.mend').textContent.includes('Move the sample at')")
     assert proven(page) == pytest.approx(0.0, abs=1e-9)
     shot(page, "explorer-broken")
     curves = []
@@ -79,6 +79,56 @@ def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
     shot(page, "explorer-mended")
     assert page.away == []
     assert page.broken == []
+
+
+def test_the_move_that_is_proposed_mends(explorer, page, shot):
+    visit(page, explorer(scene("pathological")))
+    page.locator(".mend .move").click()
+    until(page, "document.querySelector('.told').textContent === '' && !document.querySelector('.mend button')")
+    assert proven(page) > 0.1
+    shot(page, "explorer-moved")
+
+
+def test_a_plan_on_its_button(explorer, page, shot):
+    visit(page, explorer(scene("plan")))
+    until(page, "document.querySelector('.unknown').textContent.includes('not kept from')")
+    before = page.locator(".mark").evaluate_all("marks => marks.map((m) => m.getAttribute('aria-valuenow'))")
+    assert len(before) == 3
+    shot(page, "explorer-tolerance-broken")
+    page.get_by_role("button", name="Plan").click()
+    until(page, "document.querySelector('.said').textContent.includes('No admissible plan')", 120)
+    until(page, "document.querySelector('.unknown').textContent === ''")
+    after = page.locator(".mark").evaluate_all("marks => marks.map((m) => m.getAttribute('aria-valuenow'))")
+    assert len(after) == 3
+    assert after != before
+    shot(page, "explorer-planned")
+    visit(page, explorer(scene("even")))
+    assert page.get_by_role("button", name="Plan").count() == 0
+
+
+def test_the_set_shrinks_sample_by_sample(explorer, page, shot):
+    visit(page, explorer(scene("set")))
+    page.wait_for_selector(".shadow polygon")
+    assert page.locator(".shadow polygon").count() == 4
+    areas = [float(text.split("area ")[1]) for text in page.locator(".shadow .after").all_text_contents()]
+    assert areas == sorted(areas, reverse=True)
+    shot(page, "explorer-set")
+    before = page.locator(".shadow polygon").nth(1).get_attribute("points")
+    for _ in drag(page, 1, 150):
+        page.wait_for_timeout(30)
+    until(page, f"document.querySelectorAll('.shadow polygon')[1].getAttribute('points') !== '{before}'")
+    assert page.broken == []
+
+
+def test_closed_hours_are_grey_and_a_sample_in_them_is_told(explorer, page, shot):
+    visit(page, explorer(scene("laboratory")))
+    assert page.locator('rect[fill="#c9c9c9"]').count() == 4
+    page.wait_for_selector('.accuracy line[stroke-dasharray="3 3"]', state="attached")
+    shot(page, "explorer-laboratory")
+    for _ in drag(page, 0, -160):
+        page.wait_for_timeout(30)
+    until(page, "document.querySelector('.told').textContent.includes('cannot be read at')")
+    shot(page, "explorer-closed")
 
 
 def test_the_newest_position_wins_and_one_question_is_under_way(explorer, page):
@@ -150,6 +200,8 @@ def test_a_phone_shows_all_of_it(explorer, page, shot):
 def test_the_page_is_ready_and_follows_quickly(explorer, page):
     """Printed, not judged: how long from a move to its curve, in milliseconds."""
     visit(page, explorer(scene("pathological")))
+    page.wait_for_selector(".mend .move")
+    until(page, "document.querySelector('.unknown').textContent !== ''")
     page.evaluate(
         """() => { const real = window.fetch; window.took = [];
         window.fetch = async (...a) => { const t = performance.now(); const answer = await real(...a);

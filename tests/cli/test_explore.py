@@ -17,6 +17,23 @@ def test_it_says_its_address(shell):
     assert json.loads(done.out)["address"].startswith("http://127.0.0.1:")
 
 
+def test_a_plan_requirement_and_a_scene_open_too(shell):
+    plan = EXAMPLES / "plans" / "oscillator.toml"
+    assert "is open at" in shell("explore", plan, *ENDS).out
+    assert "is open at" in shell("explore", FILES[0], plan, *ENDS).out
+    assert "is open at" in shell("explore", "--scene", "set", *ENDS).out
+    assert "brings its own plant" in shell("explore", plan, "--scene", "set", *ENDS).err
+    assert "`name` must be one of" in shell("explore", "--scene", "opera", *ENDS).err
+    assert "`PLANT` is missing: give a plant file" in shell("explore", *ENDS).err
+
+
+def test_a_plan_requirement_without_its_plant_is_told(shell, tmp_path):
+    text = (EXAMPLES / "plans" / "oscillator.toml").read_text()
+    alone = tmp_path / "alone.toml"
+    alone.write_text(text[: text.index("[plant]")])
+    assert "is a requirement that holds no plant" in shell("explore", alone, *ENDS).err
+
+
 def test_what_it_cannot_open_is_refused(shell, tmp_path):
     once = sd.write_schedule(sd.Schedule([1.0, 2.0], time_unit="s"), tmp_path / "once.csv")
     other = sd.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), tmp_path / "other.csv")

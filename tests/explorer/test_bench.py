@@ -29,12 +29,23 @@ def test_the_curve_is_the_proven_one():
 
 def test_what_broke_is_said_with_its_repair():
     bench = scene("pathological")
-    (told,) = bench.answer({"ask": "sigma"})["told"]
-    assert "aliased" in told
-    assert "Move the sample at" in told
+    found = bench.answer({"ask": "sigma"})
+    (told,) = found["told"]
+    assert told.startswith("The samples at 1 and 4.142 alias the modes")
+    assert "±1i" in told
+    assert found["broken"]
+    mend = bench.answer({"ask": "mend"})
+    assert "Move the sample at 1 by" in mend["said"]
+    moved = bench.answer({"ask": "sigma", "marks": marks(mend["to"], 1.0 + np.pi)})
+    assert moved["told"] == []
+    assert not moved["broken"]
+    assert f"at least {moved['lower']:.3g}" in mend["said"]
+    best = max(bench.answer({"ask": "sigma", "marks": marks(1.0 + d, 1.0 + np.pi)})["lower"] for d in (-0.8, 0.8))
+    assert moved["lower"] > 0.35 * best
     assert bench.answer({"ask": "sigma", "marks": marks(1.0, 2.5)})["told"] == []
     (told,) = bench.answer({"ask": "sigma", "marks": marks(1.0)})["told"]
-    assert "too few samples" in told or "miss something" in told
+    assert told.startswith("The sample at 1 of every period aliases the modes")
+    assert "add one" in bench.answer({"ask": "mend"})["said"]
 
 
 def test_rules_of_the_requirement_are_said():
@@ -51,6 +62,65 @@ def test_marks_of_two_sensors_at_one_time_are_one_sample():
     bench.answer({"ask": "open", "marks": [{"t": 9.0, "on": [True, False]}, {"t": 9.0, "on": [False, True]}]})
     assert len(bench.schedule) == 1
     assert bench.schedule.outputs is None
+
+
+def test_nothing_that_small_moves_mend_says_so():
+    slow = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], time_unit="s")
+    bench = Bench(slow, sd.Requirement(window=4.0, period=4.0), sd.PeriodicSchedule([2.0, 2.0], time_unit="s"))
+    assert "seen by no sample" in bench.answer({"ask": "sigma"})["told"][0]
+    assert bench.answer({"ask": "mend"})["said"] == "No small move of one sample mends it: add one."
+
+
+def test_a_tolerance_that_is_not_kept_says_when():
+    told = scene("plan").answer({"ask": "accuracy"})["told"]
+    assert len(told) == 1
+    assert "0.35 wanted; not kept from 1.975 to 2" in told[0]
+    tight = Bench(PLANT, sd.Requirement(period=TURN, window=TURN), w_bound=0.02, v_bound=0.1, tolerance=[0.05, 9.0])
+    (told,) = tight.answer({"ask": "accuracy", "marks": marks(1.0, 3.0, 5.0)})["told"]
+    assert "at no time is it kept" in told
+
+
+def test_a_plan_is_made_on_request_and_keeps_the_tolerance():
+    bench = scene("plan")
+    opened = bench.answer({"ask": "open"})
+    assert opened["plan"]
+    assert opened["tolerance"] == [0.35]
+    found = bench.answer({"ask": "plan"})
+    assert "No admissible plan keeps the tolerances for less than 3" in found["said"]
+    assert len(found["marks"]) == 3
+    assert bench.answer({"ask": "accuracy"})["told"] == []
+    assert "must be a plan requirement" in scene("even").answer({"ask": "plan"})["error"]
+
+
+def test_a_plan_requirement_brings_its_hours():
+    wanted = sd.PlanRequirement(
+        {"level": 0.5},
+        raster="1 h",
+        w_bound=0.01,
+        sensors={
+            "y1": {"noise_bound": 0.1, "price": 2.0},
+            "y2": {"noise_bound": 1.0, "hours": {"Tue": [["09:00", "10:00"]]}},
+        },
+        calendar={"start": "2026-03-16", "hours": {"Mon-Fri": [["08:00", "17:00"]]}},
+    )
+    plant = sd.Plant([[0.0]], [[1.0], [1.0]], time_unit="h", states=["level"])
+    opened = Bench(plant, wanted).answer({"ask": "open"})
+    assert opened["period"] == 168.0
+    assert opened["sensors"][0]["closed"][0] == [0.0, 8.0]
+    assert len(opened["sensors"][0]["closed"]) == 6
+    assert opened["sensors"][1]["closed"] == [[0.0, 33.0], [34.0, 168.0]]
+    assert opened["sensors"][0]["cost"] == 2.0
+
+
+def test_the_set_shrinks_sample_by_sample():
+    found = scene("set").answer({"ask": "shadow"})
+    areas = [step["area"] for step in found["steps"]]
+    assert len(areas) == 4
+    assert areas == sorted(areas, reverse=True)
+    assert found["names"] == ["position [m]", "velocity [m/s]"]
+    assert "`shadow` and both bounds" in scene("even").answer({"ask": "shadow"})["error"]
+    unknown = Bench(PLANT, sd.Requirement(period=4.0), w_bound=0.1, v_bound=0.1, shadow=("position", "velocity"))
+    assert unknown.answer({"ask": "shadow", "marks": marks(1.0)})["steps"] == [{"after": 1, "corners": []}]
 
 
 def test_accuracy_is_told_state_by_state_and_needs_bounds():

@@ -34,8 +34,8 @@ FLOORS = (
     ("recovery",),
     ("design", "certificates"),
     ("estimators",),
-    ("planning", "nonlinear", "validation", "explorer"),
-    ("plotting",),
+    ("planning", "nonlinear", "validation"),
+    ("plotting", "explorer"),
     ("cli",),
 )
 WRITTEN = {"index", "tour", "choosing", "conventions", "formats", "numerics", "references", "architecture"}

@@ -4,7 +4,12 @@ import json
 import socket
 from pathlib import Path
 
+import pytest
+
 import sampling_design as sd
+from sampling_design.cli.explore import explore
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FILES = (EXAMPLES / "plants" / "oscillator.toml", EXAMPLES / "requirements" / "oscillator.toml")
@@ -32,6 +37,15 @@ def test_a_plan_requirement_without_its_plant_is_told(shell, tmp_path):
     alone = tmp_path / "alone.toml"
     alone.write_text(text[: text.index("[plant]")])
     assert "is a requirement that holds no plant" in shell("explore", alone, *ENDS).err
+    with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
+        explore(Settings(quiet=True), alone)
+
+
+def test_what_it_says_where_a_program_asks():
+    with pytest.raises(ArgumentError, match="`PLANT` is missing: give a plant file, or one of the scenes"):
+        explore(Settings(quiet=True))
+    with pytest.raises(ArgumentError, match="brings its own plant, got"):
+        explore(Settings(quiet=True), FILES[0], scene="set")
 
 
 def test_what_it_cannot_open_is_refused(shell, tmp_path):

@@ -181,6 +181,8 @@ def test_a_bench_refuses_what_does_not_fit():
         Bench(PLANT)._scheduled([{"t": 1.0, "on": [True, True]}])
     with pytest.raises(ArgumentError, match="are needed for the accuracy"):
         Bench(PLANT)._accuracy()
+    with pytest.raises(ArgumentError, match="`shadow` and both bounds are needed for the set"):
+        Bench(PLANT)._shadow()
     with pytest.raises(ArgumentError, match="`name` must be one of"):
         scene("opera")
     with pytest.raises(ArgumentError, match="`tolerance`"):

@@ -19,7 +19,7 @@ FLOORS = {
     "planning": 6,
     "nonlinear": 6,
     "validation": 6,
-    "explorer": 6,
+    "explorer": 7,
     "plotting": 7,
     "cli": 8,
 }

@@ -46,6 +46,7 @@ from sampling_design.estimators.baselines import periodic_at_equal_cost as perio
 from sampling_design.estimators.baselines import standard_mhe as standard_mhe
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
+from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.estimate_file import write_estimates as write_estimates
 from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter

@@ -15,6 +15,8 @@ ARGUMENTS = {
     "every_lap": "every_period",
     "feedthrough": "input_side",
     "lateness": "maximum_delay",
+    "max_iterations": "solver=WindowSolver(max_iterations=...)",
+    "tolerance": "solver=WindowSolver(tolerance=...)",
     "v_set": "constraints=Constraints(v=...)",
     "w_model": "constraints=Constraints(w_model=...)",
     "w_step": "collocation=Collocation(w_step=...)",

@@ -7,6 +7,10 @@ from typing import ClassVar
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
+from sampling_design.errors import ArgumentError
+
+BETWEEN = ("held", "linear")
+"""What an input does between the times at which it is given."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -18,14 +22,23 @@ class Collocation(Record):
     w_step : float, optional
         w is constant on pieces at most this long [time]; between two samples all pieces are equal. Default M/60.
     degree : int
-        Radau points per piece: the state is a polynomial of this degree, exact to order 2 degree - 1.
+        Radau points per piece: the state is a polynomial of this degree, exact to order 2 degree - 1. The least one: it
+        grows where `accuracy` asks for it.
     capacity : int, optional
         Pieces that the program is built for; default M/w_step + 1. A window that needs more builds it anew.
+
+    accuracy : float or None
+        After each solve every piece is integrated anew from where it begins. Where the differences move the estimate by
+        more than this share of its own standard deviation (weights read as inverse covariances), the degree grows, then
+        the pieces are halved; if that is not enough, the estimate's note says so. None: the grid stays as it is.
+    inputs : "held" or "linear"
+        What an input does between the times at which it is given: keep its value, or run straight to the next one
+        (held after the last).
 
     Raises
     ------
     ArgumentError
-        If a value is not positive.
+        If a value is not positive, or a word is unknown.
 
     Examples
     --------
@@ -36,8 +49,10 @@ class Collocation(Record):
     w_step: float | None = None
     degree: int = 2
     capacity: int | None = None
+    accuracy: float | None = 0.01
+    inputs: str = "held"
 
-    _slip: ClassVar[str] = "Use Collocation(w_step=, degree=, capacity=)."
+    _slip: ClassVar[str] = "Use Collocation(w_step=, degree=, capacity=, accuracy=, inputs=)."
 
     def __post_init__(self) -> None:
         if self.w_step is not None:
@@ -45,6 +60,10 @@ class Collocation(Record):
         if self.capacity is not None:
             object.__setattr__(self, "capacity", _checks.whole("capacity", self.capacity, 1))
         object.__setattr__(self, "degree", _checks.whole("degree", self.degree, 1))
+        if self.accuracy is not None:
+            object.__setattr__(self, "accuracy", _checks.positive("accuracy", self.accuracy))
+        if self.inputs not in BETWEEN:
+            raise ArgumentError(f'`inputs` must be "held" or "linear", got {self.inputs!r}.')
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("degree", str(self.degree)), ("pieces", "M/60" if self.w_step is None else short(self.w_step))]
@@ -54,3 +73,52 @@ class Collocation(Record):
         """Say what a piece is."""
         longest = "1/60 of the window" if self.w_step is None else short(self.w_step)
         return f"A polynomial of degree {self.degree} on each piece of at most {longest}."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowSolver(Record):
+    """How the program of a window over a nonlinear plant is solved.
+
+    Parameters
+    ----------
+    tolerance : float
+        Of IPOPT, in scaled variables.
+    max_iterations : int
+    starts : int
+        Other starts, along the axes of what the arrival weight leaves unknown, where the solve fails or the cost is
+        out of line with the noise (4 times what the weights, read as inverse covariances, explain); 0 for none. Where
+        they find nothing better they pause for a growing number of windows.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is out of range.
+
+    Examples
+    --------
+    >>> WindowSolver(starts=2).explain()
+    'IPOPT to 1e-08 in at most 200 iterations, from up to 2 other starts where the cost is out of line with the noise.'
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 200
+    starts: int = 4
+
+    _slip: ClassVar[str] = "Use WindowSolver(tolerance=, max_iterations=, starts=)."
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
+        object.__setattr__(self, "max_iterations", _checks.whole("max_iterations", self.max_iterations, 1))
+        object.__setattr__(self, "starts", _checks.whole("starts", self.starts))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [(key, short(getattr(self, key))) for key in ("tolerance", "max_iterations", "starts")]
+
+    def explain(self) -> str:
+        """Say how a window is solved."""
+        more = (
+            f", from up to {self.starts} other starts where the cost is out of line with the noise"
+            if self.starts
+            else ""
+        )
+        return f"IPOPT to {self.tolerance:.3g} in at most {self.max_iterations} iterations{more}."

@@ -71,7 +71,7 @@ def _tools(case: str) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator]:
         plant,
         horizon=HORIZON,
         prior=model.PRIOR_START,
-        collocation=Collocation(STEP, DEGREE, capacity=round(HORIZON / STEP)),
+        collocation=Collocation(STEP, DEGREE, round(HORIZON / STEP), accuracy=None),
         cost=paper_weights(),
     )
     return plant, scheme

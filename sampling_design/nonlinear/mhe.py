@@ -8,44 +8,37 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design._checks import freeze
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online.estimator import Estimate, Status, Taken
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
-from sampling_design.nonlinear.simulation import Integrator, require_inside
-from sampling_design.nonlinear.warm_start import moved, open_loop_guess
-from sampling_design.nonlinear.weights import scaled_weights
+from sampling_design.nonlinear.open_loop import NonlinearOpenLoop
+from sampling_design.nonlinear.outliers import Outliers, beyond
+from sampling_design.nonlinear.promise import Flown, Promise, cost_for, horizon_for
+from sampling_design.nonlinear.region import StateRegion
+from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
+from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
+from sampling_design.nonlinear.window_search import WHOLE, Answer, WindowSearch
 
 Array = npt.NDArray[np.float64]
 
 SAME_TIME = 1e-12
 """A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""
 
-WHOLE = 1e-9
-"""A gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple."""
-
-NOTE = "No radius: nothing is proven for a nonlinear plant."
-
-
-def _papers(cost: CostFunction | None) -> CostFunction:
-    """The cost of (15) with the weights of `cost`."""
-    cost = CostFunction() if cost is None else cost
-    if cost.form == "certificate" or cost.arrival != "fixed":
-        raise ArgumentError(
-            f'`cost` must have the form "paper" and the arrival "fixed" for a nonlinear plant, got {cost.form!r} and '
-            f"{cost.arrival!r}."
-        )
-    return cost
+ARRIVAL_FLOOR = 1e-8
+"""Standard deviations that a filtered arrival weight assumes at least, in those of P2."""
 
 
 class Solve(NamedTuple):
-    """What one window problem took: time, status, iterations, seconds of this thread, intervals, attempts."""
+    """What one window problem took: time, status, iterations, seconds of this thread, intervals, attempts, degree.
+
+    `error`: what the discretisation costs, in standard deviations of the estimate.
+    """
 
     t: float
     status: str
@@ -53,9 +46,27 @@ class Solve(NamedTuple):
     seconds: float
     intervals: int
     attempts: int
+    degree: int = 0
+    error: float = 0.0
 
 
-class NonlinearMovingHorizonEstimator(OnlineEstimator):
+class Start(NamedTuple):
+    """Where a window begins: time, estimate, bound on V, when a sample last counted, root of the weight, nodes inside.
+
+    `closed`: a sample at the start is inside; `prior`: nothing was sampled before.
+    """
+
+    t: float
+    x: Array
+    square: float
+    counted: float
+    root: Array
+    inside: tuple[Node, ...]
+    closed: bool
+    prior: bool
+
+
+class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
     """Moving horizon estimation of a nonlinear plant from rare, irregular samples.
 
     At a sample at t the window problem over [t - M_t, t], M_t = min(t, M), is solved,
@@ -67,38 +78,57 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     loop with w = 0. The prior is the estimate that was valid online at t - M_t, also where no sample lies there.
     With dense samples this is the standard estimator.
 
+    With a certificate the cost is the certificate's, whose weights have no factors 2, with the arrival weight P(tau)
+    over (t - M_t, t], and each estimate has a radius.
+
     Parameters
     ----------
     plant : NonlinearPlant
-        Its boxes are the sets X, W, V, Y; `plant.with_bounds` changes them.
+        Its boxes and limits are the sets X, W, V, Y; `plant.with_bounds` changes them.
+    certificate : InclusionCertificate, optional
+        Of this plant in a region: weights, rate, horizon, and the radius of every estimate.
     horizon : float
-        M [time].
+        M [time]. Default with a certificate: where a window shrinks the squared error to a quarter.
     cost : CostFunction, optional
-        Physical weights (inverse-covariance-like) and the rate, in the form "paper". Default diag(1/s_x^2),
-        diag(1/s_w^2), 2 diag(1/s_y^2), 2 diag(1/s_v^2) and 0.
+        Physical weights (inverse-covariance-like) and the rate instead of the certificate's. Default diag(1/s_x^2),
+        diag(1/s_w^2), 2 diag(1/s_y^2), 2 diag(1/s_v^2) and 0, in the form "paper". With `arrival="filtered"` the prior
+        weighs what the windows before left unknown of it, as in an extended Kalman filter.
     prior : (n,) array, optional
         Estimate at `prior_time` before any sample; default 0.
+    initial_error : float or (n,) array, optional
+        Bound on |x - prior|, together or entry by entry, for the radius; not needed where the region is bounded.
     collocation : Collocation, optional
-        Pieces of the window and degree of the polynomials.
-    tolerance : float
-        Of IPOPT, in scaled variables.
-    max_iterations : int
+        Pieces of the window and degree of the polynomials; refined where the discretisation costs too much.
+    solver : WindowSolver, optional
+        Tolerance, iterations, and other starts where the cost is out of line with the noise.
+    outliers : Outliers, optional
+        A robust loss, or a gate for samples that fit nothing else.
 
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape or sign, the cost has another form, the prior lies outside X, or the model is
-        not finite there.
+        If an argument has the wrong shape or sign, the certificate is another plant's, the prior lies outside X, or the
+        model is not finite there.
+
+    Warns
+    -----
+    ScaleWarning
+        If the states have no scales though their sizes are far from 1.
+    GuaranteeWarning
+        If the horizon is not longer than the certificate allows.
 
     Notes
     -----
-    *Assumptions.* u is constant between the times at which it is given; X holds at the Radau points, Y at
-    the samples (in between v costs nothing there).
-    *Claim.* None: the record's radii are infinite. Theorem 9 holds if the plant satisfies Assumption 7; see
-    `check_detectability` for evidence.
+    *Assumptions.* X holds at the Radau points, Y at the samples (in between v costs nothing there). With a certificate:
+    w, v keep the plant's boxes, the truth stays in the certificate's region.
+    *Claim.* With a certificate |x - xhat|^2_P(tau) <= radius for every estimate whose `certified` is true, however well
+    the program was solved; `covariance` is P(tau)^-1 then. The jumps between integrated pieces count, up to the
+    integrator's tolerance (1e-10 relative). Else none: radii are infinite, and `covariance` is that of the linearised
+    window, discounted. Theorem 9 holds if the plant satisfies Assumption 7; see `check_detectability` for evidence.
     *Method.* Radau collocation and IPOPT with exact derivatives. The program is built once; while the
     window fills, unused pieces have length 0. Each solve starts from the last solution, moved in time, and the
-    open loop beyond; if that fails, once more from the open loop alone.
+    open loop beyond; if that fails, once more from the open loop alone, then from other starts. Each piece is
+    integrated anew, and the grid refined until that no longer moves the estimate.
     *Numerical aspects.* Unknowns are scaled by the plant's scales. v is eliminated where neither it nor y is
     bounded.
 
@@ -126,14 +156,16 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     def __init__(
         self,
         plant: NonlinearPlant,
+        certificate: InclusionCertificate | None = None,
         *,
-        horizon: float,
+        horizon: float | None = None,
         cost: CostFunction | None = None,
         prior: npt.ArrayLike | None = None,
         prior_time: float = 0.0,
+        initial_error: npt.ArrayLike | None = None,
         collocation: Collocation | None = None,
-        tolerance: float = 1e-8,
-        max_iterations: int = 200,
+        solver: WindowSolver | None = None,
+        outliers: Outliers | None = None,
     ):
         if not isinstance(plant, NonlinearPlant):
             raise ArgumentError(
@@ -141,145 +173,218 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 "MovingHorizonEstimator, or convert it with from_linear."
             )
         self.plant: Any = plant
-        self.horizon = _checks.positive("horizon", horizon)
-        given = Collocation() if collocation is None else collocation
-        self.w_step = self.horizon / 60 if given.w_step is None else given.w_step
-        self.scaled = scaled_weights(plant, _papers(cost))
-        self._options = (
-            given.degree,
-            _checks.positive("tolerance", tolerance),
-            _checks.whole("max_iterations", max_iterations, 1),
-        )
+        self.promise = None if certificate is None else Promise(certificate, plant, initial_error)
+        cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
+        self.horizon, self.claim_note = horizon_for(certificate, horizon, cost)
+        self.filtered = cost.arrival == "filtered"
+        self.scaled = scaled_weights(plant, cost)
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._scale = plant.signals["states"].scales
-        self._integrator = Integrator(plant)
+        self._ramps = given.inputs == "linear"
+        self.outliers = Outliers() if outliers is None else outliers
+        self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region
+        self.set_up()
         state = self.initial_state(prior, prior_time)
-        self.builds = 0
-        pieces = int(np.ceil(self.horizon / self.w_step * (1 - WHOLE))) + 1
-        self._build(given.capacity or pieces)
+        warn_of_scales(plant, "states", [state.last.x, *plant.bounds["states"]])
+        settings = WindowSolver() if solver is None else solver
+        self.search = WindowSearch(plant, self.scaled, given, self.horizon, settings, self._region, self.outliers.huber)
         self._restart(state)
 
-    def _build(self, capacity: int) -> None:
-        self.program = WindowProgram(self.plant, self.scaled, capacity, *self._options)
-        self.builds += 1
+    @property
+    def window(self) -> WindowSolution | None:
+        """The last solution, scaled."""
+        return self.search.window
+
+    @property
+    def program(self) -> WindowProgram:
+        """The program of the windows."""
+        return self.search.program
+
+    @property
+    def builds(self) -> int:
+        """How often the program was built."""
+        return self.search.builds
 
     def _restart(self, state: State) -> None:
         self.state = state
         self.solves: list[Solve] = []
-        self.window: WindowSolution | None = None
-
-    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
-        """Forget all samples and start again from a prior; the program stays built."""
-        self._restart(self.initial_state(prior, prior_time))
-
-    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
-        """Return the state before any sample: `prior` (default 0) at `prior_time`.
-
-        Raises
-        ------
-        ArgumentError
-            If the prior has the wrong length, lies outside X, or f or h are not finite there.
-        """
-        plant = self.plant
-        x = _checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
-        require_inside(plant, "prior", x)
-        plant.f(x, np.zeros(plant.n_inputs))
-        plant.h(x, np.zeros(plant.n_inputs))
-        t = _checks.number("prior_time", prior_time)
-        return State((self._node(Taken(t), x, "prior"),))
-
-    def _node(self, sample: Taken, x: Array, status: Status, note: str = "", **details: Any) -> Node:
-        """Return a snapshot; what only the linear estimators keep is empty."""
-        x = freeze(x)
-        estimate = self._said(sample.t, x, status, note, **details)
-        y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
-        mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
-        nothing = np.zeros(0)
-        return Node(
-            t=sample.t,
-            y=y,
-            mask=mask,
-            feedthrough=nothing,
-            x=x,
-            Y=estimate.covariance,
-            beta=np.inf,
-            flow=None,
-            drift=nothing,
-            scheduled=False,
-            sound=True,
-            estimate=estimate,
-            sample=sample,
-        )
-
-    def _said(self, t: float, x: Array, status: Status, note: str = "", **details: Any) -> Estimate:
-        unknown = freeze(np.diag(np.full(x.size, np.inf)))
-        return Estimate(t, freeze(x), unknown, status=status, note=" ".join(filter(None, (note, NOTE))), **details)
+        self.search.forget()
+        self._latest: tuple[WindowData, Answer] | None = None
+        self._seen = False
 
     def _advance(self, state: State, sample: Taken) -> Node:
-        data, guess = self._window(state, sample)
-        solution, attempts = self._solve(data, guess)
-        pieces = data.edges.size - 1
-        self.solves.append(Solve(sample.t, solution.status, solution.iterations, solution.seconds, pieces, attempts))
+        if not self._seen:
+            self._seen = True
+            warn_of_scales(self.plant, "outputs", [sample.y])
+        taken, gated = self._gated(state, sample)
+        refined, allowed = False, self.search.collocation.accuracy or np.inf
+        while True:
+            data, guess, start = self._window(state, taken)
+            answer = self.search.solve(data, guess)
+            rough = answer.error > allowed or (refined and answer.solution.status != "ok")
+            if not rough or not self.search.refine():
+                break
+            refined = True
+        solution = answer.solution
+        self.solves.append(
+            Solve(
+                sample.t,
+                solution.status,
+                solution.iterations,
+                solution.seconds,
+                data.edges.size - 1,
+                answer.attempts,
+                self.search.degree,
+                answer.error,
+            )
+        )
         details = {"window_start": float(data.edges[0]), "engine": "ipopt"}
-        if solution.status == "ok":
-            self.window = solution
-            x = solution.last * self._scale
-            note = "" if solution.message == "solve succeeded" else f"The solver says: {solution.message}."
-            return self._node(sample, x, "ok", note, cost=solution.cost, **details)
-        self.window = None
-        x, trouble = self._open_loop(state, state.last, sample.t)
-        note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble}".strip()
-        return self._node(sample, x, solution.status, note, **details)
+        counted, scheduled = self._counted(state, taken)
+        if solution.status != "ok" or answer.spread is None:
+            x, Y, square, trouble = self._open_loop(state, state.last, sample.t)
+            note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {gated}".strip()
+            if counted == sample.t and self.promise is not None:
+                counted = state.last.counted  # nothing was learned from it
+            return self._node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
+        self._latest = data, answer
+        x = solution.last * self._scale
+        Y = answer.spread.last * self._scale * self._scale[:, None]
+        words = [] if solution.message == "solve succeeded" else [f"The solver says: {solution.message}."]
+        if rough:
+            words.append(
+                f"The discretisation costs {answer.error:.2g} standard deviations of the estimate, also with degree "
+                f"{self.search.degree} and pieces of {self.search.w_step:.3g}: choose a shorter horizon or w_step."
+            )
+        square = self._bound(state, data, answer, start, counted == sample.t)
+        note = " ".join(filter(None, (*words, gated)))
+        return self._node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
-    def _solve(self, data: WindowData, guess: WindowSolution) -> tuple[WindowSolution, int]:
-        """Solve from the last solution, and if that fails from the open loop; seconds and iterations add up."""
-        if self.window is None:
-            return self.program.solve(data, guess, warm=False), 1
-        start = moved(self.window, guess, self.program.points)
-        first = self.program.solve(data, start, warm=True)
-        if first.status == "ok":
-            return first, 1
-        second = self.program.solve(data, guess, warm=False)
-        return second._replace(
-            seconds=first.seconds + second.seconds, iterations=first.iterations + second.iterations
-        ), 2
+    def _counted(self, state: State, sample: Taken) -> tuple[float, bool]:
+        """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
+        last, promise = state.last, self.promise
+        if promise is None:
+            return sample.t, True
+        before = self._since(state, last, sample.t)
+        complete = bool(np.isfinite(sample.y).all())
+        scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
+        return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
 
-    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution]:
+    def _gated(self, state: State, sample: Taken) -> tuple[Taken, str]:
+        """Leave out the outputs of a sample that lie beyond the gate, and say so."""
+        gate, patience = self.outliers.gate, self.outliers.patience
+        recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]
+        if gate is None or len(recent) == patience or state.last.t == sample.t:
+            return sample, ""
+        x, Y, _, trouble = self._open_loop(state, state.last, sample.t)
+        if trouble or not np.isfinite(Y).all():
+            return sample, ""
+        u = self._input(state, sample.t)
+        C = output_slope(self.plant, x, u, sample.t)
+        noise = fit_covariance(self.plant, self.scaled)
+        far = beyond(np.nan_to_num(sample.y - self.plant.h(x, u, t=sample.t)), C @ Y @ C.T + noise, gate)
+        if not far.any():
+            return sample, ""
+        names = ", ".join(np.array(self.plant.outputs.names)[far])
+        note = f"Left out as an outlier: {names} (beyond {gate:.3g} standard deviations of the prediction)."
+        return sample._replace(y=freeze(np.where(far, np.nan, sample.y))), note
+
+    def _bound(self, state: State, data: WindowData, answer: Answer, start: Start, counts: bool) -> float:
+        """Return the bound on V at the window's end, after the fact."""
+        promise, solution = self.promise, answer.solution
+        if promise is None or promise.trouble or answer.slopes is None:
+            return float("inf")
+        nodes = solution.nodes * self._scale
+        if not promise.holds(np.vstack([nodes, solution.point.z.reshape(-1, nodes.shape[1]) * self._scale])):
+            return float("inf")
+        jumps = answer.jumps
+        if jumps is None:
+            jumps = self.search.jumps(data, solution)
+        if not np.isfinite(jumps).all():
+            return float("inf")
+        taken = {node.t for node in start.inside if node.counted == node.t} | ({data.edges[-1]} if counts else set())
+        counted = np.array([t in taken for t in data.edges.tolist()])
+        scale = self.plant.signals["outputs"].scales
+        misfit = np.where(data.mask > 0, data.y - answer.slopes.shown, 0.0) * scale
+        if self.search.program.keeps_v:
+            misfit = misfit + solution.point.v * self.plant.signals["noises"].scales
+        w = solution.point.w * self.plant.signals["disturbances"].scales
+        flown = Flown(data.edges, nodes, w, misfit, counted, jumps * self._scale)
+        last = start.counted
+        if start.prior:
+            last = promise.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
+        square = min(start.square, promise.largest(start.t, last, start.prior))
+        return promise.radius(flown, start.x, square if not start.prior else promise.largest(start.t, last, True), last)
+
+    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution, Start]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
-        start, prior, inside = self._start(state, sample.t)
-        rows = {node.t: (node.y, node.mask) for node in inside}
+        start = self._start(state, sample.t)
+        rows = {node.t: (node.y, node.mask) for node in start.inside}
         seen = np.isfinite(sample.y)
-        rows[sample.t] = (np.where(seen, sample.y, 0.0), seen.astype(np.float64))
-        changes = [t for t, _ in state.inputs if start < t < sample.t]
-        edges = self._edges(sorted({start, *rows, *changes}))
-        if edges.size - 1 > self.program.capacity:
-            self._build(max(edges.size - 1, int(1.25 * self.program.capacity)))
-            self.window = None
+        if sample.t > start.t or start.closed:
+            rows[sample.t] = (np.where(seen, sample.y, 0.0), seen.astype(np.float64))
+        changes = [t for t, _ in state.inputs if start.t < t < sample.t]
+        edges = self._edges(sorted({start.t, sample.t, *rows, *changes}))
         zero = np.zeros(self.plant.n_outputs)
         y, mask = (np.array([rows.get(t, (zero, zero))[k] for t in edges.tolist()]) for k in (0, 1))
         inputs = np.array([self._input(state, t) for t in edges.tolist()])
-        data = WindowData(edges, inputs, y / self.plant.signals["outputs"].scales, mask, prior / self._scale)
-        states = self._path(state, edges, prior) / self._scale
-        sizes = (self.plant.n_disturbances, self.program.n_noises, self.plant.n_outputs)
-        return data, open_loop_guess(edges, states, self.program.points, sizes)
+        later = np.array([self._input_until(state, a, b) for a, b in pairwise(edges.tolist())])
+        data = WindowData(
+            edges=edges,
+            inputs=inputs,
+            later=later.reshape(edges.size - 1, self.plant.n_inputs),
+            y=y / self.plant.signals["outputs"].scales,
+            mask=mask,
+            prior=start.x / self._scale,
+            root=start.root,
+        )
+        return data, self.search.guess(edges, self._path(state, edges, start.x) / self._scale), start
 
-    def _start(self, state: State, t: float) -> tuple[float, Array, tuple[Node, ...]]:
-        """Return where the window begins, the online estimate there, and the samples in it (closed)."""
+    def _start(self, state: State, t: float) -> Start:
+        """Return where the window begins, the online estimate there, what it weighs, and the samples in it."""
         nodes, s = state.nodes, t - self.horizon
         slack = SAME_TIME * max(abs(t), self.horizon)
+        fixed: Array = np.asarray(np.linalg.cholesky(self.scaled.twice * self.scaled.P2).T, dtype=np.float64)
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
-            return nodes[0].t, nodes[0].x, nodes[1:]
+            first = nodes[0]
+            last = self._since(state, first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
+            root = fixed if self.promise is None else self._arrival(first.t, last)
+            return Start(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
-        if abs(node.t - s) <= slack:
-            return node.t, node.x, nodes[anchor:] if node.sample.y is not None else nodes[anchor + 1 :]
-        return s, self._open_loop(state, node, s)[0], nodes[anchor + 1 :]
+        at, x, Y, square = node.t, node.x, node.Y, node.beta
+        closed = self.promise is None and not self.filtered and abs(at - s) <= slack and node.sample.y is not None
+        if abs(at - s) > slack:
+            at = s
+            x, Y, square, _ = self._open_loop(state, node, s)
+        last = self._since(state, node, at)
+        root = fixed
+        if self.promise is not None:
+            root = self._arrival(at, last)
+        elif self.filtered:
+            root = self._information(Y, fixed)
+        return Start(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
+
+    def _arrival(self, t: float, last: float) -> Array:
+        """Return the root of P(tau), scaled; beyond the certified gaps of P at the longest one."""
+        promise = self.promise
+        assert promise is not None
+        age = promise.age(t, last)
+        P = promise.certificate.at(promise.longest if np.isnan(age) else age)
+        return np.asarray(np.linalg.cholesky(P * self._scale * self._scale[:, None]).T)
+
+    def _information(self, Y: Array, fixed: Array) -> Array:
+        """Return the root of the inverse of a covariance, scaled; P2's where nothing is known."""
+        if not np.isfinite(Y).all():
+            return fixed
+        floor = ARRIVAL_FLOOR**2 * np.linalg.inv(fixed.T @ fixed)
+        spread = np.linalg.cholesky(Y / self._scale / self._scale[:, None] + floor)
+        return np.asarray(np.linalg.qr(np.linalg.solve(spread, np.eye(len(Y))), mode="r"))
 
     def _edges(self, nodes: list[float]) -> Array:
         """Divide the gaps between the nodes into equal pieces of at most `w_step`."""
         edges = [nodes[0]]
         for a, b in pairwise(nodes):
-            count = max(1, int(np.ceil((b - a) / self.w_step * (1 - WHOLE))))
+            count = max(1, int(np.ceil((b - a) / self.search.w_step * (1 - WHOLE))))
             edges += [a + (b - a) * k / count for k in range(1, count)] + [b]
         return np.array(edges)
 
@@ -291,7 +396,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         times, path = [float(edges[0]), *known], [prior, *known.values()]
         try:
             for edge in edges[edges > last.t].tolist():
-                x, t = self._flown(state, x, t, edge), edge
+                x, t = self._flown(state, x, t, edge)[0], edge
                 times.append(edge)
                 path.append(x)
         except SolverError:
@@ -300,30 +405,14 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         columns = np.array(path)[order]
         return np.stack([np.interp(edges, np.array(times)[order], column) for column in columns.T], axis=1)
 
-    def _input(self, state: State, t: float) -> Array:
-        u = state.input_at(t)
-        return np.zeros(self.plant.n_inputs) if u is None else u
+    def smoothed(self) -> SmoothedWindow:
+        """Return the trajectory of the latest solved window, in units: states, disturbances, outputs, covariances.
 
-    def _flown(self, state: State, x: Array, a: float, b: float) -> Array:
-        """Return the open loop from x at a to b, with w = 0 and the inputs that were given."""
-        if b <= a:
-            return x
-        edges = [a, *(t for t, _ in state.inputs if a < t < b), b]
-        still = np.zeros(self.plant.n_disturbances)
-        for start, stop in pairwise(edges):
-            x = self._integrator.step(x, self._input(state, start), still, start, stop)
-        return x
-
-    def _open_loop(self, state: State, node: Node, t: float) -> tuple[Array, str]:
-        """Return the open loop from a node at t; if even that fails, the node's estimate, and say so."""
-        try:
-            return self._flown(state, node.x, node.t, t), ""
-        except SolverError as error:
-            return node.x, f"The open loop fails too, the last estimate is held: {error}"
-
-    def _predict(self, state: State, t: float) -> Estimate:
-        node = state.nodes[state.node_before(t)]
-        if node.t == t:
-            return node.estimate
-        x, trouble = self._open_loop(state, node, t)
-        return self._said(t, x, "solver failed" if trouble else "predicted", trouble)
+        Raises
+        ------
+        ArgumentError
+            If no window was solved yet.
+        """
+        if self._latest is None:
+            raise ArgumentError("`smoothed` needs a solved window: give the estimator a sample first.")
+        return smoothed_window(self.plant, self.scaled, *self._latest)

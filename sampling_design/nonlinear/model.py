@@ -15,6 +15,7 @@ from sampling_design._record import Plain, Record
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.plants.inclusion import LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
@@ -32,13 +33,14 @@ _PREFIX = {"states": "x", "inputs": "u", "disturbances": "w", "outputs": "y", "n
 class NonlinearPlant(LinearInclusion, Record):
     """A nonlinear continuous-time plant.
 
-        x'(t) = f(x(t), u(t), w(t)),    y(t) = h(x(t), u(t), v(t))
+        x'(t) = f(x(t), u(t), w(t)),    y(t) = h(x(t), u(t), v(t)),    g(x(t), u(t)) <= 0
 
     Parameters
     ----------
-    f : callable (x, u, w) -> n entries [state unit / time_unit]
-        Written with arithmetic and casadi functions, so that it can be evaluated on casadi symbols.
-    h : callable (x, u, v) -> p entries
+    f : callable (x, u, w) or (x, u, w, t) -> n entries [state unit / time_unit]
+        Written with arithmetic and casadi functions, so that it can be evaluated on casadi symbols. With a fourth
+        argument the plant varies in time.
+    h : callable (x, u, v) or (x, u, v, t) -> p entries
     sizes : mapping
         Numbers of "states", "inputs", "disturbances", "outputs", "noises"; inputs, disturbances and
         noises default to 0, 0 and the number of outputs.
@@ -51,18 +53,20 @@ class NonlinearPlant(LinearInclusion, Record):
         the paper. Infinite entries mean no bound.
     region : StateRegion, optional
         Convex set of states in which certificates are to hold; default the box of states. See `in_region`.
+    limits : callable (x, u) -> any number of entries, optional
+        g: the set X of the truth is where none of them is positive, beside the box of states.
 
     Raises
     ------
     ArgumentError
-        If a size is wrong, f or h return another number of entries, or a box is empty.
+        If a size is wrong, f or h return another number of entries, g cannot be evaluated, or a box is empty.
     MissingExtraError
         If casadi is not installed.
 
     Notes
     -----
     *Numerical aspects.* f and h are physical; the scales in `signals` are used by whoever solves with
-    them, never silently here.
+    them, never silently here. A pickled plant holds its functions as casadi does, not as they were written.
 
     References
     ----------
@@ -90,6 +94,7 @@ class NonlinearPlant(LinearInclusion, Record):
     signals: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
     bounds: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
     region: StateRegion = field(default=None, kw_only=True)  # type: ignore[assignment]
+    limits: Callable[..., SX | Sequence[SX]] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
@@ -120,8 +125,9 @@ class NonlinearPlant(LinearInclusion, Record):
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
 
     @cached_property
-    def _functions(self) -> tuple[Function, Function]:
+    def _functions(self) -> PlantFunctions:
         ca = casadi()
+        t = ca.SX.sym("t")
         x, u, w, v = (
             ca.SX.sym(k, self.sizes[s])
             for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
@@ -130,30 +136,90 @@ class NonlinearPlant(LinearInclusion, Record):
         for label, function, arguments, size in (
             ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
             ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
+            ("limits", self.limits or _no_limits, (x, u), None),
         ):
             if not callable(function):
                 raise ArgumentError(f"`{label}` must be a function, got {_checks.described(function)}.")
+            timed = size is not None and takes_time(function)
             try:
-                value = function(*arguments)
+                value = function(*arguments, t) if timed else function(*arguments)
                 column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
             except Exception as error:  # whatever the function of a user raises
                 raise ArgumentError(
                     f"`{label}` fails for symbols: {type(error).__name__} ({' '.join(str(error).split()):.120})."
                 ) from error
-            if column.shape != (size, 1):
-                raise ArgumentError(f"`{label}` must return {size} entries, got {column.shape[0] * column.shape[1]}.")
-            built.append(ca.Function(label, list(arguments), [column]))
-        return built[0], built[1]
+            count = column.shape[0] * column.shape[1]
+            if size is not None and column.shape != (size, 1):
+                raise ArgumentError(f"`{label}` must return {size} entries, got {count}.")
+            if size is None:
+                built.append(ca.Function(label, [x, u], [ca.reshape(column, count, 1)]))
+            else:
+                built.append(ca.Function(label, [*arguments, t], [column]))
+        varies = takes_time(self.dynamics) or takes_time(self.measurement)
+        return PlantFunctions(built[0], built[1], built[2], varies)
 
     @property
+    def varies(self) -> bool:
+        """Whether f or h depend on time."""
+        return self._functions.varies
+
+    @property
+    def rate_casadi(self) -> Function:
+        """f as a casadi Function of (x, u, w, t)."""
+        return self._functions.rate
+
+    @property
+    def shown_casadi(self) -> Function:
+        """h as a casadi Function of (x, u, v, t)."""
+        return self._functions.shown
+
+    @property
+    def limits_casadi(self) -> Function:
+        """g as a casadi Function of (x, u); no entries where there is none."""
+        return self._functions.limits
+
+    @cached_property
     def f_casadi(self) -> Function:
-        """f as a casadi Function of (x, u, w)."""
-        return self._functions[0]
+        """f as a casadi Function of (x, u, w).
 
-    @property
+        Raises
+        ------
+        ArgumentError
+            If the plant varies in time.
+        """
+        return self._without_time(self.rate_casadi, "disturbances")
+
+    @cached_property
     def h_casadi(self) -> Function:
-        """h as a casadi Function of (x, u, v)."""
-        return self._functions[1]
+        """h as a casadi Function of (x, u, v).
+
+        Raises
+        ------
+        ArgumentError
+            If the plant varies in time.
+        """
+        return self._without_time(self.shown_casadi, "noises")
+
+    def _without_time(self, function: Function, last: str) -> Function:
+        if self.varies:
+            raise ArgumentError(f"`plant` must not vary in time here: `{function.name()}` depends on t.")
+        ca = casadi()
+        arguments = [ca.SX.sym(k, self.sizes[s]) for k, s in zip("xuz", ("states", "inputs", last), strict=True)]
+        found: Function = ca.Function(function.name(), arguments, [function(*arguments, 0)])
+        return found
+
+    def __getstate__(self) -> dict[str, object]:
+        """The plant as data: functions as casadi's own, which can be pickled."""
+        kept = {key: value for key, value in self.__dict__.items() if key in self.__dataclass_fields__}
+        made = self._functions
+        kept["dynamics"] = TimedFunction(made.rate) if made.varies else PlainFunction(made.rate)
+        kept["measurement"] = TimedFunction(made.shown) if made.varies else PlainFunction(made.shown)
+        kept["limits"] = None if self.limits is None else made.limits
+        return kept
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        for key, value in state.items():
+            object.__setattr__(self, key, value)
 
     @property
     def n_states(self) -> int:
@@ -204,29 +270,29 @@ class NonlinearPlant(LinearInclusion, Record):
         found: Signals = self.signals["disturbances"]
         return found
 
-    def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None) -> Array:
-        """Return x' = f(x, u, w), shape (n,); w defaults to zero."""
-        return self._evaluate(self.f_casadi, "disturbances", x, u, w)
+    def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
+        """Return x' = f(x, u, w, t), shape (n,); w defaults to zero."""
+        return self._evaluate(self.rate_casadi, "disturbances", x, u, w, t)
 
-    def h(self, x: npt.ArrayLike, u: npt.ArrayLike = (), v: npt.ArrayLike | None = None) -> Array:
-        """Return y = h(x, u, v), shape (p,); v defaults to zero."""
-        return self._evaluate(self.h_casadi, "noises", x, u, v)
+    def h(self, x: npt.ArrayLike, u: npt.ArrayLike = (), v: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
+        """Return y = h(x, u, v, t), shape (p,); v defaults to zero."""
+        return self._evaluate(self.shown_casadi, "noises", x, u, v, t)
 
-    def _evaluate(self, function: Function, last: str, x: object, u: object, z: object) -> Array:
+    def _evaluate(self, function: Function, last: str, x: object, u: object, z: object, t: float) -> Array:
         x = _checks.vector("x", x, self.sizes["states"])
         u = _checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
         z = _checks.vector(
             "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
         )
-        value = np.array(function(x, u, z)).ravel()
+        value = np.array(function(x, u, z, _checks.number("t", t))).ravel()
         if not np.all(np.isfinite(value)):
             raise ArgumentError(
                 f"`{function.name()}` returns {value.tolist()} at x = {x.tolist()}: the model is not finite there."
             )
         return value
 
-    def linearise(self, x: npt.ArrayLike, u: npt.ArrayLike = ()) -> Plant:
-        """Return the linear plant of small deviations from (x, u), with w = 0 and v = 0.
+    def linearise(self, x: npt.ArrayLike, u: npt.ArrayLike = (), t: float = 0.0) -> Plant:
+        """Return the linear plant of small deviations from (x, u) at t, with w = 0 and v = 0.
 
             A = df/dx, B = df/du, G = df/dw, C = dh/dx, D = dh/du
 
@@ -243,7 +309,8 @@ class NonlinearPlant(LinearInclusion, Record):
             ca.SX.sym(k, self.sizes[s])
             for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
         )
-        fx, hx = self.f_casadi(xs, us, ws), self.h_casadi(xs, us, vs)
+        when = _checks.number("t", t)
+        fx, hx = self.rate_casadi(xs, us, ws, when), self.shown_casadi(xs, us, vs, when)
         wanted = [
             ca.jacobian(fx, xs),
             ca.jacobian(fx, us),
@@ -355,6 +422,11 @@ class NonlinearPlant(LinearInclusion, Record):
         n, p, q = self.sizes["states"], self.sizes["outputs"], self.sizes["disturbances"]
         name = self.name or "A nonlinear plant"
         return f"{name} with {n} states, {p} outputs and {q} disturbances; time in {self.time_unit}."
+
+
+def _no_limits(*arguments: SX) -> list[SX]:
+    """No g at all."""
+    return []
 
 
 _NEWTON_STEPS = 100

@@ -18,6 +18,7 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.weights import NonlinearWeights
 
 if TYPE_CHECKING:
@@ -35,15 +36,18 @@ WARM_BARRIER = 1e-6
 class WindowData(NamedTuple):
     """One window of K intervals in scaled coordinates; row j of nodes lies at `edges[j]`.
 
-    edges (K+1,) absolute times; inputs (K+1, m) physical, from each node on; y (K+1, p) with 0 where `mask` (K+1, p)
-    is 0; prior (n,).
+    edges (K+1,) absolute times; inputs (K+1, m) physical, from each node on; later (K, m) what they have become at the
+    end of each interval; y (K+1, p) with 0 where `mask` (K+1, p) is 0; prior (n,), and the upper triangular root (n, n)
+    of what its error weighs, not discounted.
     """
 
     edges: Array
     inputs: Array
+    later: Array
     y: Array
     mask: Array
     prior: Array
+    root: Array
 
 
 class ProgramPoint(NamedTuple):
@@ -80,6 +84,20 @@ class WindowSolution(NamedTuple):
         return np.vstack([self.point.z0[None], self.point.z[:, -1]])
 
 
+class WindowSlopes(NamedTuple):
+    """A window linearised at its solution, scaled.
+
+    F (K, n, n) and G (K, n, q) carry a state and w over each interval; H (K+1, p, n) is the slope of the outputs at the
+    nodes, shown (K+1, p) what they are; roots (K+1, p, p) of their weights, zero where nothing was measured.
+    """
+
+    F: Array
+    G: Array
+    H: Array
+    shown: Array
+    roots: Array
+
+
 class WindowProgram:
     """The nonlinear program for windows of at most `capacity` intervals."""
 
@@ -91,24 +109,29 @@ class WindowProgram:
         degree: int,
         tolerance: float,
         max_iterations: int,
+        region: StateRegion,
+        huber: float | None = None,
     ) -> None:
         ca = casadi()
         self.plant, self.weights, self.capacity, self.degree = plant, weights, capacity, degree
+        self.region, self.huber = region, huber
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.points = np.array(ca.collocation_points(degree, "radau"))
         self.keeps_v = not (_additive(plant) and _unbounded(plant, "noises") and _unbounded(plant, "outputs"))
         self.n_noises = plant.n_noises if self.keeps_v else 0
         self.bounds_y = not _unbounded(plant, "outputs")
+        self._upper = np.triu_indices(plant.n_states)
         self._fit = self._fit_weight()
         self._fit_at = np.nonzero(np.triu(np.linalg.matrix_power(self._fit != 0, max(1, plant.n_outputs))))
         self._fit_roots: dict[bytes, Array] = {}
+        self._slopes: tuple[Function, Function] | None = None
         self._solvers: dict[bool, Function] = {}
         self._problem = self._assemble()
-        self._boxes = self._bounds()
+        self.boxes = self._bounds()
 
     def solve(self, data: WindowData, guess: WindowSolution, warm: bool) -> WindowSolution:
         """Solve one window from `guess` (with its multipliers if `warm`); never raises, the status says how it went."""
-        lower, upper = self._boxes
+        lower, upper = self.boxes
         rows = self._row_bounds(data)
         arguments = {"x0": self._pack(guess.point), "p": self._parameters(data), "lbx": lower, "ubx": upper}
         arguments |= {"lbg": rows[0], "ubg": rows[1]}
@@ -150,59 +173,138 @@ class WindowProgram:
         n, scale = plant.n_states, {key: plant.signals[key].scales for key in plant.sizes}
         z0, Z = ca.SX.sym("z0", n), ca.SX.sym("Z", n, self.degree)
         w, u, h = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("h")
+        rise, t = ca.SX.sym("rise", plant.n_inputs), ca.SX.sym("t")
         slopes = ca.collocation_coeff(list(self.points))[0]
         along = ca.horzcat(z0, Z)
         rows = []
         for j in range(self.degree):
-            rate = plant.f_casadi(Z[:, j] * scale["states"], u, w * scale["disturbances"]) / scale["states"]
+            inside, when = u + self.points[j] * rise, t + self.points[j] * h
+            rate = plant.rate_casadi(Z[:, j] * scale["states"], inside, w * scale["disturbances"], when)
+            rate = rate / scale["states"]
             rows.append(ca.mtimes(along, slopes[:, j]) - h * rate)
         v = ca.SX.sym("v", self.n_noises)
         physical_v = v * scale["noises"] if self.keeps_v else ca.SX.zeros(plant.n_noises)
-        shown = plant.h_casadi(z0 * scale["states"], u, physical_v) / scale["outputs"]
+        shown = plant.shown_casadi(z0 * scale["states"], u, physical_v, t) / scale["outputs"]
         return (
-            ca.Function("rows", [z0, Z, w, u, h], [ca.vertcat(*rows)]),
-            ca.Function("shown", [z0, v, u], [shown]),
+            ca.Function("rows", [z0, Z, w, u, rise, h, t], [ca.vertcat(*rows)]),
+            ca.Function("shown", [z0, v, u, t], [shown]),
         )
+
+    def linearised(self, data: WindowData, solution: WindowSolution) -> WindowSlopes:
+        """Return the slopes of the intervals and the outputs at a solution, scaled."""
+        if self._slopes is None:
+            self._slopes = self._build_slopes()
+        K, N, n, d = data.edges.size - 1, self.capacity, self.plant.n_states, self.degree
+        p, point, nodes = self.plant.n_outputs, solution.point, solution.nodes
+        still = nodes[:1]
+        padded = [
+            _behind(N - K, still[0], nodes[:-1]),
+            np.concatenate([np.broadcast_to(still[0], (N - K, d, n)), point.z]).reshape(N * d, n),
+            _behind(N - K, np.zeros(self.plant.n_disturbances), point.w),
+            _behind(N - K, data.inputs[0], data.inputs[:-1]),
+            _behind(N - K, 0 * data.inputs[0], data.later - data.inputs[:-1]),
+            np.concatenate([np.zeros(N - K), np.diff(data.edges)])[:, None],
+            np.concatenate([np.full(N - K, data.edges[0]), data.edges[:-1]])[:, None],
+        ]
+        inside, first, push = (
+            np.array(part).reshape(d * n, N, -1).transpose(1, 0, 2)[N - K :]
+            for part in self._slopes[0](*(part.T for part in padded))
+        )
+        both = -np.linalg.solve(inside, np.concatenate([first, push], axis=2))[:, -n:]
+        seen = [
+            _behind(N - K, still[0], nodes),
+            _behind(N - K, np.zeros(self.n_noises), point.v),
+            _behind(N - K, data.inputs[0], data.inputs),
+            np.concatenate([np.full(N - K, data.edges[0]), data.edges])[:, None],
+        ]
+        H, shown = (np.array(part) for part in self._slopes[1](*(part.T for part in seen)))
+        H = H.reshape(p, N + 1, n).transpose(1, 0, 2)[N - K :]
+        roots = np.zeros((K + 1, p, p))
+        for k, row in enumerate(data.mask):
+            roots[k][self._fit_at] = self._fit_root(row) if row.any() else 0.0
+        return WindowSlopes(both[:, :, :n], both[:, :, n:], H, shown.T[N - K :], roots)
+
+    def _build_slopes(self) -> tuple[Function, Function]:
+        ca, plant, n = casadi(), self.plant, self.plant.n_states
+        rows, shown = self._interval()
+        z0, Z = ca.SX.sym("z0", n), ca.SX.sym("Z", n, self.degree)
+        w, u, h = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("h")
+        rise, t, v = ca.SX.sym("rise", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("v", self.n_noises)
+        value = rows(z0, Z, w, u, rise, h, t)
+        slopes = [ca.densify(ca.jacobian(value, by)) for by in (ca.vec(Z), z0, w)]
+        output = shown(z0, v, u, t)
+        return (
+            ca.Function("slopes", [z0, Z, w, u, rise, h, t], slopes).map(self.capacity),
+            ca.Function("seen", [z0, v, u, t], [ca.densify(ca.jacobian(output, z0)), output]).map(self.capacity + 1),
+        )
+
+    def _limited(self) -> Function:
+        """Return the rows of (z, u) that must not be positive: g, and the half-spaces of the region."""
+        ca, plant = casadi(), self.plant
+        z, u = ca.SX.sym("z", plant.n_states), ca.SX.sym("u", plant.n_inputs)
+        x = z * plant.signals["states"].scales
+        g = plant.limits_casadi(x, u)
+        rows = self.region.rows * plant.signals["states"].scales
+        size = np.maximum(np.abs(rows).sum(axis=1), np.abs(self.region.offsets))
+        size = np.where(size > 0, size, 1.0)
+        flat = ca.mtimes(ca.DM(rows / size[:, None]), z) - self.region.offsets / size
+        found: Function = ca.Function("limited", [z, u], [ca.vertcat(g, flat)])
+        return found
 
     def _assemble(self) -> dict[str, SX]:
         ca, plant, N = casadi(), self.plant, self.capacity
         n, m, q, r, p = plant.n_states, plant.n_inputs, plant.n_disturbances, self.n_noises, plant.n_outputs
         rows, shown = self._interval()
-        P2, Qw, Qv = 2 * self.weights.P2, 2 * self.weights.Qw, 2 * self.weights.Qv  # the paper's factors
-        sizes = {"h": (N, 1), "u": (m, N + 1), "y": (p, N + 1), "root": (self._fit_at[0].size, N + 1), "prior": (n, 1)}
-        sizes |= {"w": (N, 1), "v": (N + 1, 1), "fit": (N + 1, 1), "P2": (1, 1)}
+        Qw, Qv = self.weights.twice * self.weights.Qw, self.weights.twice * self.weights.Qv
+        sizes = {"h": (N, 1), "u": (m, N + 1), "rise": (m, N), "t": (N + 1, 1), "y": (p, N + 1)}
+        sizes |= {"root": (self._fit_at[0].size, N + 1), "prior": (n, 1), "P2": (self._upper[0].size, 1)}
+        sizes |= {"w": (N, 1), "v": (N + 1, 1), "fit": (N + 1, 1)}
         par = {key: ca.SX.sym(key, *shape) for key, shape in sizes.items()}
+        limited = self._limited()
         z = ca.SX.sym("z0", n)
-        unknowns, constraints, outputs = [z], [], []
-        cost = par["P2"] * ca.bilin(P2, z - par["prior"], z - par["prior"])
+        unknowns, constraints, outputs, limits = [z], [], [], [limited(z, par["u"][:, 0])]
+        arrival = ca.SX(n, n)
+        for k, (row, column) in enumerate(zip(*self._upper, strict=True)):
+            arrival[int(row), int(column)] = par["P2"][k]
+        cost = ca.sumsqr(ca.mtimes(arrival, z - par["prior"]))
         for j in range(N + 1):
             if j:
                 w, Z = ca.SX.sym(f"w{j}", q), ca.SX.sym(f"z{j}", n, self.degree)
                 unknowns += [w, ca.vec(Z)]
-                constraints.append(rows(z, Z, w, par["u"][:, j - 1], par["h"][j - 1]))
+                u, rise, h = par["u"][:, j - 1], par["rise"][:, j - 1], par["h"][j - 1]
+                constraints.append(rows(z, Z, w, u, rise, h, par["t"][j - 1]))
+                limits += [limited(Z[:, k], u + float(self.points[k]) * rise) for k in range(self.degree)]
                 cost += par["w"][j - 1] * ca.bilin(Qw, w, w)
                 z = Z[:, self.degree - 1]
             v = ca.SX.sym(f"v{j}", r)
             unknowns.append(v)
-            output = shown(z, v, par["u"][:, j])
+            output = shown(z, v, par["u"][:, j], par["t"][j])
             root = ca.SX(p, p)
             for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
                 root[int(row), int(column)] = par["root"][k, j]
-            fit = ca.sumsqr(ca.mtimes(root, output - par["y"][:, j]))
+            fit = self._loss(ca.mtimes(root, output - par["y"][:, j]))
             cost += par["fit"][j] * fit + (par["v"][j] * ca.bilin(Qv, v, v) if r else 0)
             if self.bounds_y:
                 outputs.append(output)
         parameters = ca.vertcat(*(ca.vec(par[key]) for key in sizes))
-        return {"x": ca.vertcat(*unknowns), "p": parameters, "f": cost, "g": ca.vertcat(*constraints, *outputs)}
+        rows_of_all = ca.vertcat(*constraints, *limits, *outputs)
+        self._counts = (sum(c.numel() for c in constraints), sum(c.numel() for c in limits))
+        return {"x": ca.vertcat(*unknowns), "p": parameters, "f": cost, "g": rows_of_all}
+
+    def _loss(self, e: SX) -> SX:
+        """The square of a whitened residual; beyond `huber` each entry counts about linearly."""
+        ca, c = casadi(), self.huber
+        found: SX = ca.sumsqr(e) if c is None else ca.sum1(2 * c * c * (ca.sqrt(1 + (e / c) ** 2) - 1))
+        return found
 
     def _fit_weight(self) -> Array:
         """Return the weight of y - h in scaled outputs; with v eliminated where v has no box."""
         own, scale = self.weights, {key: self.plant.signals[key].scales for key in ("outputs", "noises")}
         if self.keeps_v or not self.plant.n_noises:
             return own.R
-        # min over v of 2|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (2 Qv)^-1)^-1, v like e in scaled outputs
+        # min over v of c|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (c Qv)^-1)^-1, v like e in scaled outputs
         ratio = scale["outputs"] / scale["noises"]
-        Qv = 2 * own.Qv * ratio * ratio[:, None]
+        Qv = own.twice * own.Qv * ratio * ratio[:, None]
         fit = np.asarray(own.R @ np.linalg.solve(own.R + Qv, Qv))
         return (fit + fit.T) / 2
 
@@ -226,13 +328,15 @@ class WindowProgram:
         columns = {
             "h": np.concatenate([np.zeros(idle), lengths]),
             "u": _behind(idle, data.inputs[0], data.inputs).ravel(),
+            "rise": _behind(idle, 0 * data.inputs[0], data.later - data.inputs[:-1]).ravel(),
+            "t": np.concatenate([np.full(idle, data.edges[0]), data.edges]),
             "y": _behind(idle, zero, data.y).ravel(),
             "root": _behind(idle, 0 * roots[0], roots).ravel(),
             "prior": data.prior,
+            "P2": np.sqrt(discount[0]) * data.root[self._upper],
             "w": weight_w,
             "v": np.concatenate([np.ones(idle), np.where(sampled, discount, 1.0)]),
             "fit": np.concatenate([np.zeros(idle), np.where(sampled, discount, 0.0)]),
-            "P2": discount[:1],
         }
         return np.concatenate(list(columns.values()))
 
@@ -242,23 +346,27 @@ class WindowProgram:
         sides = []
         for k in (0, 1):
             x, w, v = (plant.bounds[key][k] / plant.signals[key].scales for key in ("states", "disturbances", "noises"))
+            own = (self.region.lower, self.region.upper)[k] / plant.signals["states"].scales
+            x = np.minimum(x, own) if k else np.maximum(x, own)
             v = v if self.keeps_v else v[:0]
             z = np.broadcast_to(x, (N, self.degree, x.size))
             sides.append(self._pack(ProgramPoint(x, np.tile(v, (N + 1, 1)), np.tile(w, (N, 1)), z)))
         return sides[0], sides[1]
 
     def _row_bounds(self, data: WindowData) -> tuple[Array, Array]:
-        """Return the bounds of the rows: dynamics 0, outputs in Y where they were measured."""
-        dynamics = np.zeros(self.capacity * self.degree * self.plant.n_states)
+        """Return the bounds of the rows: dynamics 0, g at most 0, outputs in Y where they were measured."""
+        equal, limited = self._counts
+        lowest = np.concatenate([np.zeros(equal), np.full(limited, -np.inf)])
+        highest = np.zeros(equal + limited)
         if not self.bounds_y:
-            return dynamics, dynamics
+            return lowest, highest
         rows = np.zeros((self.capacity + 1, self.plant.n_outputs), dtype=bool)
         rows[self.capacity + 1 - len(data.mask) :] = data.mask > 0
         scale = self.plant.signals["outputs"].scales
         lower, upper = (side / scale for side in self.plant.bounds["outputs"])
         return (
-            np.concatenate([dynamics, np.where(rows, lower, -np.inf).ravel()]),
-            np.concatenate([dynamics, np.where(rows, upper, np.inf).ravel()]),
+            np.concatenate([lowest, np.where(rows, lower, -np.inf).ravel()]),
+            np.concatenate([highest, np.where(rows, upper, np.inf).ravel()]),
         )
 
     def _pack(self, point: ProgramPoint, idle: float | None = None) -> Array:
@@ -274,11 +382,12 @@ class WindowProgram:
     def _pack_rows(self, guess: WindowSolution) -> Array:
         rows = np.zeros((self.capacity, self.degree * self.plant.n_states))
         rows[self.capacity - len(guess.row_multipliers) :] = guess.row_multipliers
+        limits = np.zeros(self._counts[1])  # where g was active is found anew
         if not self.bounds_y:
-            return rows.ravel()
+            return np.concatenate([rows.ravel(), limits])
         outputs = np.zeros((self.capacity + 1, self.plant.n_outputs))
         outputs[self.capacity + 1 - len(guess.output_multipliers) :] = guess.output_multipliers
-        return np.concatenate([rows.ravel(), outputs.ravel()])
+        return np.concatenate([rows.ravel(), limits, outputs.ravel()])
 
     def _split(self, vector: object, used: int) -> ProgramPoint:
         """Return the used part of a vector of unknowns."""
@@ -299,11 +408,11 @@ class WindowProgram:
         elif word == "Infeasible_Problem_Detected":
             status = "infeasible"
         lam = np.array(found["lam_g"]).ravel()
-        dynamic = N * self.degree * self.plant.n_states
+        dynamic, limited = self._counts
         rows = lam[:dynamic].reshape(N, -1)[N - K :]
         outputs = np.zeros((K + 1, self.plant.n_outputs))
         if self.bounds_y:
-            outputs = lam[dynamic:].reshape(N + 1, -1)[N - K :]
+            outputs = lam[dynamic + limited :].reshape(N + 1, -1)[N - K :]
         return WindowSolution(
             edges=edges,
             point=self._split(found["x"], K),
@@ -329,7 +438,7 @@ def _additive(plant: NonlinearPlant) -> bool:
     if plant.n_noises == 0:
         return True
     x, u, v = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("v", plant.n_noises)
-    slope = ca.jacobian(plant.h_casadi(x, u, v), v)
+    slope = ca.jacobian(plant.shown_casadi(x, u, v, ca.SX.sym("t")), v)
     square = slope.shape[0] == slope.shape[1]
     return square and slope.is_constant() and bool(np.array_equal(np.array(ca.DM(slope)), np.eye(plant.n_noises)))
 

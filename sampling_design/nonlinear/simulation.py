@@ -10,12 +10,16 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.collocation import BETWEEN
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
 TOLERANCE = 1e-10
 """Relative and absolute tolerance of the integrator, in scaled states."""
 
+
+SPREAD_TOLERANCE = 1e-6
+"""Relative tolerance of covariances: a millionth of a variance changes no digit that is printed."""
 
 MAX_STEPS = 20000
 """Steps that the integrator may take over one stretch."""
@@ -29,8 +33,9 @@ def simulate(
     w: npt.ArrayLike | None = None,
     *,
     tolerance: float = TOLERANCE,
+    input_between: str = "held",
 ) -> Array:
-    """Return the states at `times` of x' = f(x, u, w), x(times[0]) = x0.
+    """Return the states at `times` of x' = f(x, u, w, t), x(times[0]) = x0.
 
     Parameters
     ----------
@@ -43,6 +48,8 @@ def simulate(
         Default zero.
     tolerance : float
         Of the integrator, relative and absolute, in scaled states.
+    input_between : "held" or "linear"
+        Whether u keeps the value of row j on [times[j], times[j+1]) or runs straight to that of row j + 1.
 
     Returns
     -------
@@ -75,37 +82,43 @@ def simulate(
     grid = _checks.increasing("times", times)
     controls = _per_time("u", u, grid.size, plant.n_inputs)
     noise = _per_time("w", w, grid.size, plant.n_disturbances)
+    if input_between not in BETWEEN:
+        raise ArgumentError(f'`input_between` must be "held" or "linear", got {input_between!r}.')
+    later = controls[1:] if input_between == "linear" else controls
     integrator = Integrator(plant, tolerance)
     states = np.empty((grid.size, plant.n_states))
     states[:1] = start
     for j in range(grid.size - 1):
-        states[j + 1] = integrator.step(states[j], controls[j], noise[j], grid[j], grid[j + 1])
+        states[j + 1] = integrator.step(states[j], controls[j], noise[j], grid[j], grid[j + 1], later[j])
     return states
 
 
 class Integrator:
-    """Carries a state over a stretch of constant input and disturbance; built once, used for many stretches."""
+    """Carries a state over a stretch of constant disturbance, u straight between two values; built once, used often."""
 
     def __init__(self, plant: NonlinearPlant, tolerance: float = TOLERANCE) -> None:
         ca = casadi()
         m, q = plant.n_inputs, plant.n_disturbances
-        z, uw, h = ca.SX.sym("z", plant.n_states), ca.SX.sym("uw", m + q), ca.SX.sym("h")
         self.plant, self.scale = plant, plant.signals["states"].scales
-        rate = plant.f_casadi(z * self.scale, uw[:m], uw[m:]) / self.scale
-        problem = {"x": z, "p": ca.vertcat(uw, h), "ode": h * rate}
+        z, s = ca.SX.sym("z", plant.n_states), ca.SX.sym("s")
+        u, rise, w = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("w", q)
+        start, h = ca.SX.sym("start"), ca.SX.sym("h")
+        rate = plant.rate_casadi(z * self.scale, u + s * rise, w, start + s * h) / self.scale
+        problem = {"x": z, "t": s, "p": ca.vertcat(u, rise, w, start, h), "ode": h * rate}
         options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": MAX_STEPS}
         options |= {"disable_internal_warnings": True, "show_eval_warnings": False}  # raised, not printed
         self._step = ca.integrator("step", "cvodes", problem, 0.0, 1.0, options)
 
-    def step(self, x: Array, u: Array, w: Array, start: float, stop: float) -> Array:
-        """Return x(stop) from x(start) = x.
+    def step(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
+        """Return x(stop) from x(start) = x; u is constant, or runs straight to `u_stop`.
 
         Raises
         ------
         SolverError
             If the integration fails.
         """
-        parameters = np.concatenate([u, w, [stop - start]])
+        rise = 0 * u if u_stop is None else u_stop - u
+        parameters = np.concatenate([u, rise, w, [start, stop - start]])
         try:
             found = np.array(self._step(x0=x / self.scale, p=parameters)["xf"]).ravel()
         except RuntimeError as error:
@@ -114,6 +127,64 @@ class Integrator:
                 f"({_reason(error)}).", status="integration failed",
             ) from None  # fmt: skip
         return np.asarray(found * self.scale)
+
+    def steps(self, x: Array, u: Array, later: Array, w: Array, edges: Array) -> Array:
+        """Return where K stretches end that begin with the rows of x (K, n); NaN where the integration fails."""
+        return np.array([self._or_nan(*row) for row in zip(x, u, w, edges[:-1], edges[1:], later, strict=True)])
+
+    def _or_nan(self, x: Array, u: Array, w: Array, start: float, stop: float, later: Array) -> Array:
+        try:
+            return self.step(x, u, w, start, stop, later)
+        except SolverError:
+            return np.full(x.shape, np.nan)
+
+
+class SpreadIntegrator:
+    """Carries a state and the covariance of its error over a stretch, open loop.
+
+        Y' = A Y + Y A' + eta Y + G W G',    A = df/dx, G = df/dw along x
+
+    Everything is scaled: states by s_x, disturbances by s_w.
+    """
+
+    def __init__(self, plant: NonlinearPlant, noise: Array, eta: float) -> None:
+        ca = casadi()
+        n, m, q = plant.n_states, plant.n_inputs, plant.n_disturbances
+        scale, unit = plant.signals["states"].scales, plant.signals["disturbances"].scales
+        self.scale, self.n = scale, n
+        z, Y, s = ca.SX.sym("z", n), ca.SX.sym("Y", n, n), ca.SX.sym("s")
+        u, rise, w = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("w", q)
+        start, h, size = ca.SX.sym("start"), ca.SX.sym("h"), ca.SX.sym("size")
+        rate = plant.rate_casadi(z * scale, u + s * rise, w * unit, start + s * h) / scale
+        A, G = ca.jacobian(rate, z), ca.jacobian(rate, w)
+        half = ca.mtimes(A, Y)
+        spread = half + half.T + eta * Y + ca.mtimes([G, ca.DM(noise), G.T]) / size
+        rates = ca.substitute(ca.vertcat(rate, ca.vec(spread)), w, ca.SX.zeros(q))
+        problem = {"x": ca.vertcat(z, ca.vec(Y)), "t": s, "p": ca.vertcat(u, rise, start, h, size), "ode": h * rates}
+        options: dict[str, object] = {"reltol": SPREAD_TOLERANCE, "abstol": SPREAD_TOLERANCE**1.5}
+        options |= {"max_num_steps": MAX_STEPS, "disable_internal_warnings": True, "show_eval_warnings": False}
+        self._step = ca.integrator("spread", "cvodes", problem, 0.0, 1.0, options)
+
+    def step(self, x: Array, Y: Array, u: Array, later: Array, start: float, stop: float) -> Array:
+        """Return Y at `stop`, physical, from Y at `start`; infinite on the diagonal where the integration fails."""
+        n = self.n
+        scaled = Y / self.scale / self.scale[:, None]
+        size = float(np.abs(scaled).max())
+        if not (np.isfinite(size) and size > 0):
+            return unknown(n)
+        parameters = np.concatenate([u, later - u, [start, stop - start, size]])
+        begin = np.concatenate([x / self.scale, (scaled / size).ravel()])
+        try:
+            found = np.array(self._step(x0=begin, p=parameters)["xf"]).ravel()[n:].reshape(n, n)
+        except RuntimeError:
+            return unknown(n)
+        found = size * (found + found.T) / 2 * self.scale * self.scale[:, None]
+        return np.asarray(found) if np.isfinite(found).all() else unknown(n)
+
+
+def unknown(n: int) -> Array:
+    """The covariance of what nothing is known of."""
+    return np.diag(np.full(n, np.inf))
 
 
 def _reason(error: RuntimeError) -> str:

@@ -34,18 +34,20 @@ def open_loop_guess(edges: Array, states: Array, points: Array, sizes: tuple[int
     )
 
 
-def moved(previous: WindowSolution, guess: WindowSolution, points: Array) -> WindowSolution:
+def moved(previous: WindowSolution, guess: WindowSolution, points: Array, before: Array) -> WindowSolution:
     """Return `guess` with all that `previous` knows about the times they share, multipliers included.
 
-    Beyond the end of `previous` the guess is kept.
+    Beyond the end of `previous` the guess is kept. `points` are the collocation points of the guess, `before` those of
+    `previous`; where they differ, the multipliers of the intervals are left out.
     """
     old, new = previous.edges, guess.edges
     node, same = _same_nodes(old, new)
     piece, inside = _shared_pieces(old, new)
     times = _collocation_times(new, points)
-    known = np.concatenate([old[:1], _collocation_times(old, points).ravel()])
+    known = np.concatenate([old[:1], _collocation_times(old, before).ravel()])
     path = np.vstack([previous.point.z0[None], previous.point.z.reshape(-1, previous.point.z0.size)])
     late = times > old[-1]
+    alike = points.size == before.size
     point = ProgramPoint(
         _at(known, path, new[:1])[0] if new[0] <= old[-1] else guess.point.z0,
         _kept(previous.point.v, node, same),
@@ -57,12 +59,12 @@ def moved(previous: WindowSolution, guess: WindowSolution, points: Array) -> Win
         np.zeros_like(force.z0),
         _kept(force.v, node, same),
         _kept(force.w, piece, inside),
-        _kept(force.z, piece, inside),
+        _kept(force.z, piece, inside) if alike else guess.bound_multipliers.z,
     )
     return guess._replace(
         point=point,
         bound_multipliers=bound,
-        row_multipliers=_kept(previous.row_multipliers, piece, inside),
+        row_multipliers=_kept(previous.row_multipliers, piece, inside) if alike else guess.row_multipliers,
         output_multipliers=_kept(previous.output_multipliers, node, same),
     )
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design._door import door
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_function import CostFunction, Form
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
@@ -16,13 +21,14 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class NonlinearWeights:
-    """P2, Qw, Qv, R for z = x/s_x, w/s_w, v/s_v, y/s_y, and the rate eta [1/time_unit]."""
+    """P2, Qw, Qv, R for z = x/s_x, w/s_w, v/s_v, y/s_y, the rate eta [1/time_unit], and the paper's factor 2 (or 1)."""
 
     P2: Array
     Qw: Array
     Qv: Array
     R: Array
     eta: float
+    twice: float = 2.0
 
 
 def scaled_weights(
@@ -52,4 +58,117 @@ def scaled_weights(
             # scaled before it is judged: physical entries may differ by 24 orders of magnitude
             physical = _checks.matrix(typed, value, scale.size, scale.size)
             found[weight] = _checks.definite(typed, physical * scale * scale[:, None], scale.size)
-    return NonlinearWeights(**found, eta=cost.eta or 0.0)
+    return NonlinearWeights(**found, eta=cost.eta or 0.0, twice=1.0 if cost.form == "certificate" else 2.0)
+
+
+FAR = 1e3
+"""Beyond this factor from 1 a signal without scales is likely to be one whose scales were forgotten."""
+
+
+class ScaleWarning(UserWarning):
+    """Signals without scales whose sizes are far from 1: weights and tolerances are likely not what is meant."""
+
+
+def warn_of_scales(plant: NonlinearPlant, key: str, values: Sequence[Array]) -> None:
+    """Warn if a vector of the plant has no scales though some of these values of it are far from 1.
+
+    Warns
+    -----
+    ScaleWarning
+        Names the largest such entry.
+    """
+    signals = plant.signals[key]
+    sizes = np.abs(np.array([np.where(np.isfinite(value), value, 0.0) for value in values]))
+    far = (sizes > FAR) | ((sizes < 1 / FAR) & (sizes > 0))
+    if np.any(signals.scales != 1.0) or not far.any():
+        return
+    _, i = np.argwhere(far)[0]
+    size = float(sizes[:, i][far[:, i]][0])
+    warnings.warn(
+        f"The {key} have no scales though {signals.names[i]} is about {size:.1e}: default weights and the solver's "
+        f"tolerance mean 1. Give signals={{{key!r}: Signals(names, units, scales)}} to the plant.",
+        ScaleWarning, stacklevel=4,
+    )  # fmt: skip
+
+
+def fit_covariance(plant: NonlinearPlant, weights: NonlinearWeights) -> Array:
+    """The covariance (p, p) of the noise of a sample, physical, that the weights stand for: R^-1 + Qv^-1."""
+    y, v = plant.signals["outputs"].scales, plant.signals["noises"].scales
+    found = np.linalg.solve(weights.R, np.eye(y.size)) * y * y[:, None]
+    if plant.n_noises == plant.n_outputs:
+        found = found + np.linalg.solve(weights.twice * weights.Qv, np.eye(v.size)) * v * v[:, None]
+    return np.asarray(found)
+
+
+def output_slope(plant: NonlinearPlant, x: Array, u: Array, t: float) -> Array:
+    """dh/dx (p, n) at a state, without noise."""
+    return plant.linearise(x, u, t).C
+
+
+@door
+def cost_from_deviations(
+    plant: NonlinearPlant,
+    *,
+    prior: npt.ArrayLike,
+    v: npt.ArrayLike,
+    w: npt.ArrayLike | None = None,
+    w_time: float = 1.0,
+    form: Form = "paper",
+    **others: Any,
+) -> CostFunction:
+    """Return the cost whose weights are the inverse covariances that standard deviations stand for.
+
+        paper:        2 P2 = Sigma_x^-1,  2 Qw = Sigma_w^-1 / w_time,  (R^-1 + (2 Qv)^-1) = Sigma_v
+        certificate:    P2 = Sigma_x^-1,    Qw = Sigma_w^-1 / w_time,  (R^-1 + Qv^-1) = Sigma_v
+
+    so that with eta = 0 the estimate is the most likely trajectory of Gaussian noise, and `covariance` the usual one.
+
+    Parameters
+    ----------
+    plant : NonlinearPlant
+    prior : (n,) array
+        Standard deviations of the first error, in the units of the states.
+    v : (p,) array
+        Of the noise of a sample, in the units of the outputs.
+    w : (q,) array, optional
+        Of the disturbance; may be left out where there is none.
+    w_time : float [time]
+        How long w keeps a value: it acts like white noise of intensity std^2 w_time.
+    form : "paper" or "certificate"
+    **others
+        eta and arrival, as for `CostFunction`.
+
+    Returns
+    -------
+    CostFunction
+
+    Raises
+    ------
+    ArgumentError
+        If a deviation is not positive, or a length differs.
+
+    Examples
+    --------
+    >>> decay = NonlinearPlant(lambda x, u, w: [-x[0] + w[0]], lambda x, u, v: [x[0] + v[0]],
+    ...                        {"states": 1, "disturbances": 1, "outputs": 1})
+    >>> cost = cost_from_deviations(decay, prior=[0.5], v=[0.1], w=[0.2])
+    >>> cost.P2.tolist(), cost.R.round(9).tolist()
+    ([[2.0]], [[200.0]])
+    """
+    sizes = {"prior": plant.n_states, "v": plant.n_noises, "w": plant.n_disturbances}
+    given = {"prior": prior, "v": v, "w": np.zeros(0) if w is None else w}
+    square = {}
+    for key, size in sizes.items():
+        value = _checks.vector(key, given[key], size)
+        if np.any(value <= 0):
+            raise ArgumentError(f"`{key}` must hold positive standard deviations, got {float(value.min())!r}.")
+        square[key] = value**2
+    if plant.n_noises != plant.n_outputs:
+        raise ArgumentError("`plant` must have one noise for each output for its weights to follow from deviations.")
+    twice = 1.0 if form == "certificate" else 2.0
+    P2, Qw = (
+        np.diag(1 / square["prior"]) / twice,
+        np.diag(1 / (square["w"] * _checks.positive("w_time", w_time))) / twice,
+    )
+    R = np.diag(2 / square["v"])
+    return CostFunction(P2, Qw if w is not None else None, R, R / twice, form=form, **others)

@@ -6,7 +6,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -44,7 +44,7 @@ def test_error_falls_by_four_with_every_halving(plant, stretch, weights):
             from_linear(plant),
             horizon=horizon,
             collocation=Collocation(w_step=step * stretch, degree=3),
-            tolerance=1e-11,
+            solver=WindowSolver(1e-11),
             cost=CostFunction(**weights),
         )
         found = scheme.run(record)
@@ -65,7 +65,7 @@ def test_without_disturbances_they_agree_to_the_tolerance():
         from_linear(plant),
         horizon=3.2,
         collocation=Collocation(w_step=0.1, degree=3),
-        tolerance=1e-11,
+        solver=WindowSolver(1e-11),
         cost=CostFunction(**weights),
     )
     assert scheme.run(record).x == pytest.approx(linear.x, abs=2e-8)
@@ -104,7 +104,11 @@ def test_near_an_equilibrium_it_is_that_of_the_linearisation_up_to_third_order()
     for size in (0.2, 0.1, 0.05):
         runs = [
             NonlinearMovingHorizonEstimator(
-                plant, horizon=3.2, cost=CostFunction(eta=0.3), collocation=Collocation(w_step=0.4), tolerance=1e-12
+                plant,
+                horizon=3.2,
+                cost=CostFunction(eta=0.3),
+                collocation=Collocation(w_step=0.4),
+                solver=WindowSolver(1e-12),
             ).run((t, [size * value]) for t, value in zip(TIMES, y, strict=True))
             for plant in (swing, linear)
         ]

@@ -11,7 +11,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
@@ -66,7 +66,7 @@ def estimates(plant, record, horizon, factor, eta, **given):
         horizon=horizon,
         collocation=Collocation(w_step=horizon / 4, degree=3),
         cost=CostFunction(eta=eta, **given),
-        tolerance=TOLERANCE,
+        solver=WindowSolver(TOLERANCE),
     )
     found = scheme.run(record)
     assert set(found.status) == {"ok"}

@@ -8,11 +8,12 @@ from sampling_design.errors import ArgumentError, MissingExtraError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid
-from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.experiment import paper_weights
-from sampling_design.nonlinear.mhe import NOTE, NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.open_loop import NOTE
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 
@@ -41,7 +42,7 @@ def record(times=TIMES, noise=0.1, seed=3):
 
 
 def estimator(plant=PENDULUM, weights=None, pieces=None, **changes):
-    options = {"horizon": HORIZON, "prior": PRIOR, "tolerance": 1e-10}
+    options = {"horizon": HORIZON, "prior": PRIOR, "solver": WindowSolver(1e-10)}
     groups = {"cost": CostFunction(**{"eta": ETA, **WEIGHTS, **(weights or {})})}
     options["collocation"] = Collocation(**{"w_step": STEP, "degree": 4, **(pieces or {})})
     return NonlinearMovingHorizonEstimator(plant, **{**options, **groups, **changes})
@@ -224,7 +225,7 @@ def test_a_plant_without_noise_or_disturbance_can_be_estimated():
 
 
 def test_a_failed_solve_is_recorded_and_the_run_goes_on():
-    scheme = estimator(max_iterations=4)
+    scheme = estimator(solver=WindowSolver(1e-10, 4, starts=0))
     data = record([*TIMES, 4.5, 5.5, 6.25], noise=0.0)
     # an outlier needs more steps than allowed, as long as it is in the window
     found = scheme.run([*data[:3], (2.25, [6.0]), *data[4:]])
@@ -248,7 +249,9 @@ def test_constraints_that_nothing_meets_are_called_infeasible():
         [(0.0, [0.0]), (0.5, [0.5]), (2.0, [1.0])]
     )
     assert found.status == ("ok", "ok", "infeasible")
-    assert found.x[-1] == pytest.approx([found.x[1, 0] + 1.5])
+    assert found.x[-1] == pytest.approx([1.0])  # the open loop ends at 2: it does not leave X in silence
+    assert "The open loop leaves X (x1 = " in found.notes[-1]
+    assert "brought back to its edge" in found.notes[-1]
 
 
 def test_where_even_the_open_loop_fails_the_last_estimate_is_held():
@@ -258,7 +261,7 @@ def test_where_even_the_open_loop_fails_the_last_estimate_is_held():
         bounds={"states": (1.0, np.inf)},
     )  # fmt: skip
     scheme = NonlinearMovingHorizonEstimator(
-        burst, horizon=5.0, collocation=Collocation(w_step=0.5), prior=[1.0], max_iterations=30
+        burst, horizon=5.0, collocation=Collocation(w_step=0.5), prior=[1.0], solver=WindowSolver(max_iterations=30)
     )
     found = scheme.run([(0.0, [1.0]), (3.0, [1.0])])
     assert found.status[1] in ("infeasible", "solver failed")
@@ -294,10 +297,10 @@ def test_a_model_that_turns_nan_under_way_stops_nothing(capfd):
         ({"weights": {"R": np.eye(2)}}, r"`R` must have shape \(1, 1\)"),
         ({"weights": {"P2": -np.eye(2)}}, "`P2` must be positive definite"),
         ({"weights": {"eta": -0.1}}, "`eta` must not be negative"),
-        ({"weights": {"form": "certificate"}}, '`cost` must have the form "paper" and the arrival "fixed"'),
-        ({"weights": {"arrival": "filtered"}}, "for a nonlinear plant, got None and 'filtered'"),
+        ({"pieces": {"accuracy": 0.0}}, "`accuracy` must be positive"),
+        ({"pieces": {"inputs": "bent"}}, '`inputs` must be "held" or "linear", got \'bent\''),
+        ({"horizon": None}, "`horizon` must be given where there is no certificate"),
         ({"pieces": {"capacity": 0}}, "`capacity` must be a whole number"),
-        ({"max_iterations": 0}, "`max_iterations` must be a whole number"),
     ],
 )
 def test_bad_arguments_are_refused_at_the_door(changes, words):

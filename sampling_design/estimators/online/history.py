@@ -22,7 +22,7 @@ class Node(NamedTuple):
 
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
     on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
-    the samples, 0 is the prior.
+    the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator.
     """
 
     t: float
@@ -39,6 +39,7 @@ class Node(NamedTuple):
     estimate: Estimate
     sample: Taken
     number: int = 0
+    counted: float = np.nan
 
 
 class InputHistory(Sequence[tuple[float, Array]]):

@@ -1,0 +1,242 @@
+"""The radius of a nonlinear estimate after the fact, from an inclusion certificate: any trajectory, however found."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain
+from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import noise_bound
+from sampling_design.estimators.gap_flows.flows import discounted_length
+from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.nonlinear.jacobians import model_of
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.region import StateRegion
+
+Array = npt.NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""Share of itself that is added to every bound, so that rounding and the integrator's own error cannot break it."""
+
+SAME_GAP = 1e-9
+"""A gap beyond the certified ones by this share of itself is rounding."""
+
+
+UNCOVERED = "a gap or an output that the certificate does not cover, a state outside its region, or an unbounded start"
+"""Why an estimate under a certificate may have none."""
+
+
+class Flown(NamedTuple):
+    """A trajectory of the window as the bound needs it, physical.
+
+    times (K+1,), x (K+1, n), w (K, q), misfit (K+1, p) = y - h(x), counted (K+1,) where the proof takes the sample,
+    jumps (K, n): where each interval really ends, seen from the next node.
+    """
+
+    times: Array
+    x: Array
+    w: Array
+    misfit: Array
+    counted: npt.NDArray[np.bool_]
+    jumps: Array
+
+
+class Promise:
+    """Bounds on |x - xhat|_P(tau) along an estimate's trajectory, tau the time since the last sample that counts.
+
+        r_t = sqrt(J) + sqrt(e^{-eta M} r_{t-M}^2 + int e^{-eta(t-s)} w_bar^2 ds + sum e^{-eta(t-t_j)} v_bar^2)
+              + sum e^{-eta(t-t_k)/2} |jump_k|_P(tau_k)
+
+    J is the certificate's cost of the trajectory with the arrival weight P(tau). Where the trajectory jumps, sqrt(V)
+    grows by no more than the jump's own size in P, and fades with the rest.
+
+    Parameters
+    ----------
+    certificate : InclusionCertificate
+    plant : NonlinearPlant
+        Its boxes of disturbances and noises are w_bar and v_bar.
+    initial_error : float or (n,) array, optional
+        Bound on |x - prior|, together or entry by entry.
+
+    Raises
+    ------
+    ArgumentError
+        If the certificate is of another kind or belongs to another plant.
+    """
+
+    def __init__(self, certificate: InclusionCertificate, plant: NonlinearPlant, initial_error: npt.ArrayLike | None):
+        if certificate.kind != "nonlinear":
+            raise ArgumentError(
+                "`certificate` must be the InclusionCertificate of a nonlinear plant, from "
+                "certify(plant.in_region(...), GapRange(...))."
+            )
+        data = certificate.model_data
+        own = model_of(plant)
+        differs = [key for key in ("f", "h", "u", "w") if own[key] != data.get(key)]
+        if differs:
+            names = {"f": "dynamics", "h": "measurement", "u": "box of inputs", "w": "box of disturbances"}
+            raise ArgumentError(f"`certificate` belongs to another plant: its {names[differs[0]]} differs.")
+        self.certificate = certificate
+        self.region = _region_of(data)
+        self.shortest, self.longest = certificate.family.shortest, certificate.family.longest
+        self.eta = certificate.eta
+        self._initial = noise_bound("initial_error", initial_error, plant.n_states)
+        self.w_square = _square(certificate.Qw, plant.bounds["disturbances"])
+        self.v_square = _square(certificate.Rtilde, plant.bounds["noises"])
+        widths = self.region.upper - self.region.lower
+        self._widths = widths if np.isfinite(widths).all() else None
+        squares = {"disturbances": self.w_square, "noises": self.v_square}
+        missing = [name for name, size in squares.items() if np.isinf(size)]
+        self.trouble = f"the plant's box of {' and of '.join(missing)} is not bounded" if missing else ""
+        if not missing and self._initial is None and self._widths is None:
+            self.trouble = "neither `initial_error` nor a bounded region says how wrong the prior may be"
+
+    def counts(self, t: float, last: float) -> bool:
+        """Whether the proof takes a sample at t, the last one taken being at `last`."""
+        return t - last >= self.shortest * (1 - SAME_GAP)
+
+    def origin(self, prior_time: float, t: float) -> float:
+        """When a sample may be thought to have been taken before the prior, so that one at t counts."""
+        return min(prior_time, t - self.shortest)
+
+    def age(self, t: float, last: float) -> float:
+        """Time since the last sample that counts, as P(tau) takes it; NaN beyond the certified gaps."""
+        tau = t - last
+        return min(tau, self.longest) if tau <= self.longest * (1 + SAME_GAP) else np.nan
+
+    def weight(self, t: float, last: float) -> Array:
+        """P(tau) at t, (n, n)."""
+        return self.certificate.at(self.age(t, last))
+
+    def largest(self, t: float, last: float, prior: bool) -> float:
+        """Return the largest V at t that the region leaves, and the bound on the first error if it is the prior's."""
+        age = self.age(t, last)
+        if np.isnan(age):
+            return float("inf")
+        P, error = self.certificate.at(age), self._initial
+        found = [np.inf]
+        if prior and error is not None:
+            ball = error.ndim == 0
+            found.append(float(np.linalg.eigvalsh(P)[-1] * error**2) if ball else float(error @ np.abs(P) @ error))
+        if self._widths is not None:
+            found.append(float(self._widths @ np.abs(P) @ self._widths))
+        return min(found)
+
+    def ahead(self, square: float, start: float, stop: float) -> float:
+        """Return the bound on V at `stop`, open loop with w = 0 from one at `start`, without a sample in between."""
+        length = stop - start
+        grown = np.exp(-self.eta * length) * square + self.w_square * float(discounted_length(self.eta, length))
+        return float(grown * (1 + ROUNDING))
+
+    def radius(self, flown: Flown, prior: Array, square: float, last: float) -> float:
+        """Return the bound on V at the window's end; infinite where some gap is not certified.
+
+        Parameters
+        ----------
+        flown : Flown
+        prior : (n,) array
+            Estimate at the window's start, before the sample there if that one counts.
+        square : float
+            Bound on V there.
+        last : float
+            When the last sample before that counted.
+        """
+        times, end = flown.times, flown.times[-1]
+        fade = np.exp(-self.eta * (end - times))
+        ages = np.empty(times.size)
+        for k, t in enumerate(times.tolist()):
+            ages[k] = self.age(t, last)
+            last = t if flown.counted[k] else last
+        if np.isnan(ages).any() or np.isinf(square):
+            return float("inf")
+        c = self.certificate
+        off = flown.x[0] - prior
+        lengths = np.diff(times)
+        spent = discounted_length(self.eta, lengths) * fade[1:]
+        cost = fade[0] * off @ c.at(ages[0]) @ off + spent @ np.einsum("ki,ij,kj->k", flown.w, c.Qw, flown.w)
+        heard = fade * flown.counted
+        cost += heard @ np.einsum("ki,ij,kj->k", flown.misfit, c.Rtilde, flown.misfit)
+        truth = fade[0] * square + self.w_square * spent.sum() + self.v_square * heard.sum()
+        jumped = np.einsum("ki,kij,kj->k", flown.jumps, c.at(ages[1:]), flown.jumps) if len(lengths) else np.zeros(0)
+        total = np.sqrt(cost) + np.sqrt(truth) + np.sqrt(fade[1:]) @ np.sqrt(np.maximum(jumped, 0.0))
+        return float(total * (1 + ROUNDING)) ** 2
+
+    def holds(self, x: Array) -> bool:
+        """Whether all states (..., n) lie in the region."""
+        return bool(self.region.holds(x).all())
+
+
+def _square(weight: Array, box: tuple[Array, Array]) -> float:
+    """Largest weighted square in a box."""
+    size = np.maximum(np.abs(box[0]), np.abs(box[1]))
+    if not np.isfinite(size).all():
+        return float("inf")
+    return float(size @ np.abs(weight) @ size)
+
+
+def _region_of(data: Mapping[str, Plain]) -> StateRegion:
+    """The region that a certificate's model names."""
+    box = data["x"]
+    low, high = (np.array(box[key], dtype=float) for key in ("low", "high"))  # type: ignore[call-overload,index]
+    lower, upper = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)  # None: no bound
+    rows = np.array(data["rows"], dtype=float).reshape(-1, low.size)
+    return StateRegion(lower, upper, rows, np.array(data["offsets"], dtype=float))
+
+
+def cost_for(certificate: InclusionCertificate | None, cost: CostFunction | None) -> CostFunction:
+    """The cost with a certificate's weights where none are given, and with its form; without one the paper's.
+
+    Raises
+    ------
+    ArgumentError
+        If the form or the arrival does not fit.
+    """
+    given = CostFunction() if cost is None else cost
+    if certificate is None:
+        return replace(given, form=given.form or "paper")
+    if given.form == "paper" or given.arrival == "filtered":
+        raise ArgumentError(
+            '`cost` must have the form "certificate" and the arrival "fixed" with a certificate: the prior weighs '
+            "P(tau)."
+        )
+    own = {key: getattr(certificate, key) for key in (*MATRICES, "eta") if key not in given.given}
+    return replace(given, form="certificate", **own)
+
+
+def horizon_for(
+    certificate: InclusionCertificate | None, horizon: float | None, cost: CostFunction
+) -> tuple[float, str]:
+    """The horizon, and in words why there is no a-priori claim ("" if there is one).
+
+    Raises
+    ------
+    ArgumentError
+        If there is neither a certificate nor a horizon.
+
+    Warns
+    -----
+    GuaranteeWarning
+        If the horizon is not longer than the certificate allows.
+    """
+    if certificate is None:
+        if horizon is None:
+            raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
+        return _checks.positive("horizon", horizon), ""
+    own = certificate.horizon("arrival")
+    length = own.length if horizon is None else _checks.positive("horizon", horizon)
+    if not all(np.array_equal(getattr(cost, key), getattr(certificate, key)) for key in (*MATRICES, "eta")):
+        return length, "No a-priori claim: the weights differ from the certificate's."
+    if length <= own.minimum:
+        note = f"No a-priori claim: the horizon {length:.6g} must exceed {own.minimum:.6g} for this certificate."
+        warnings.warn(note, GuaranteeWarning, stacklevel=4)
+        return length, note
+    return length, ""

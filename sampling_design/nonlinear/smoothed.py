@@ -1,0 +1,124 @@
+"""The trajectory of a solved window, in units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import freeze
+from sampling_design._record import Gridded, Table, Variable, short
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.nlp import WindowData
+from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_search import Answer
+from sampling_design.nonlinear.window_spread import smoothed_covariances
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SmoothedWindow(Table, Gridded):
+    """The states of a window given all of its samples, physical.
+
+    Attributes
+    ----------
+    plant : NonlinearPlant
+    times : (K+1,) array
+        Edges of the pieces, samples among them.
+    x : (K+1, n) array
+    w : (K, q) array
+        On each piece.
+    outputs : (K+1, p) array
+        h(x, u), with the fitted noise where it is kept.
+    residuals : (K+1, p) array
+        y minus that; NaN where nothing was measured.
+    covariance : (K+1, n, n) array
+        Of the linearised window without its boxes, weights read as inverse covariances and discounted to its end.
+    """
+
+    plant: NonlinearPlant
+    times: Array
+    x: Array
+    w: Array
+    outputs: Array
+    residuals: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        return self.times.size
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations of the states, (K+1, n)."""
+        return np.asarray(np.sqrt(np.einsum("kii->ki", self.covariance)))
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        names, outputs = self.plant.states.names, self.plant.outputs.names
+        spread = self.deviation
+        return {
+            "time": self.times,
+            **{name: self.x[:, i] for i, name in enumerate(names)},
+            **{f"{name} deviation": spread[:, i] for i, name in enumerate(names)},
+            **{f"{name} residual": self.residuals[:, i] for i, name in enumerate(outputs)},
+        }
+
+    def _variables(self) -> dict[str, Variable]:
+        names = self.plant.states.names
+        return {
+            "time": Variable(("time",), self.times, self.plant.time_unit),
+            "state": Variable(("state",), np.array(names, dtype=str)),
+            "other_state": Variable(("other_state",), np.array(names, dtype=str)),
+            "output": Variable(("output",), np.array(self.plant.outputs.names, dtype=str)),
+            "x": Variable(("time", "state"), self.x),
+            "outputs": Variable(("time", "output"), self.outputs),
+            "residuals": Variable(("time", "output"), self.residuals),
+            "covariance": Variable(("time", "state", "other_state"), self.covariance),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
+        seen = int(np.isfinite(self.residuals).any(axis=1).sum())
+        return [
+            ("window", f"{short(self.times[0])} to {short(self.times[-1])} {unit}"),
+            ("samples", str(seen)),
+            ("pieces", str(len(self.w))),
+            ("x at its end", short(self.x[-1])),
+            ("standard deviation there", short(self.deviation[-1])),
+        ]
+
+    def explain(self) -> str:
+        """Say what the window found."""
+        return (
+            f"From {short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}: the states that fit all "
+            f"samples of the window best, on {len(self.w)} pieces; at its end {short(self.x[-1])}."
+        )
+
+
+def smoothed_window(
+    plant: NonlinearPlant, weights: NonlinearWeights, data: WindowData, answer: Answer
+) -> SmoothedWindow:
+    """Return the physical trajectory of a window.
+
+    Raises
+    ------
+    ArgumentError
+        If it was not solved.
+    """
+    if answer.slopes is None or answer.spread is None:
+        raise ArgumentError("`smoothed` needs a solved window: give the estimator a sample first.")
+    scale = {key: plant.signals[key].scales for key in plant.sizes}
+    covariance = smoothed_covariances(answer.spread, answer.slopes, data.edges, weights.eta)
+    seen = np.where(data.mask > 0, data.y - answer.slopes.shown, np.nan)
+    return SmoothedWindow(
+        plant=plant,
+        times=freeze(data.edges),
+        x=freeze(answer.solution.nodes * scale["states"]),
+        w=freeze(answer.solution.point.w * scale["disturbances"]),
+        outputs=freeze(answer.slopes.shown * scale["outputs"]),
+        residuals=freeze(seen * scale["outputs"]),
+        covariance=freeze(covariance * scale["states"] * scale["states"][:, None]),
+    )

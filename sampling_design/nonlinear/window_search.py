@@ -1,0 +1,229 @@
+"""From one window's data to its solution: warm start, second chances, other starts, and a finer grid where needed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSlopes, WindowSolution
+from sampling_design.nonlinear.region import StateRegion
+from sampling_design.nonlinear.simulation import Integrator
+from sampling_design.nonlinear.warm_start import moved, open_loop_guess
+from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
+
+Array = npt.NDArray[np.float64]
+
+DEGREES = (2, 3, 5, 7, 9)
+"""Degrees that are tried in turn where the discretisation costs too much."""
+
+HALVINGS = 3
+"""After the last degree the pieces are halved so often."""
+
+FLOOR = 1e-7
+"""Errors of the discretisation below this share of the window's largest state are none: the solver stops there."""
+
+OUT_OF_LINE = 4.0
+"""A cost beyond so many times what the noise of the samples explains is looked at from other starts."""
+
+REACH = 2.0
+"""Other starts lie so many standard deviations of the arrival weight from the prior."""
+
+BETTER = 0.99
+"""Another start is better where it costs less than this share."""
+
+LONGEST_WAIT = 16
+"""Windows without other starts after some that found nothing, at most."""
+
+WHOLE = 1e-9
+"""A gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple."""
+
+
+class Answer(NamedTuple):
+    """A solved window; `error`: what the discretisation costs, in deviations of the estimate (0: not looked)."""
+
+    solution: WindowSolution
+    attempts: int
+    slopes: WindowSlopes | None = None
+    spread: WindowSpread | None = None
+    jumps: Array | None = None
+    error: float = 0.0
+
+
+class WindowSearch:
+    """Holds the program of the windows, and all that makes one solve from the one before."""
+
+    def __init__(
+        self,
+        plant: NonlinearPlant,
+        weights: NonlinearWeights,
+        collocation: Collocation,
+        horizon: float,
+        solver: WindowSolver,
+        region: StateRegion,
+        huber: float | None,
+    ) -> None:
+        self.plant, self.weights, self.collocation, self.region, self.huber = plant, weights, collocation, region, huber
+        self.solver = solver
+        self.w_step = horizon / 60 if collocation.w_step is None else collocation.w_step
+        self.degree, self.halvings, self.builds = collocation.degree, 0, 0
+        self.scales = {key: plant.signals[key].scales for key in plant.sizes}
+        self.integrator = Integrator(plant)
+        pieces = int(np.ceil(horizon / self.w_step * (1 - WHOLE))) + 1
+        self.build(collocation.capacity or pieces)
+        self.forget()
+
+    def build(self, capacity: int) -> None:
+        """Build the program for windows of so many pieces."""
+        self.program = WindowProgram(
+            self.plant,
+            self.weights,
+            capacity,
+            self.degree,
+            self.solver.tolerance,
+            self.solver.max_iterations,
+            region=self.region,
+            huber=self.huber,
+        )
+        self.builds += 1
+
+    def forget(self) -> None:
+        """Start again without what the last window knew."""
+        self.window: WindowSolution | None = None
+        self._points: Array = self.program.points
+        self._wait, self._pause = 0, 1
+
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but what casadi holds in memory."""
+        state = {key: value for key, value in self.__dict__.items() if key not in ("program", "integrator")}
+        return {**state, "capacity": self.program.capacity}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        capacity = state.pop("capacity")
+        self.__dict__.update(state)
+        self.integrator = Integrator(self.plant)
+        builds = self.builds
+        self.build(int(str(capacity)))
+        self.builds = builds
+
+    def refine(self) -> bool:
+        """Make the grid finer for this window and all that follow; False where it is as fine as it gets."""
+        finer = [degree for degree in DEGREES if degree > self.degree]
+        capacity = self.program.capacity
+        if finer:
+            self.degree = finer[0]
+        elif self.halvings < HALVINGS:
+            self.halvings += 1
+            self.w_step, capacity = self.w_step / 2, 2 * capacity
+        else:
+            return False
+        self.build(capacity)
+        return True
+
+    def guess(self, edges: Array, states: Array) -> WindowSolution:
+        """The open loop through scaled states at the edges."""
+        sizes = (self.plant.n_disturbances, self.program.n_noises, self.plant.n_outputs)
+        return open_loop_guess(edges, states, self.program.points, sizes)
+
+    def solve(self, data: WindowData, guess: WindowSolution) -> Answer:
+        """Solve from the last solution, if that fails from the open loop, and from elsewhere if the cost is too large.
+
+        Seconds and iterations add up over all attempts.
+        """
+        if data.edges.size - 1 > self.program.capacity:
+            self.build(max(data.edges.size - 1, int(1.25 * self.program.capacity)))
+            self.window = None
+        attempts = 1
+        if self.window is None:
+            found = self.program.solve(data, guess, warm=False)
+        else:
+            found = self.program.solve(data, moved(self.window, guess, self.program.points, self._points), warm=True)
+            if found.status != "ok":
+                found, attempts = _added(found, self.program.solve(data, guess, warm=False)), 2
+        if found.status != "ok" or self._out_of_line(data, found):
+            found, attempts = self._from_elsewhere(data, found, attempts)
+        self.window = found if found.status == "ok" else None
+        self._points = self.program.points
+        return self._checked(data, Answer(found, attempts)) if found.status == "ok" else Answer(found, attempts)
+
+    def _out_of_line(self, data: WindowData, found: WindowSolution) -> bool:
+        """Whether the weights, read as inverse covariances, do not explain the cost."""
+        return bool(found.cost > OUT_OF_LINE * (np.count_nonzero(data.mask) + OUT_OF_LINE))
+
+    def _from_elsewhere(self, data: WindowData, found: WindowSolution, attempts: int) -> tuple[WindowSolution, int]:
+        """Solve from starts beside the prior, unless that found nothing lately."""
+        if self._wait > 0 or not self.solver.starts:
+            self._wait -= 1
+            return found, attempts
+        before = found.cost if found.status == "ok" else np.inf
+        for start in self._starts(data)[: self.solver.starts]:
+            states = self._flown(data, start)
+            if states is None:
+                continue
+            other = self.program.solve(data, self.guess(data.edges, states), warm=False)
+            attempts += 1
+            better = other.status == "ok" and (found.status != "ok" or other.cost < BETTER * found.cost)
+            found = _added(found, other) if better else _added(other, found)
+            if found.status == "ok" and not self._out_of_line(data, found):
+                break
+        if found.status == "ok" and found.cost < BETTER * before:
+            self._pause = 1
+        else:
+            self._wait, self._pause = self._pause, min(2 * self._pause, LONGEST_WAIT)
+        return found, attempts
+
+    def _starts(self, data: WindowData) -> list[Array]:
+        """Scaled states about the prior, along the axes of what it leaves unknown, the longest first."""
+        spread = np.linalg.solve(data.root, np.eye(data.prior.size))
+        axes, sizes, _ = np.linalg.svd(spread)
+        lower, upper = (bound[: data.prior.size] for bound in self.program.boxes)
+        steps = [sign * REACH * size * axes[:, k] for k, size in enumerate(sizes) for sign in (1.0, -1.0)]
+        return [np.clip(data.prior + step, lower, upper) for step in steps]
+
+    def _flown(self, data: WindowData, start: Array) -> Array | None:
+        """Scaled states at the edges, open loop from one; None where that cannot be followed."""
+        states = [start * self.scales["states"]]
+        still = np.zeros((1, self.plant.n_disturbances))
+        for k in range(data.edges.size - 1):
+            ends = data.edges[k : k + 2]
+            (x,) = self.integrator.steps(states[-1][None], data.inputs[k : k + 1], data.later[k : k + 1], still, ends)
+            if not np.isfinite(x).all():
+                return None
+            states.append(x)
+        return np.asarray(np.array(states) / self.scales["states"])
+
+    def _checked(self, data: WindowData, answer: Answer) -> Answer:
+        """Add the covariances, and what the discretisation costs: each piece integrated anew from where it begins."""
+        solution, weights = answer.solution, self.weights
+        slopes = self.program.linearised(data, solution)
+        nodes = solution.nodes
+        if self.collocation.accuracy is None:
+            return answer._replace(slopes=slopes, spread=spread_of(data.edges, slopes, data.root, weights))
+        jumps = self.jumps(data, solution)
+        if not np.isfinite(jumps).all():
+            spread = spread_of(data.edges, slopes, data.root, weights)
+            return answer._replace(slopes=slopes, spread=spread, jumps=jumps, error=np.inf)
+        spread = spread_of(data.edges, slopes, data.root, weights, jumps)
+        deviation = np.sqrt(np.einsum("ij,ij->i", spread.filtered[-1], spread.filtered[-1]))
+        moved_by = np.maximum(np.abs(spread.bias) - FLOOR * np.abs(nodes).max(axis=0), 0.0)
+        with np.errstate(divide="ignore"):
+            error = float(np.max(np.divide(moved_by, deviation, out=np.zeros_like(deviation), where=moved_by > 0)))
+        return answer._replace(slopes=slopes, spread=spread, jumps=jumps, error=error)
+
+    def jumps(self, data: WindowData, solution: WindowSolution) -> Array:
+        """Where each piece really ends, seen from the next node, scaled; NaN where it cannot be integrated."""
+        nodes = solution.nodes
+        if len(nodes) == 1:
+            return np.zeros((0, nodes.shape[1]))
+        x, w = nodes[:-1] * self.scales["states"], solution.point.w * self.scales["disturbances"]
+        ends = self.integrator.steps(x, data.inputs[:-1], data.later, w, data.edges)
+        return np.asarray(ends / self.scales["states"] - nodes[1:])
+
+
+def _added(first: WindowSolution, second: WindowSolution) -> WindowSolution:
+    """The second solution, with the seconds and iterations of both."""
+    return second._replace(seconds=first.seconds + second.seconds, iterations=first.iterations + second.iterations)

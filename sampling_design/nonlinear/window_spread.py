@@ -1,0 +1,107 @@
+"""What a solved window leaves unknown, to first order: covariances at its nodes, and what errors on the way do."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+
+from sampling_design.estimators.gap_flows.flows import discounted_length
+from sampling_design.nonlinear.nlp import WindowSlopes
+from sampling_design.nonlinear.weights import NonlinearWeights
+
+Array = npt.NDArray[np.float64]
+
+
+class WindowSpread(NamedTuple):
+    """Filtered covariances of a window as roots, scaled, discounted to each node's own time.
+
+    filtered (K+1, n, n) with S S' = Y after the samples of each node, grown (K+1, n, n) before them; noise (K, n, n):
+    root of what an interval adds; bias (n,): what the given jumps of the state make of the last estimate.
+    """
+
+    filtered: Array
+    grown: Array
+    noise: Array
+    bias: Array
+
+    @property
+    def last(self) -> Array:
+        """Covariance at the window's end, (n, n)."""
+        return np.asarray(self.filtered[-1] @ self.filtered[-1].T)
+
+
+def spread_of(
+    edges: Array, slopes: WindowSlopes, root: Array, weights: NonlinearWeights, jumps: Array | None = None
+) -> WindowSpread:
+    """Return the covariances of a window, without its boxes.
+
+        Y <- e^{eta h} F Y F' + G (Qw int e^{-eta s} ds)^-1 G',    Y^-1 <- Y^-1 + H'WH at a sample
+
+    Parameters
+    ----------
+    edges : (K+1,) array
+    slopes : WindowSlopes
+    root : (n, n) array
+        Upper triangular; its square weighs the error at the window's start.
+    weights : NonlinearWeights
+    jumps : (K, n) array, optional
+        Added to the state at the end of each interval; `bias` is what the estimator makes of them.
+    """
+    n, lengths = root.shape[0], np.diff(edges)
+    S = solve_triangular(root, np.eye(n), check_finite=False)
+    push = np.zeros((len(lengths), n, n))
+    if slopes.G.shape[2]:
+        lower = np.linalg.cholesky(weights.twice * weights.Qw)
+        worth = np.sqrt(discounted_length(weights.eta, lengths))
+        for k, G in enumerate(slopes.G):
+            part = solve_triangular(lower, G.T, lower=True, check_finite=False).T / worth[k]
+            push[k] = _root_of(part)
+    filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
+    bias = np.zeros(n)
+    for k in range(len(edges)):
+        if k:
+            growth = np.exp(weights.eta * lengths[k - 1] / 2)
+            S = _root_of(np.hstack([growth * slopes.F[k - 1] @ S, push[k - 1]]))
+            bias = slopes.F[k - 1] @ bias + (0.0 if jumps is None else jumps[k - 1])
+        grown[k] = S
+        if slopes.roots[k].any():
+            seen = slopes.roots[k] @ slopes.H[k]
+            A = seen @ S
+            upper = np.linalg.cholesky(np.eye(n) + A.T @ A).T
+            S = solve_triangular(upper, S.T, trans="T", check_finite=False).T
+            bias = bias - S @ (S.T @ (seen.T @ (seen @ bias)))
+        filtered[k] = S
+    return WindowSpread(filtered, grown, push, bias)
+
+
+def smoothed_covariances(spread: WindowSpread, slopes: WindowSlopes, edges: Array, eta: float) -> Array:
+    """Return the covariances (K+1, n, n) at all nodes, given all samples, discounted to the window's end.
+
+    Y_j = (I - J F) Y (I - J F)' + J (Y_{j+1} + N) J',    J = Y F' (F Y F' + N)^-1
+    """
+    found = np.empty_like(spread.filtered)
+    found[-1] = spread.last
+    n = found.shape[1]
+    for k in range(len(edges) - 2, -1, -1):
+        growth = np.exp(eta * (edges[-1] - edges[k]))
+        root, F = np.sqrt(growth) * spread.filtered[k], slopes.F[k]
+        noise = np.sqrt(np.exp(eta * (edges[-1] - edges[k + 1]))) * spread.noise[k]
+        ahead = F @ root
+        # J' solves (F Y F' + N) J' = F Y, here as a least-squares problem of the roots
+        both = np.hstack([ahead, noise])
+        gain = root @ np.linalg.lstsq(both, np.eye(n), rcond=None)[0][: root.shape[1]]
+        rest = root - gain @ ahead
+        found[k] = rest @ rest.T + gain @ (found[k + 1] + noise @ noise.T) @ gain.T
+    return found
+
+
+def _root_of(wide: Array) -> Array:
+    """Return a square S with S S' = wide wide'."""
+    n = wide.shape[0]
+    upper: Array = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
+    found = np.zeros((n, n))
+    found[:, : upper.shape[0]] = upper.T
+    return found

@@ -1,0 +1,130 @@
+"""A nonlinear estimate's proven radius holds the truth, whatever the noise does within its bounds.
+
+`python -m tests.laws.test_the_radius_of_a_nonlinear_estimate_holds_the_truth 200` tries so many signals.
+"""
+
+import sys
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sampling_design import GapRange, Plant
+from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.examples import pendulum
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.simulation import simulate
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+
+W, V, FIRST = 0.05, 0.02, 0.4
+PLANT = pendulum().with_bounds(disturbances=(-W, W), noises=(-V, V))
+STEPS = 4
+
+
+@cache
+def certificate():
+    return certify_inclusion(PLANT, GapRange(0.4, 0.8), eta=0.4, pieces=8)
+
+
+@cache
+def scheme():
+    return NonlinearMovingHorizonEstimator(
+        PLANT, certificate(), initial_error=FIRST, prior=[0.6, 0.0], collocation=Collocation(0.5, 3, capacity=28)
+    )
+
+
+def one(seed, estimator):
+    """Worst ratio of an error to its radius, over samples and in between, and the radii."""
+    rng = np.random.default_rng(seed)
+    gaps = rng.uniform(0.4, 0.8, 9)
+    samples = np.concatenate([[0.0], np.cumsum(gaps)]) + (0.0 if seed % 2 else 0.3)
+    grid = np.unique(np.concatenate([[0.0], *(np.linspace(a, b, STEPS) for a, b in pairwise(samples))]))
+    push = (
+        W * np.sign(np.sin(grid * rng.uniform(0.5, 2.0)) + 0.3) if seed % 3 else W * rng.choice([-1.0, 1.0], grid.size)
+    )
+    start = np.array([0.6, 0.0]) + FIRST * np.array([np.cos(seed), np.sin(seed)])
+    truth = dict(zip(grid.tolist(), simulate(PLANT, start, grid, w=push[:, None]), strict=True))
+    estimator.reset([0.6, 0.0])
+    ratios, radii, flags = [], [], []
+    for t in grid.tolist():
+        if np.any(np.abs(samples - t) < 1e-12):
+            found = estimator.update(t, truth[t][:1] + V * rng.choice([-1.0, 1.0]))
+        else:
+            found = estimator.predict(t)
+        assert found.certified, found.note
+        ratios.append(found.ratio(truth[t]))
+        radii.append(found.radii)
+        flags.append(found.on_schedule)
+    assert all(flags)
+    return max(ratios), radii[-1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_truth_lies_within(seed):
+    ratio, radii = one(seed, scheme())
+    assert ratio <= 1.0
+    assert ratio > 1e-4  # it says something
+    assert radii.max() < 1.5 * np.sqrt(np.linalg.eigvalsh(np.linalg.inv(certificate().P[0])).max()) * 1.0
+
+
+def test_a_bad_solution_has_a_larger_radius_and_not_a_wrong_one():
+    # one Radau point on long pieces and no second look: the trajectory jumps where it is integrated anew
+    poor = NonlinearMovingHorizonEstimator(
+        PLANT, certificate(), initial_error=FIRST, prior=[0.6, 0.0], horizon=4.0,
+        collocation=Collocation(1.0, 1, accuracy=None), solver=WindowSolver(1e-3),
+    )  # fmt: skip
+    ratio, radii = one(1, poor)
+    assert ratio <= 1.0
+    assert radii.max() > one(1, scheme())[1].max()
+
+
+def test_a_gap_beyond_the_certified_ones_ends_the_radius_until_the_window_has_passed():
+    estimator = scheme()
+    estimator.reset([0.6, 0.0])
+    times = [0.5, 1.2, 3.9, 4.6]
+    found = [estimator.update(t, [0.1]) for t in times]
+    assert [e.certified for e in found] == [True, True, False, False]
+    assert "a gap or an output that the certificate does not cover" in found[2].note
+    assert estimator.predict(5.5).certified is False
+    estimator.reset([0.6, 0.0])
+    assert estimator.update(0.5, [0.1]).certified
+    assert estimator.predict(1.2).certified
+    assert not estimator.predict(1.4).certified
+
+
+def test_samples_that_come_too_early_do_no_harm():
+    estimator = scheme()
+    estimator.reset([0.6, 0.0])
+    found = [estimator.update(t, [0.6 * np.cos(t)]) for t in (0.5, 0.6, 0.7, 1.2)]
+    assert all(e.certified for e in found)
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ArgumentError, match="`certificate` belongs to another plant: its dynamics differs"):
+        NonlinearMovingHorizonEstimator(pendulum(2.0), certificate())
+    with pytest.raises(ArgumentError, match="its box of disturbances differs"):
+        NonlinearMovingHorizonEstimator(pendulum(), certificate())
+    linear = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    uncertain = UncertainPlant(linear, [UncertainParameter("stiffness", 0.9, 1.1, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    other = certify_inclusion(uncertain, GapRange(0.4, 0.8), eta=0.1, pieces=4)
+    with pytest.raises(ArgumentError, match="`certificate` must be the InclusionCertificate of a nonlinear plant"):
+        NonlinearMovingHorizonEstimator(PLANT, other)
+    with pytest.raises(ArgumentError, match='`cost` must have the form "certificate" and the arrival "fixed"'):
+        NonlinearMovingHorizonEstimator(PLANT, certificate(), cost=CostFunction(form="paper"))
+    with pytest.warns(GuaranteeWarning, match="the horizon 1 must exceed 3.46"):
+        short = NonlinearMovingHorizonEstimator(PLANT, certificate(), horizon=1.0, initial_error=FIRST)
+    assert not short.update(0.5, [0.0]).on_schedule
+    open_start = NonlinearMovingHorizonEstimator(PLANT, certificate())
+    assert "neither `initial_error` nor a bounded region" in open_start.update(0.5, [0.0]).note
+    loud = NonlinearMovingHorizonEstimator(PLANT.with_bounds(noises=None), certificate(), initial_error=1.0)
+    assert "the plant's box of noises is not bounded" in loud.update(0.5, [0.0]).note
+
+
+if __name__ == "__main__":
+    ratios = [one(seed, scheme())[0] for seed in range(int(sys.argv[1]))]
+    print(f"{len(ratios)} signals, largest ratio of a squared error to its radius {max(ratios):.4f}")

@@ -14,6 +14,7 @@ from scipy.linalg import solveh_banded
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -172,7 +172,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
                 f"`plant` must be a NonlinearPlant, got {type(plant).__name__}. For a linear plant use "
                 "MovingHorizonEstimator, or convert it with from_linear."
             )
-        self.plant: Any = plant
+        self.plant = plant
         self.promise = None if certificate is None else Promise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
         self.horizon, self.claim_note = horizon_for(certificate, horizon, cost)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction, Form
+from sampling_design.estimators.gap_flows.cost_function import Arrival, CostFunction, Form
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
@@ -114,7 +113,8 @@ def cost_from_deviations(
     w: npt.ArrayLike | None = None,
     w_time: float = 1.0,
     form: Form = "paper",
-    **others: Any,
+    eta: float = 0.0,
+    arrival: Arrival = "fixed",
 ) -> CostFunction:
     """Return the cost whose weights are the inverse covariances that standard deviations stand for.
 
@@ -135,8 +135,9 @@ def cost_from_deviations(
     w_time : float [time]
         How long w keeps a value: it acts like white noise of intensity std^2 w_time.
     form : "paper" or "certificate"
-    **others
-        eta and arrival, as for `CostFunction`.
+    eta : float [1/time]
+        Discount rate, as for `CostFunction`.
+    arrival : "fixed" or "filtered"
 
     Returns
     -------
@@ -171,4 +172,4 @@ def cost_from_deviations(
         np.diag(1 / (square["w"] * _checks.positive("w_time", w_time))) / twice,
     )
     R = np.diag(2 / square["v"])
-    return CostFunction(P2, Qw if w is not None else None, R, R / twice, form=form, **others)
+    return CostFunction(P2, Qw if w is not None else None, R, R / twice, eta, form, arrival)

@@ -60,15 +60,12 @@ from sampling_design.estimators.records.measurements import write_measurements a
 from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator
 from sampling_design.nonlinear import thyroid as thyroid
 from sampling_design.nonlinear.collocation import Collocation as Collocation
-from sampling_design.nonlinear.collocation import WindowSolver as WindowSolver
 from sampling_design.nonlinear.conversion import from_expressions as from_expressions
 from sampling_design.nonlinear.conversion import from_linear as from_linear
 from sampling_design.nonlinear.detectability import check_detectability as check_detectability
 from sampling_design.nonlinear.experiment import thyroid_experiment as thyroid_experiment
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
-from sampling_design.nonlinear.outliers import Outliers as Outliers
-from sampling_design.nonlinear.weights import cost_from_deviations as cost_from_deviations
 from sampling_design.observability.count.critical_length import critical_length as critical_length
 from sampling_design.observability.count.loss_tolerance import loss_tolerance as loss_tolerance
 from sampling_design.observability.count.pbh import unseen_modes as unseen_modes

@@ -19,11 +19,11 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
 from sampling_design.nonlinear.open_loop import NonlinearOpenLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
-from sampling_design.nonlinear.promise import Flown, Promise, cost_for, horizon_for
+from sampling_design.nonlinear.promise import Flown, InclusionPromise, cost_for, horizon_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
-from sampling_design.nonlinear.window_search import WHOLE, Answer, WindowSearch
+from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Solve(NamedTuple):
     error: float = 0.0
 
 
-class Start(NamedTuple):
+class NonlinearStart(NamedTuple):
     """Where a window begins: time, estimate, bound on V, when a sample last counted, root of the weight, nodes inside.
 
     `closed`: a sample at the start is inside; `prior`: nothing was sampled before.
@@ -173,7 +173,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
                 "MovingHorizonEstimator, or convert it with from_linear."
             )
         self.plant = plant
-        self.promise = None if certificate is None else Promise(certificate, plant, initial_error)
+        self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
         self.horizon, self.claim_note = horizon_for(certificate, horizon, cost)
         self.filtered = cost.arrival == "filtered"
@@ -209,7 +209,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         self.state = state
         self.solves: list[Solve] = []
         self.search.forget()
-        self._latest: tuple[WindowData, Answer] | None = None
+        self._latest: tuple[WindowData, WindowAnswer] | None = None
         self._seen = False
 
     def _advance(self, state: State, sample: Taken) -> Node:
@@ -288,7 +288,9 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         note = f"Left out as an outlier: {names} (beyond {gate:.3g} standard deviations of the prediction)."
         return sample._replace(y=freeze(np.where(far, np.nan, sample.y))), note
 
-    def _bound(self, state: State, data: WindowData, answer: Answer, start: Start, counts: bool) -> float:
+    def _bound(
+        self, state: State, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool
+    ) -> float:
         """Return the bound on V at the window's end, after the fact."""
         promise, solution = self.promise, answer.solution
         if promise is None or promise.trouble or answer.slopes is None:
@@ -315,7 +317,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         square = min(start.square, promise.largest(start.t, last, start.prior))
         return promise.radius(flown, start.x, square if not start.prior else promise.largest(start.t, last, True), last)
 
-    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution, Start]:
+    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
         start = self._start(state, sample.t)
         rows = {node.t: (node.y, node.mask) for node in start.inside}
@@ -339,7 +341,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         )
         return data, self.search.guess(edges, self._path(state, edges, start.x) / self._scale), start
 
-    def _start(self, state: State, t: float) -> Start:
+    def _start(self, state: State, t: float) -> NonlinearStart:
         """Return where the window begins, the online estimate there, what it weighs, and the samples in it."""
         nodes, s = state.nodes, t - self.horizon
         slack = SAME_TIME * max(abs(t), self.horizon)
@@ -348,7 +350,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
             first = nodes[0]
             last = self._since(state, first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
             root = fixed if self.promise is None else self._arrival(first.t, last)
-            return Start(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
+            return NonlinearStart(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
         at, x, Y, square = node.t, node.x, node.Y, node.beta
@@ -362,7 +364,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
             root = self._arrival(at, last)
         elif self.filtered:
             root = self._information(Y, fixed)
-        return Start(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
+        return NonlinearStart(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
 
     def _arrival(self, t: float, last: float) -> Array:
         """Return the root of P(tau), scaled; beyond the certified gaps of P at the longest one."""

@@ -16,7 +16,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.online.estimator import Estimate, Status, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.nonlinear.promise import UNCOVERED, Promise
+from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise
 from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, require_inside
 from sampling_design.nonlinear.weights import NonlinearWeights
 
@@ -42,7 +42,7 @@ class NonlinearOpenLoop(OnlineEstimator):
 
     plant: Any
     scaled: NonlinearWeights
-    promise: Promise | None
+    promise: InclusionPromise | None
     claim_note: str
     _scale: Array
     _ramps: bool

@@ -50,7 +50,7 @@ class Flown(NamedTuple):
     jumps: Array
 
 
-class Promise:
+class InclusionPromise:
     """Bounds on |x - xhat|_P(tau) along an estimate's trajectory, tau the time since the last sample that counts.
 
         r_t = sqrt(J) + sqrt(e^{-eta M} r_{t-M}^2 + int e^{-eta(t-s)} w_bar^2 ds + sum e^{-eta(t-t_j)} v_bar^2)

@@ -14,7 +14,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.nonlinear.window_search import Answer
+from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.nonlinear.window_spread import smoothed_covariances
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ class SmoothedWindow(Table, Gridded):
 
 
 def smoothed_window(
-    plant: NonlinearPlant, weights: NonlinearWeights, data: WindowData, answer: Answer
+    plant: NonlinearPlant, weights: NonlinearWeights, data: WindowData, answer: WindowAnswer
 ) -> SmoothedWindow:
     """Return the physical trajectory of a window.
 

@@ -43,7 +43,7 @@ WHOLE = 1e-9
 """A gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple."""
 
 
-class Answer(NamedTuple):
+class WindowAnswer(NamedTuple):
     """A solved window; `error`: what the discretisation costs, in deviations of the estimate (0: not looked)."""
 
     solution: WindowSolution
@@ -129,7 +129,7 @@ class WindowSearch:
         sizes = (self.plant.n_disturbances, self.program.n_noises, self.plant.n_outputs)
         return open_loop_guess(edges, states, self.program.points, sizes)
 
-    def solve(self, data: WindowData, guess: WindowSolution) -> Answer:
+    def solve(self, data: WindowData, guess: WindowSolution) -> WindowAnswer:
         """Solve from the last solution, if that fails from the open loop, and from elsewhere if the cost is too large.
 
         Seconds and iterations add up over all attempts.
@@ -148,7 +148,11 @@ class WindowSearch:
             found, attempts = self._from_elsewhere(data, found, attempts)
         self.window = found if found.status == "ok" else None
         self._points = self.program.points
-        return self._checked(data, Answer(found, attempts)) if found.status == "ok" else Answer(found, attempts)
+        return (
+            self._checked(data, WindowAnswer(found, attempts))
+            if found.status == "ok"
+            else WindowAnswer(found, attempts)
+        )
 
     def _out_of_line(self, data: WindowData, found: WindowSolution) -> bool:
         """Whether the weights, read as inverse covariances, do not explain the cost."""
@@ -196,7 +200,7 @@ class WindowSearch:
             states.append(x)
         return np.asarray(np.array(states) / self.scales["states"])
 
-    def _checked(self, data: WindowData, answer: Answer) -> Answer:
+    def _checked(self, data: WindowData, answer: WindowAnswer) -> WindowAnswer:
         """Add the covariances, and what the discretisation costs: each piece integrated anew from where it begins."""
         solution, weights = answer.solution, self.weights
         slopes = self.program.linearised(data, solution)

@@ -7,7 +7,6 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.nonlinear.examples import pendulum
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 
 
 def spring(omega: float) -> sd.Plant:
@@ -38,8 +37,8 @@ def main() -> None:
     print("Every 3 s, both ends of the range:", [words or "certified" for words in ends])
     print("And in the middle:", middle)
 
-    stiffness = UncertainParameter("omega^2", 0.9**2, 1.1**2, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
-    springs = UncertainPlant(drawing, [stiffness])
+    stiffness = sd.UncertainParameter("omega^2", 0.9**2, 1.1**2, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
+    springs = sd.UncertainPlant(drawing, [stiffness])
     proof = sd.certify(springs, sd.GapRange(0.5, 1.5), eta=0.1)
     print(proof.explain())
     named = refusal(springs, sd.GapRange(0.5, 3.0))

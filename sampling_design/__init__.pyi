@@ -26,6 +26,7 @@ from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.certificate import Certificate as Certificate
 from sampling_design.certificates.exact.information import information_curve as information_curve
 from sampling_design.certificates.existence.counterexample import find_counterexample as find_counterexample
+from sampling_design.certificates.existence.largest_box import largest_box as largest_box
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.certify_family import certify_family as certify_family
@@ -42,8 +43,6 @@ from sampling_design.design.problem.requirement_file import read_requirement as 
 from sampling_design.design.problem.requirement_file import write_requirement as write_requirement
 from sampling_design.errors import ArgumentError as ArgumentError
 from sampling_design.errors import SamplingDesignError as SamplingDesignError
-from sampling_design.estimators.baselines import periodic_at_equal_cost as periodic_at_equal_cost
-from sampling_design.estimators.baselines import standard_mhe as standard_mhe
 from sampling_design.estimators.constraints.constraints import Constraints as Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
 from sampling_design.estimators.estimate_file import write_estimates as write_estimates
@@ -89,13 +88,14 @@ from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.plants.sparse import SparsePlant as SparsePlant
 from sampling_design.plants.sparse import split_sparse as split_sparse
+from sampling_design.plants.uncertain import UncertainParameter as UncertainParameter
+from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval
 from sampling_design.recovery.limit import limit as limit
 from sampling_design.recovery.record_bounds import bounds_from_record as bounds_from_record
 from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains
-from sampling_design.schedules.calendar import write_calendar_csv as write_calendar_csv
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.files import read_schedule as read_schedule
 from sampling_design.schedules.files import write_schedule as write_schedule

@@ -62,7 +62,7 @@ def things() -> dict[str, Any]:
     cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1), eta=0.2)
     box = ([-1.0, -1.0], [1.0, 1.0])
     evidence = sd.check_detectability(
-        nonlinear, schedule, box, cost=sd.CostFunction(form=cost), P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
+        nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
@@ -104,8 +104,13 @@ def things() -> dict[str, Any]:
         "held": sd.Constraints(x=(-1.0, 1.0)),
         "cost": sd.CostFunction(eta=0.2),
         "pieces": sd.Collocation(w_step=0.5),
+        "uncertain": sd.UncertainPlant(plant, [_stiffness()]),
         "sparse": sd.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
     }
+
+
+def _stiffness() -> sd.UncertainParameter:
+    return sd.UncertainParameter("stiffness", -0.2, 0.1, A=[[0.0, 0.0], [-1.0, 0.0]])
 
 
 @functools.cache
@@ -118,6 +123,11 @@ def _plan_file() -> Path:
     from sampling_design.planning.files import save_plan
 
     return save_plan(_small_plan(), folder() / "plan.json")
+
+
+@functools.cache
+def _uncertain_file() -> Path:
+    return things()["uncertain"].save(folder() / "uncertain.toml")
 
 
 FILES = ("plant.toml", "schedule.csv", "requirement.toml", "certificate.json", "measurements.csv", "stamps.csv")
@@ -178,14 +188,14 @@ def named() -> dict[str, Any]:
 
 def special() -> dict[str, dict[str, Any]]:
     """Arguments that one callable needs otherwise than their names say."""
-    t, place, plant = things(), folder(), things()["plant"]
+    t, place, plant, cost = things(), folder(), things()["plant"], things()["cost"]
     import casadi as ca
 
     x = ca.SX.sym("x", 2)
     suffixes = {"write_plant": "p.toml", "write_requirement": "r.toml", "write_schedule": "s.csv"}
     return {
         **{name: {"path": place / ("made_" + file)} for name, file in suffixes.items()},
-        "MovingHorizonEstimator": {"certificate": None, "eta": 0.4},
+        "MovingHorizonEstimator": {"certificate": None, "cost": cost},
         "NonlinearPlant": {
             "sizes": {"states": 2, "inputs": 0, "disturbances": 2, "noises": 1, "outputs": 1}, "signals": {},
             "bounds": {},
@@ -201,6 +211,13 @@ def special() -> dict[str, dict[str, Any]]:
         "plan": {"requirement": t["wanted"], "search_seconds": 5.0},
         "next_sample": {"plan": _small_plan(), "record": None, "now": 0.0},
         "load_plan": {"path": _plan_file()},
+        "UncertainParameter": {"low": 0.0, "high": 0.1, "A": np.eye(2)},
+        "UncertainPlant": {"parameters": [_stiffness()]},
+        "UncertainPlant.from_intervals": {"plant": plant, "A": {}},
+        "UncertainPlant.within": {"low": [0.0], "high": [0.05]},
+        "UncertainPlant.at": {"values": [0.0]},
+        "UncertainPlant.read": {"path": _uncertain_file()},
+        "largest_box": {"plant": t["uncertain"], "schedule": t["schedule"], "window": 6.0},
         "PlanRequirement": {"accuracy": {"position": 0.6}, "window": None},
         "PlanRequirement.replace": {"changes": {"raster": 0.8}},
         "read_plan_requirement": {"path": EXAMPLES / "plans" / "oscillator.toml"},
@@ -216,7 +233,7 @@ def special() -> dict[str, dict[str, Any]]:
         "UpperBound.from_dict": {"data": t["design"].bound.to_dict() if t["design"].bound else {}},
         "write_estimates": {"record": t["estimates"]},
         "check_detectability": {"plant": t["nonlinear"], "start": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
-        "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0},
+        "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0, "cost": cost},
         "from_expressions": {"x": x, "f": -x, "h": x[0], "details": {}},
         "calendar": {"start": "2026-01-01", "schedule": t["schedule"]},
         "write_calendar_csv": {"start": "2026-01-01"},
@@ -267,7 +284,7 @@ OWNERS = {
     "DetectabilityEvidence": "evidence",
     "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
     "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
-    "SparsePlant": "sparse", "Horizon": None, "Finding": None,
+    "SparsePlant": "sparse", "UncertainPlant": "uncertain", "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
     "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,

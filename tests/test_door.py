@@ -17,6 +17,7 @@ import scipy.signal
 import sampling_design as sd
 from sampling_design._door import door, doors
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.estimators.baselines import standard_mhe
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
@@ -255,7 +256,7 @@ FILTERED = r'cost=CostFunction\(arrival="filtered"\)'
     ("make", "words"),
     [
         (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=3.0, carried_weight=True), FILTERED),
-        (lambda: sd.standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), FILTERED),
+        (lambda: standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), FILTERED),
         (lambda: sd.validate(OSCILLATOR, GAPS, None, horizon=3.0, feedthrough="left"), "input_side"),
         (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
         (lambda: sd.sample_losses(None, every_lap=True), "every_period"),

@@ -21,7 +21,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
-from sampling_design.schedules.calendar import repeats_by_rule
+from sampling_design.schedules.calendar import repeats_by_rule, write_calendar_csv
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.time_stamps import parse_date
 
@@ -162,7 +162,7 @@ def _schedule_files(
         return
     dated = replace(schedule, origin=zero)
     settings.wrote(sd.write_schedule(dated, folder / "schedule.csv"))
-    settings.wrote(sd.write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
+    settings.wrote(write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
     title = f"{result.plant.name or 'plant'}: sample"
     span = None
     if not repeats_by_rule(dated):

@@ -22,6 +22,7 @@ from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.requirement_file import requirement_and_plant
 from sampling_design.planning.sheet import write_sheet
+from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
 
 
@@ -75,7 +76,7 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     if dates is not None and dates.entries and result.requirement.calendar is not None:
         real, zone = dates.schedule(), result.requirement.calendar.zone
         title = f"{result.plant.name or 'plant'}: sample"
-        settings.wrote(sd.write_calendar_csv(real, folder / "calendar.csv", zone=zone))
+        settings.wrote(write_calendar_csv(real, folder / "calendar.csv", zone=zone))
         settings.wrote(sd.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone))
         settings.wrote(write_sheet(dates, folder / "sheet.html", person=person))
 

@@ -9,10 +9,9 @@ from sampling_design import (
     Plant,
     Schedule,
     certify,
-    periodic_at_equal_cost,
-    standard_mhe,
 )
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.baselines import periodic_at_equal_cost, standard_mhe
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import Estimator
 

@@ -20,9 +20,9 @@ from sampling_design import (
     certify,
     compare_schedule,
     simulate_record,
-    standard_mhe,
     validate,
 )
+from sampling_design.estimators.baselines import standard_mhe
 from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from tests.rescale import Units

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import sampling_design as sd
+from sampling_design.estimators.baselines import periodic_at_equal_cost
 
 from .rivals import Problem, steps
 from .sets import constrained_zonotope, zonotope_observer
@@ -74,7 +75,7 @@ def run(quick: bool = False) -> list[Table]:
     )
     gaps, length = [0.7, 1.6, 0.9, 2.0], 30.0 if quick else 200.0
     uneven = sd.PeriodicSchedule(gaps)
-    for label, schedule in (("irregular", uneven), ("regular, equal number", sd.periodic_at_equal_cost(uneven))):
+    for label, schedule in (("irregular", uneven), ("regular, equal number", periodic_at_equal_cost(uneven))):
         plant, times, states, y = record(schedule, length, seed=1)
         certificate = sd.certify(plant, schedule)
         task = Problem(plant, np.eye(2), 100.0 * np.eye(2), 10.0 * np.eye(1), np.zeros(2), times, y, states)

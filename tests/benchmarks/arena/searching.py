@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 import sampling_design as sd
+from sampling_design.estimators.baselines import periodic_at_equal_cost
 
 from .budgeted import Budgeted, evolve, homology
 from .table import Table, duration, named
@@ -142,6 +143,6 @@ def design(quick: bool) -> Table:
             )
         drawn = [-goal(rng.uniform(size=count)) for _ in range(20 if quick else 100)]
         table.add(name, f"best of {len(drawn)} random schedules", None, f"{max(drawn):.5f}", "none", "none")
-        regular = sd.window_sigma(plant, sd.periodic_at_equal_cost(ours.schedule), float(wish.window or 0.0))
+        regular = sd.window_sigma(plant, periodic_at_equal_cost(ours.schedule), float(wish.window or 0.0))
         table.add(name, "regular samples, equal number", None, f"{regular.upper:.5f}", "none", "none")
     return table

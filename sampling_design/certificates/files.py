@@ -15,6 +15,7 @@ from sampling_design.certificates.families.path_complete import Edge, PathComple
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.checkers import grammar
 from sampling_design.checkers.inclusion_file import Inclusion, Region
+from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
@@ -103,6 +104,8 @@ def certificate_from_dict(
             sentence = f"{where}: {sentence}"
             raise FileFormatError(sentence, where) from None
         raise ArgumentError(sentence) from None
+    if isinstance(found, OfInterval):
+        raise FileFormatError(f"{where}: holds an interval. Use load_interval.", where)
     plant = plant_from_dict(data["plant"], where)
     if isinstance(found, grammar.OfFamily):
         return _of_family(data, plant, found)

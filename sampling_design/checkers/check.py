@@ -29,9 +29,10 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     import numpy as np
 
-    from . import detectability, families, inclusion, sampled
+    from . import detectability, families, inclusion, recovered, sampled
     from .grammar import OfFamily, Sampled, certificate
     from .inclusion_file import Inclusion
+    from .interval_file import OfInterval
     from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
     from .strict import Altered, BadFile
     from .work import MOST_WORK, Work
@@ -51,6 +52,9 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
                 inequality, slack = inclusion.prove(c)
                 subject = "for every plant of the model, all gaps in the range and every real window start"
                 reason = f"{inequality} {subject}, slack {slack:.3g}"
+            elif isinstance(c, OfInterval):
+                inequality, slack = recovered.prove(c, work)
+                reason = f"{inequality} for every row and every trajectory within the bounds, slack {slack:.3g}"
             else:
                 how, slack = detectability.prove(c)
                 inequality = detectability.INEQUALITY

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .inclusion_file import INCLUSION, Inclusion, inclusion
+from .interval_file import INTERVAL, OfInterval, of_interval
 from .parts import (
     AROUND,
     FORMAT,
@@ -247,11 +248,12 @@ CLAIMS: dict[str, Reader] = {
         whole="the certificate",
     ),
     "inclusion": INCLUSION,
+    "interval": INTERVAL,
 }
 """What a file of each claim holds, no more and no less."""
 
 
-def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability | Inclusion:
+def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability | Inclusion | OfInterval:
     """Return the certificate in the plain data of a file, or raise BadFile."""
     data = plain(data)
     if data.get("format") != FORMAT:
@@ -269,6 +271,8 @@ def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectabilit
         return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
     if claim == "inclusion":
         return inclusion(data, plant)
+    if claim == "interval":
+        return of_interval(read, plant)
     weights = weights_of(read, plant)
     if claim == "assumption-7":
         return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))

@@ -177,11 +177,14 @@ def verify(
         bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
     ] = False,
 ) -> None:
-    """Check a certificate from its data alone; exit code 1 if it does not hold, 3 if that cannot be decided in time.
+    """Check a certificate (or an interval) from its data alone; exit code 1 if it does not hold, 3 if that cannot be decided in time.
 
     Example: sampling-design verify out/certificate.json --rigorous
     """
     plant = None if plant_file is None else reading.plant(plant_file)
+    if reading.holds_interval(certificate_file):
+        _verify_interval(settings, certificate_file, plant)
+        return
     certificate = reading.certificate(certificate_file, plant)
     verdict = certificate.verify(rigorous=rigorous, budget=settings.budget)
     folder = settings.folder()
@@ -192,6 +195,17 @@ def verify(
         raise typer.Exit(3)
     if not verdict.passed:
         raise typer.Exit(1)
+
+
+def _verify_interval(settings: Settings, path: Path, plant: sd.Plant | None) -> None:
+    """Prove the ends of an interval from its gains, every rounding included."""
+    found, verdict = reading.interval(path, plant)
+    folder = settings.folder()
+    if folder is not None:
+        settings.write_json(folder / "verdict.json", verdict.to_dict())
+    settings.show(verdict.to_dict(), record_table(found), f"{verdict.verdict.capitalize()}: {verdict.reason}.")
+    if not verdict.passed:
+        raise typer.Exit(verdict.exit_code)
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (certify, verify)

@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING, TypeVar
 
 import sampling_design as sd
 from sampling_design._files import from_json, from_toml, read_text
-from sampling_design.errors import FileFormatError, SamplingDesignError
+from sampling_design.checkers.check import verdict
+from sampling_design.errors import CertificateError, FileFormatError, SamplingDesignError
+from sampling_design.plants.plant import first_difference
 
 if TYPE_CHECKING:
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
     from sampling_design.certificates.exact.certificate import SampledCertificate
+    from sampling_design.checkers.outcome import Verdict
     from sampling_design.design.problem.requirement import Requirement
     from sampling_design.estimators.records.measurements import Measurements
     from sampling_design.plants.plant import Plant
+    from sampling_design.recovery.interval import Interval
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
@@ -53,6 +57,23 @@ def measurements(path: Path, about: Plant, origin: str | None) -> Measurements:
 def certificate(path: Path, about: Plant | None) -> SampledCertificate | DetectabilityCertificate:
     """The certificate of a file."""
     return _read("certificate", lambda where: sd.load_certificate(where, about), path)
+
+
+def holds_interval(path: Path) -> bool:
+    """Whether a file claims an interval."""
+    try:
+        return from_json(read_text(path), str(path)).get("claim") == "interval"
+    except SamplingDesignError:
+        return False
+
+
+def interval(path: Path, about: Plant | None) -> tuple[Interval, Verdict]:
+    """The interval of a file, and the checkers' verdict on it."""
+    found = _read("certificate", sd.load_interval, path)
+    if about is not None and (other := first_difference(about, found.plant)):
+        who = found.plant.name or "unnamed"
+        raise CertificateError(f"{path}: is about another plant ({who}): {other}.", path=str(path))
+    return found, verdict(from_json(read_text(path), str(path)))
 
 
 def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:

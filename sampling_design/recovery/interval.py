@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +14,11 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
+from sampling_design.checkers.check import verdict
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.recovery import interval_file
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.gap_table import GapTable
 from sampling_design.recovery.readings import (
@@ -198,8 +203,49 @@ class Interval(Record):
         z = self.rows.matrix @ _checks.vector("truth", truth, self.plant.n_states)
         return bool(np.all((self.lower <= z) & (z <= self.upper)))
 
-    def verify(self) -> bool:
-        """Whether the gains prove both ends (or the contradiction), evaluated without a solver."""
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write what was read, the bounds and the gains as JSON, with the ends that the gains alone prove.
+
+        Parameters
+        ----------
+        path : path
+            Ends in .json. `load_interval` reads it, `sampling-design verify` and the standalone checkers prove it.
+
+        Returns
+        -------
+        Path
+            The file, written whole or not at all.
+
+        Raises
+        ------
+        ArgumentError
+            If the ending is another one.
+        """
+        return interval_file.write_tree(self._sealed(), path)
+
+    def _sealed(self) -> Tree:
+        readings, found = self.readings, self.disproof
+        lower, upper = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf)
+        if found is None:
+            program = _program(readings, self.scales)
+            for k, row in enumerate(self.rows.matrix):
+                up, down = program.upper(self.t, row, self.gains[k, 0]), program.upper(self.t, -row, self.gains[k, 1])
+                upper[k] = up.value + interval_file.STATED * up.width
+                lower[k] = -down.value - interval_file.STATED * down.width
+        proof = None if found is None else (found.factors, found.gains)
+        return interval_file.tree_of(readings, self.t, self.rows, (lower, upper), self.gains, self.scales, proof)
+
+    def verify(self, rigorous: bool = False) -> bool:
+        """Whether the gains prove both ends (or the contradiction), evaluated without a solver.
+
+        Parameters
+        ----------
+        rigorous : bool
+            With every rounding bounded, as the standalone checkers do it, for the ends that `save` writes (wider by a
+            millionth; those of the gains alone where an ellipsoid is tighter).
+        """
+        if rigorous:
+            return verdict(self._sealed()).passed
         if self.disproof is not None:
             return bool(np.isnan(self.upper).all()) and self.disproof.verify()
         program = _program(self.readings, self.scales)
@@ -310,6 +356,43 @@ def interval(
     if at < last:
         raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
     return prove(RecordProgram(readings), at, wanted_rows(plant, of))
+
+
+@door
+def load_interval(path: str | os.PathLike[str]) -> Interval:
+    """Read an interval from the file that `Interval.save` wrote.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Interval
+        Not yet proven again: call `verify()`.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, cut off, altered, or holds something else.
+    """
+    data, found = interval_file.read_tree(path)
+    readings, rows = interval_file.readings_of(data, found, os.fspath(path))
+    lower, upper = _ends(found.ends)
+    disproof = None
+    if found.factors is not None:
+        zero = np.zeros(found.gains.shape[2])
+        factors = {which: found.factors[which][0] if which in found.factors else np.inf for which in SPREADS}
+        gains = {which: freeze(found.factors[which][1] if which in found.factors else zero) for which in SPREADS}
+        disproof = Disproof(readings, factors, gains, freeze(found.scales))
+        lower = upper = freeze(np.full(len(rows), np.nan))
+    return Interval(readings, found.t, rows, lower, upper, freeze(found.gains), freeze(found.scales), disproof=disproof)
+
+
+def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Array]:
+    """Ends of a file, infinite where there is none."""
+    lower = [-np.inf if low is None else low for low, _ in pairs]
+    return freeze(lower), freeze([np.inf if high is None else high for _, high in pairs])
 
 
 def prove(program: RecordProgram, t: float, rows: WantedRows, outer: Array | None = None) -> Interval:

@@ -8,6 +8,7 @@ or proven is compared by oracles that share nothing with the package.
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from sampling_design.checkers.grammar import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.recovery.interval import interval
+from sampling_design.recovery.readings import Below, Mean
 from sampling_design.schedules.family_files import family_from_dict
 from tests import mutants
 from tests.oracles import dissipation, families, inclusions
@@ -293,3 +296,30 @@ def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
     found = sweep_certificates(kind, tmp_path)
     assert found["bad file"] > 0
     assert found["judged"] > 0
+
+
+def sweep_intervals(folder, most=MOST, seed=0):
+    """The same for an interval; what is proven is evaluated once more by what shares no line with the checker."""
+    record = [(0.0, [1.0], [0.5]), (1.0, [Below(0.9)], None), (2.0, [Mean(0.2, since=1.0)], None), (2.5, [0.0], None)]
+    plant = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], [[0.0], [1.0]])
+    path = interval(plant, record, w_bound=0.1, v_bound=0.3, initial_error=[2.0, 2.0]).save(Path(folder) / "i.json")
+    whole, found = json.loads(path.read_text()), {}
+    assert checked(path.read_text())["verdict"] == "proven"
+    for label, data in drawn(whole, most, seed):
+        if not label.startswith("digest"):
+            data["digest"] = sealed(data)
+        text = mutants.as_json(data)
+        verdict = checked(text)["verdict"]
+        path.write_text(text)
+        again = read(sd.load_interval, path)
+        assert verdict != ("proven" if again is None else "bad file"), label
+        found[verdict] = found.get(verdict, 0) + 1
+        if verdict == "proven" and again.disproof is None:
+            wide = replace(again, lower=again.lower - 1e-4 * again.radii, upper=again.upper + 1e-4 * again.radii)
+            assert wide.verify(), label
+    return found
+
+
+def test_a_changed_interval_is_refused_or_true(tmp_path):
+    found = sweep_intervals(tmp_path)
+    assert min(found.get(how, 0) for how in ("bad file", "refuted", "proven")) > 0

@@ -1,0 +1,171 @@
+"""What a file of claim "interval" holds: what was read, the bounds, and gains that prove the ends of rows."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from .parts import AROUND, Plant
+from .strict import (
+    Array,
+    Tree,
+    flag,
+    list_of,
+    matrix,
+    nonnegative,
+    number,
+    or_nothing,
+    positive,
+    refuse,
+    table,
+    text,
+)
+
+MOST_ROWS = 5000  # that were read
+_numbers = list_of(number)
+_row = table({"row": _numbers, "y": number, "size": nonnegative, "below": flag, "since": or_nothing(number)})
+_factors = {"all": or_nothing(nonnegative), "w": or_nothing(nonnegative), "v": or_nothing(nonnegative)}
+INTERVAL = table(
+    {
+        **AROUND,
+        "t": number,
+        "rows": table({"names": list_of(text), "units": list_of(text), "matrix": matrix()}),
+        "lower": list_of(or_nothing(number)),
+        "upper": list_of(or_nothing(number)),
+        "gains": list_of(matrix()),
+        "scales": list_of(positive),
+        "start": table({"time": number, "centre": _numbers, "root": or_nothing(matrix()), "ball": flag}),
+        "w": table({"centre": _numbers, "root": matrix(), "ball": flag}),
+        "noise_together": flag,
+        "inputs": list_of(table({"t": number, "u": _numbers})),
+        "readings": list_of(table({"t": number, "rows": list_of(_row)})),
+        "disproof": or_nothing(table({"factors": table(_factors), "gains": table(dict.fromkeys(_factors, _numbers))})),
+    },
+    whole="the certificate",
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """|row x - y| <= size at a time, or row x <= y + size (`below`); a mean of row x from `since` on."""
+
+    row: Array
+    y: float
+    size: float
+    below: bool
+    since: float | None
+
+
+@dataclass(frozen=True)
+class OfInterval:
+    """Rows of x(t) with their ends (None: not bounded) and gains (r, 2, R), or a contradiction's factors and gains.
+
+    x(times[0]) = centre + root a (anything without a root) and w = push_centre + push_root a, where |a| <= 1 in the
+    Euclidean norm (`ball`) or entry by entry; u from `inputs`, each from its time on.
+    """
+
+    plant: Plant
+    B: Array
+    t: float
+    rows: Array
+    ends: list[tuple[float | None, float | None]]
+    gains: Array
+    scales: Array
+    centre: Array
+    root: Array | None
+    start_ball: bool
+    push_centre: Array
+    push_root: Array
+    push_ball: bool
+    together: bool
+    inputs: list[tuple[float, Array]]
+    times: list[float]
+    readings: list[list[Reading]]
+    factors: dict[str, tuple[float, Array]] | None
+
+
+def of_interval(read: Tree, plant: Plant) -> OfInterval:
+    """The claim in a table that was read, every size derived from the plant and compared."""
+    n, q = plant.n, plant.G.shape[1]
+    B = read["plant"]["matrices"].get("B", np.zeros((n, 0)))
+    rows, R = read["rows"]["matrix"], sum(len(each["rows"]) for each in read["readings"])
+    r = len(rows)
+    asked(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
+    asked(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
+    asked(B.shape[0] == n, "plant.matrices.B", f"must have {n} rows")
+    for key in ("names", "units"):
+        asked(len(read["rows"][key]) == r, f"rows.{key}", f"must have {r} entries")
+    for key in ("lower", "upper", "gains"):
+        asked(len(read[key]) == r, key, f"must have {r} entries")
+    for k, pair in enumerate(read["gains"]):
+        asked(pair.shape == (2, R), f"gains[{k}]", f"must have 2 rows of {R} numbers")
+    start, w = read["start"], read["w"]
+    asked(len(start["centre"]) == n, "start.centre", f"must have {n} entries")
+    asked(start["root"] is None or start["root"].shape[0] == n, "start.root", f"must have {n} rows")
+    asked(len(w["centre"]) == q, "w.centre", f"must have {q} entries")
+    asked(len(w["root"]) == q, "w.root", f"must have {q} rows")
+    times, readings = readings_of(read, n)
+    asked(read["t"] >= times[-1], "t", "must not lie before the last reading")
+    means = {one.row.tobytes() for some in readings for one in some if one.since is not None}
+    asked(len(read["scales"]) == n + len(means), "scales", f"must have {n + len(means)} entries")
+    given = [(one["t"], np.array(one["u"], dtype=np.float64)) for one in read["inputs"]]
+    asked(all(len(u) == B.shape[1] for _, u in given), "inputs", f"must each have {B.shape[1]} entries of u")
+    asked(all(a < b for (a, _), (b, _) in pairwise(given)), "inputs", "must be in order of time")
+    factors = None
+    if read["disproof"] is not None:
+        found = read["disproof"]
+        asked(all(len(g) == R for g in found["gains"].values()), "disproof.gains", f"must have {R} numbers each")
+        asked(found["factors"]["all"] is not None, "disproof.factors.all", "must be a number")
+        nothing = all(end is None for end in (*read["lower"], *read["upper"]))
+        asked(nothing, "lower", "must be null where the data contradict the bounds")
+        stated = {key: value for key, value in found["factors"].items() if value is not None}
+        factors = {key: (float(value), np.array(found["gains"][key])) for key, value in stated.items()}
+    return OfInterval(
+        plant=plant,
+        B=B,
+        t=read["t"],
+        rows=rows,
+        ends=list(zip(read["lower"], read["upper"], strict=True)),
+        gains=np.array(read["gains"]).reshape(r, 2, R),
+        scales=np.array(read["scales"]),
+        centre=np.array(start["centre"]),
+        root=start["root"],
+        start_ball=start["ball"],
+        push_centre=np.array(w["centre"], dtype=np.float64),
+        push_root=w["root"],
+        push_ball=w["ball"],
+        together=read["noise_together"],
+        inputs=given,
+        times=times,
+        readings=readings,
+        factors=factors,
+    )
+
+
+def readings_of(read: Tree, n: int) -> tuple[list[float], list[list[Reading]]]:
+    """Times and what was read at each: in order, the first the start; means begin at one of them and do not overlap."""
+    times = [each["t"] for each in read["readings"]]
+    asked(bool(times) and times[0] == read["start"]["time"], "readings", "must begin at the time of the start")
+    asked(all(a < b for a, b in pairwise(times)), "readings", "must be in order of time")
+    found: list[list[Reading]] = []
+    ended: dict[bytes, float] = {}
+    for k, each in enumerate(read["readings"]):
+        some = []
+        for one in each["rows"]:
+            row = np.array(one["row"], dtype=np.float64)
+            place = f"readings[{k}].rows"
+            asked(row.shape == (n,), place, f"must have rows of {n} numbers")
+            if one["since"] is not None:
+                known = one["since"] in times and one["since"] < each["t"]
+                free = ended.get(row.tobytes(), times[0]) <= one["since"]
+                asked(known and free, place, "has a mean that does not begin at an earlier time, after the one before")
+                ended[row.tobytes()] = each["t"]
+            some.append(Reading(row, one["y"], one["size"], one["below"], one["since"]))
+        found.append(some)
+    return times, found
+
+
+def asked(holds: bool, place: str, what: str) -> None:
+    """Refuse what does not hold."""
+    if not holds:
+        raise refuse(place, what)

@@ -1,0 +1,327 @@
+"""Claim "interval": gains bound what rows of the state may be, given what was read.
+
+For gains lambda let g be c at t, run back by g' = -A'g, less row'lambda at each reading. Then for every trajectory
+    c'x(t) = sum lambda row x + g(s)'x(s) + int g'(Bu + Gw),
+so that with |row x - y| <= size, x(s) = centre + root a and w = push_centre + push_root a
+    c'x(t) <= sum lambda y + g(s)'centre + int g'(Bu + G push_centre)
+              + |root'g(s)| + int |push_root'G'g| + sum |lambda| size.
+Every number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below its
+chord plus (s - a)(b - s)/2 sup|p''|.
+
+Nothing is known of a start without a root: then g(s) must be 0. Gains near those of the file make it so; by how much
+more they may cost is added. What is read as a mean is a row of a longer state: x and its integral, 0 at `since`.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from .interval_file import OfInterval
+from .numbers import EPS
+from .outcome import Refused, Undecided
+from .strict import Array
+from .work import Work
+
+PANEL = 1 / 128  # length of a panel times |A|, at most
+LEAST_PANELS = 64  # of one gap
+TERMS = 14  # of e^M, |M| <= 1/128: the rest is below 1e-36
+MOST_PANELS = 2**14  # of one gap
+INEQUALITY = "c'x(t) <= sum lambda y + b(lambda)"
+LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves, which are sums of positive terms
+HALF = 0.5
+
+
+@dataclass
+class Columns:
+    """Costates (N, k), bounds of their errors, and what their functionals come to; one column for each question."""
+
+    g: Array
+    wrong: Array
+    exact: Array  # sum lambda y + g'centre + int g'(Bu + G centre)
+    doubt: Array  # of it
+    pushed: Array  # int |push_root'G'g| at most
+    least: Array  # and at least
+    noise: Array
+
+
+def prove(c: OfInterval, work: Work | None = None) -> tuple[str, float]:
+    """Prove every end (or the contradiction); return the slack, relative to the width."""
+    backward = Backward(c, Work(math.inf) if work is None else work)
+    if c.factors is not None:
+        return INEQUALITY, contradiction(c, backward)
+    targets = np.array([sign * row for row in c.rows for sign in (1.0, -1.0)])
+    gains = c.gains.reshape(len(targets), -1)
+    stated = [end for low, high in c.ends for end in (high, None if low is None else -low)]
+    chosen = [k for k, end in enumerate(stated) if end is not None]
+    if not chosen:
+        return INEQUALITY, 1.0
+    most, least = backward.run(targets[chosen], gains[chosen]).ends()
+    slack, said = 1.0, np.array([stated[k] for k in chosen], dtype=np.float64)
+    for k, end, high, low in zip(chosen, said, most, least, strict=True):
+        if high <= end:
+            scale = max(abs(end), abs(high), 1e-300)
+            slack = min(slack, float((end - high) / scale))
+            continue
+        side, name = ("upper", "lower")[k % 2], k // 2
+        reason = f"the gains prove the {side} end of row {name} only up to {abs(high):.9g}, {abs(end):.9g} is stated"
+        if low > end:
+            raise Refused(INEQUALITY, reason, float((end - low) / max(abs(low), abs(end))))
+        raise Undecided(INEQUALITY, f"{reason}: rounding is as large as what is left")
+    return INEQUALITY, slack
+
+
+def contradiction(c: OfInterval, backward: "Backward") -> float:
+    """Prove that all bounds, that on w alone and that on v alone would have to be so many times as large."""
+    assert c.factors is not None
+    names = list(c.factors)
+    gains = np.array([c.factors[name][1] for name in names])
+    found = backward.run(np.zeros((len(names), c.plant.n)), gains)
+    slack = math.inf
+    for k, name in enumerate(names):
+        stated = c.factors[name][0]
+        start, w, v, shown = found.start[k], found.pushed[k], found.noise[k], found.shown[k]
+        fixed = {"all": 0.0, "w": start + v, "v": start + w}[name]
+        grown = {"all": start + w + v, "w": w, "v": v}[name]
+        if not np.isfinite(fixed + grown + shown):
+            raise Undecided(INEQUALITY, f"the factor of {name} could not be decided: its start is not closed")
+        needed = -shown - fixed
+        if not needed >= stated * grown * LOOSE:
+            sentence = f"the gains do not prove that {name} must grow by the factor {stated:.6g}"
+            raise (Refused if needed < stated * grown * 0.99 else Undecided)(INEQUALITY, sentence)
+        if name == "all" and not stated > 1:
+            raise Refused(INEQUALITY, "a factor of at most 1 is no contradiction")
+        slack = min(slack, float(needed / (stated * grown) - 1) if grown > 0 and stated > 0 else 1.0)
+    return slack if math.isfinite(slack) else 1.0
+
+
+@dataclass
+class Found:
+    """What some gains come to: their known part with its doubt added, and the three bounds."""
+
+    shown: Array
+    least: Array
+    start: Array
+    pushed: Array
+    noise: Array
+
+    def ends(self) -> tuple[Array, Array]:
+        """The proven ends, and what they are at least."""
+        return self.shown + self.start + self.pushed + self.noise, self.least
+
+
+class Backward:
+    """Costates from t back to the start, in states of powers of two of the given sizes."""
+
+    def __init__(self, c: OfInterval, work: Work):
+        self.c, self.work = c, work
+        n = c.plant.n
+        means = dict.fromkeys(one.row.tobytes() for some in c.readings for one in some if one.since is not None)
+        self.means = list(means)
+        size = n + len(self.means)
+        self.d = np.exp2(np.round(np.log2(c.scales)))
+        A = np.zeros((size, size))
+        A[:n, :n] = c.plant.A
+        for k, key in enumerate(self.means):
+            A[n + k, :n] = np.frombuffer(key)
+        self.A = A * self.d / self.d[:, None]
+        G = c.plant.G @ c.push_root
+        self.G = np.zeros((size, G.shape[1]))
+        self.G[:n] = G / self.d[:n, None]
+        lost = (c.plant.G.shape[1] + 2) * EPS * (np.abs(c.plant.G) @ np.abs(c.push_root))
+        self.wrong_G = np.zeros_like(self.G)
+        self.wrong_G[:n] = lost / self.d[:n, None]
+        self.known: dict[tuple[float, int], tuple[Array, Array, Array, Array]] = {}
+        self.size = float(np.linalg.norm(self.A, 2)) * LOOSE
+        if not (np.isfinite(self.A).all() and np.isfinite(self.G).all() and np.isfinite(self.size)):
+            raise Undecided(INEQUALITY, "these numbers are beyond the range of doubles")
+
+    def run(self, targets: Array, gains: Array) -> Found:
+        """What gains (k, R) for targets (k, n) come to; a column of its own for each row where the start is open."""
+        c, n, count = self.c, self.c.plant.n, len(targets)
+        R = gains.shape[1]
+        extra = R if c.root is None else 0
+        g = np.zeros((len(self.A), count + extra))
+        g[:n, :count] = (targets * self.d[:n]).T
+        zero = np.zeros(count + extra)
+        columns = Columns(g, EPS * np.abs(g), *(zero.copy() for _ in range(5)))
+        every = np.vstack([gains, -np.eye(R)[:extra]])
+        at = R
+        self.fly(columns, c.times[-1], c.t)
+        for k in range(len(c.times) - 1, -1, -1):
+            at -= len(c.readings[k])
+            self.read(columns, k, every[:, at : at + len(c.readings[k])])
+            if k:
+                self.fly(columns, c.times[k - 1], c.times[k])
+                self.reset(columns, k - 1)
+        return self.begun(columns, gains, count)
+
+    def read(self, columns: Columns, k: int, gains: Array) -> None:
+        """Take the readings of one time out."""
+        c, n = self.c, self.c.plant.n
+        squares = np.zeros(len(gains))
+        for one, gain in zip(c.readings[k], gains.T, strict=True):
+            row = np.zeros(len(self.A))
+            if one.since is None:
+                row[:n] = one.row * self.d[:n]
+            else:
+                place = n + self.means.index(one.row.tobytes())
+                row[place] = self.d[place] / (c.times[k] - one.since)
+            if one.below and np.any(gain[: self.questions(gain)] < 0):
+                raise Refused(INEQUALITY, f"a gain of a one-sided reading at {c.times[k]:.9g} is negative")
+            step = row[:, None] * gain
+            columns.wrong += 4 * EPS * np.abs(step) + EPS * np.abs(columns.g)
+            columns.g -= step
+            columns.exact += gain * one.y
+            columns.doubt += 2 * EPS * (np.abs(gain * one.y) + np.abs(columns.exact))
+            if one.below or not c.together:
+                columns.noise += np.abs(gain) * one.size * LOOSE
+            else:
+                squares += (gain * one.size) ** 2
+        columns.noise += np.sqrt(squares) * LOOSE
+
+    def questions(self, gain: Array) -> int:
+        """How many of the columns are questions, the others being single rows."""
+        return len(gain) - (self.c.gains.shape[2] if self.c.root is None else 0)
+
+    def reset(self, columns: Columns, k: int) -> None:
+        """Integrals that begin at a time are 0 there."""
+        for some in self.c.readings:
+            for one in some:
+                if one.since is not None and one.since == self.c.times[k]:
+                    place = self.c.plant.n + self.means.index(one.row.tobytes())
+                    columns.g[place] = columns.wrong[place] = 0.0
+
+    def fly(self, columns: Columns, a: float, b: float) -> None:
+        """From b back to a, piece by piece of the input."""
+        c = self.c
+        edges = [a, *(t for t, _ in c.inputs if a < t < b), b]
+        for left, right in reversed(list(pairwise(edges))):
+            if right > left:
+                u = next((u for t, u in reversed(c.inputs) if t <= left), np.zeros(c.B.shape[1]))
+                self.piece(columns, right - left, u)
+
+    def piece(self, columns: Columns, h: float, u: Array) -> None:
+        """Over a length h with a constant input, in panels."""
+        c, n = self.c, self.c.plant.n
+        panels = 2 ** math.ceil(math.log2(max(self.size * h / PANEL, LEAST_PANELS)))
+        if panels > MOST_PANELS:
+            raise Undecided(INEQUALITY, f"a gap of {h:.6g} is too long for this check")
+        self.work.spend(panels * columns.g.size * len(self.A) / 50)
+        if self.work.over:
+            raise Undecided(INEQUALITY, "it takes more work than one check may do")
+        d = h / panels
+        if (h, panels) not in self.known:
+            self.known[h, panels] = flows(self.A.T, d, panels)
+        E, wrong_E, mean, wrong_mean = self.known[h, panels]
+        path = E @ columns.g
+        doubts = (np.abs(E) + wrong_E) @ columns.wrong + (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(columns.g)
+        columns.g, columns.wrong = path[-1], doubts[-1] * LOOSE
+        self.integrate(columns, path, doubts, d)
+        force = np.zeros(len(self.A))
+        force[:n] = (c.B @ u + c.plant.G @ c.push_centre) / self.d[:n]
+        if not np.any(force):
+            return
+        sizes = np.zeros(len(self.A))
+        sizes[:n] = (np.abs(c.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.push_centre)) / self.d[:n]
+        total, around = path[:-1].sum(axis=0), np.abs(path[:-1]).sum(axis=0)
+        loss = (panels + 4 * len(mean) + len(u) + len(c.push_centre)) * EPS
+        columns.exact += force @ (mean @ total)
+        columns.doubt += LOOSE * (
+            np.abs(force) @ (wrong_mean @ around + np.abs(mean) @ doubts[:-1].sum(axis=0))
+            + 2 * loss * (sizes @ (np.abs(mean) @ around))
+            + EPS * np.abs(columns.exact)
+        )
+
+    def integrate(self, columns: Columns, path: Array, doubts: Array, d: float) -> None:
+        """Add int |G'g| over the panels, from above and from below."""
+        if not self.G.shape[1]:
+            return
+        G, a, size = self.G.T, self.A.T, np.abs(path) + doubts
+        p = G @ path
+        off = np.abs(G) @ doubts + self.wrong_G.T @ size + 2 * len(a) * EPS * (np.abs(G) @ size)
+        bend = G @ a @ a @ path
+        rough = np.abs(G) @ np.abs(a) @ np.abs(a)
+        off_bend = rough @ doubts + 16 * len(a) * EPS * (rough @ size) + self.wrong_G.T @ np.abs(a) @ np.abs(a) @ size
+        cubed = float(np.linalg.norm(rough @ np.abs(a)))
+        steep = cubed * math.exp(self.size * d) * np.linalg.norm(size[:-1], axis=1) * (1 if self.c.push_ball else 2)
+        if self.c.push_ball:
+            value, curve = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1)
+            off, off_bend = np.linalg.norm(off, axis=1), np.linalg.norm(off_bend, axis=1)
+            chord = np.linalg.norm(p[1:] + p[:-1], axis=1)
+        else:
+            value, curve = np.abs(p).sum(axis=1), np.abs(bend).sum(axis=1)
+            off, off_bend = off.sum(axis=1), off_bend.sum(axis=1)
+            chord, steep = np.abs(p[1:] + p[:-1]).sum(axis=1), steep * math.sqrt(len(G))
+        curve = np.maximum(curve[1:] + off_bend[1:], curve[:-1] + off_bend[:-1]) + d / 2 * steep
+        bulge = d**3 / 12 * curve
+        columns.pushed += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
+        below = d / 2 * (chord - off[1:] - off[:-1]) - bulge
+        columns.least += np.maximum(below, 0.0).sum(axis=0) / LOOSE
+
+    def begun(self, columns: Columns, gains: Array, count: int) -> Found:
+        """Add what is known of the start, or close it where nothing is."""
+        c, n = self.c, self.c.plant.n
+        rest, wrong = columns.g[:n], columns.wrong[:n]
+        centre = c.centre / self.d[:n]
+        shown = columns.exact + centre @ rest
+        doubt = columns.doubt + np.abs(centre) @ wrong + (n + 4) * EPS * (np.abs(centre) @ np.abs(rest) + np.abs(shown))
+        doubt *= LOOSE
+        if c.root is not None:
+            root = c.root / self.d[:n, None]
+            value = np.abs(root.T @ rest)
+            off = np.abs(root.T) @ (wrong + 2 * n * EPS * np.abs(rest))
+            if c.start_ball:
+                start, lost = np.linalg.norm(value, axis=0), np.linalg.norm(off, axis=0)
+            else:
+                start, lost = value.sum(axis=0), off.sum(axis=0)
+            least = shown - doubt + np.maximum(start - lost, 0) + columns.least + columns.noise / LOOSE**2
+            return Found(shown + doubt, least, (start + lost) * LOOSE, columns.pushed, columns.noise)
+        return self.closed(columns, shown, doubt, count)
+
+    def closed(self, columns: Columns, shown: Array, doubt: Array, count: int) -> Found:
+        """Change the gains a little, so that nothing of the start is left: the single rows say what that may cost."""
+        n = self.c.plant.n
+        rows, wrong = columns.g[:n, count:], columns.wrong[:n, count:]
+        rest, off = columns.g[:n, :count], columns.wrong[:n, :count]
+        usable = np.array([not one.below for some in self.c.readings for one in some], dtype=bool)
+        # in units of what a row costs, so that the change is a cheap one
+        price = np.abs(shown[count:]) + doubt[count:] + columns.pushed[count:] + columns.noise[count:]
+        weight = np.where(usable, 1 / np.maximum(price, 1e-300), 0.0)
+        scaled = rows * weight
+        back = weight[:, None] * np.linalg.pinv(scaled) if usable.any() else np.zeros((rows.shape[1], n))
+        left = np.abs(np.eye(n) - rows @ back) + (len(usable) + 4) * EPS * (np.abs(rows) @ np.abs(back))
+        left += wrong @ np.abs(back)
+        norm = float(np.linalg.norm(left, np.inf)) * LOOSE
+        if not norm < HALF:
+            raise Undecided(INEQUALITY, "nothing is known of the start, and the readings do not show it well enough")
+        size = np.abs(rest) + off
+        change = np.abs(back) @ size + np.abs(back).sum(axis=1)[:, None] * (norm / (1 - norm)) * size.max(axis=0)
+        more = (price @ change) * LOOSE
+        least = shown[:count] - doubt[:count] + columns.least[:count] + columns.noise[:count] / LOOSE**2 - more
+        return Found(
+            shown[:count] + doubt[:count] + more, least, 0 * more, columns.pushed[:count], columns.noise[:count]
+        )
+
+
+def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:
+    """e^{a k d} for k = 0 to `panels`, a power of two, and int_0^d e^{a s} ds, |a d| <= 1/128; with error bounds."""
+    n, M = len(a), a * d
+    term = total = around = size = np.eye(n)
+    mean, mean_size = np.eye(n), np.eye(n)
+    for k in range(1, TERMS):
+        term, size = term @ M / k, size @ np.abs(M) / k
+        total, around = total + term, around + size
+        mean, mean_size = mean + term / (k + 1), mean_size + size / (k + 1)
+    E, wrong = np.empty((panels + 1, n, n)), np.zeros((panels + 1, n, n))
+    E[0], E[1], wrong[1] = np.eye(n), total, 4 * (n + TERMS) * EPS * around * LOOSE + 1e-30
+    known = 1
+    while known < panels:
+        first, lost, more, less = E[known], wrong[known], E[1 : known + 1], wrong[1 : known + 1]
+        sizes = np.abs(first)
+        E[known + 1 : 2 * known + 1] = first @ more
+        made = sizes @ less + lost @ (np.abs(more) + less) + (n + 2) * EPS * (sizes @ np.abs(more))
+        wrong[known + 1 : 2 * known + 1] = made * LOOSE
+        known *= 2
+    return E, wrong, mean * d, (4 * (n + TERMS) * EPS * mean_size * LOOSE + 1e-30) * d

@@ -1,0 +1,138 @@
+"""Intervals as files: what was read, the bounds and the gains, closed by a digest; the checkers prove them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import __version__, _files
+from sampling_design._checks import freeze
+from sampling_design.checkers import grammar
+from sampling_design.checkers.interval_file import OfInterval
+from sampling_design.checkers.parts import FORMAT, digest
+from sampling_design.checkers.strict import Altered, BadFile, Tree
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.recovery.readings import Push, Readings, Row, StartError
+from sampling_design.recovery.rows import WantedRows
+
+Array = npt.NDArray[np.float64]
+
+CLAIM = "interval"
+
+STATED = 1e-6
+"""Share of its width by which an end that is written lies further out than its gains prove: room for rounding."""
+
+
+def tree_of(
+    readings: Readings,
+    t: float,
+    rows: WantedRows,
+    ends: tuple[Array, Array],
+    gains: Array,
+    scales: Array,
+    disproof: tuple[dict[str, float], dict[str, Array]] | None,
+) -> Tree:
+    """Return the plain data of an interval's file, digest included; the ends are those that the gains prove."""
+    root = readings.start.root
+    data: Tree = {
+        "format": FORMAT,
+        "claim": CLAIM,
+        "plant": readings.plant.to_dict(),
+        "t": t,
+        "rows": {"names": list(rows.names), "units": list(rows.units), "matrix": rows.matrix.tolist()},
+        "lower": _or_nothing(ends[0]),
+        "upper": _or_nothing(ends[1]),
+        "gains": gains.tolist(),
+        "scales": scales.tolist(),
+        "start": {
+            "time": float(readings.times[0]),
+            "centre": readings.centre.tolist(),
+            "root": None if root is None else root.tolist(),
+            "ball": bool(readings.start.ball),
+        },
+        "w": {
+            "centre": readings.push.centre.tolist(),
+            "root": readings.push.root.tolist(),
+            "ball": bool(readings.push.ball),
+        },
+        "noise_together": bool(readings.ball),
+        "inputs": [{"t": float(at), "u": u.tolist()} for at, u in readings.inputs] if readings.plant.n_inputs else [],
+        "readings": [
+            {"t": float(at), "rows": [_row(row) for row in rows]}
+            for at, rows in zip(readings.times, readings.rows, strict=True)
+        ],
+        "disproof": None,
+        "tool": {"name": "sampling_design", "version": __version__},
+    }
+    if disproof is not None:
+        factors, proofs = disproof
+        stated = {key: x * (1 - STATED) if np.isfinite(x) else None for key, x in factors.items()}
+        data["disproof"] = {"factors": stated, "gains": {key: x.tolist() for key, x in proofs.items()}}
+    data["digest"] = digest(data)
+    return data
+
+
+def _row(row: Row) -> Tree:
+    since = None if row.since is None else float(row.since)
+    return {"row": row.H.tolist(), "y": float(row.y), "size": float(row.size), "below": bool(row.below), "since": since}
+
+
+def _or_nothing(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
+def write_tree(data: Tree, path: str | os.PathLike[str]) -> Path:
+    """Write such data as JSON, whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the ending is not .json.
+    """
+    if Path(path).suffix.lower() != ".json":
+        raise ArgumentError(f"`path` of an interval must end in .json, got {os.fspath(path)!r}.")
+    return _files.write_text(path, _files.to_json(data))
+
+
+def read_tree(path: str | os.PathLike[str]) -> tuple[Tree, OfInterval]:
+    """Return the data of a file and what they mean, every size compared.
+
+    Raises
+    ------
+    FileFormatError
+        If it is missing, cut off, altered, or holds something else.
+    """
+    where = os.fspath(path)
+    data = _files.from_json(_files.read_text(where), where)
+    try:
+        found = grammar.certificate(data)
+    except Altered as error:
+        raise FileFormatError(f"{where}: {error}.", where) from None
+    except BadFile as error:
+        sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
+        raise FileFormatError(f"{where}: is no interval: {sentence}", where) from None
+    if not isinstance(found, OfInterval):
+        raise FileFormatError(
+            f"{where}: claims {data['claim']!r}, expected 'interval'. Use load_certificate for a certificate.", where
+        )
+    return data, found
+
+
+def readings_of(data: Tree, found: OfInterval, where: str) -> tuple[Readings, WantedRows]:
+    """Return readings and rows of a file that was read."""
+    plant = plant_from_dict(data["plant"], where)
+    readings = Readings(
+        plant=plant,
+        push=Push(freeze(found.push_centre), freeze(found.push_root), found.push_ball),
+        start=StartError(None if found.root is None else freeze(found.root), found.start_ball),
+        centre=freeze(found.centre),
+        times=freeze(found.times),
+        rows=tuple(tuple(Row(freeze(r.row), r.y, r.size, r.below, r.since) for r in some) for some in found.readings),
+        ball=found.together,
+        inputs=tuple((at, freeze(u)) for at, u in found.inputs),
+    )
+    return readings, WantedRows(freeze(found.rows), tuple(data["rows"]["names"]), tuple(data["rows"]["units"]))

@@ -1,0 +1,263 @@
+"""Intervals as files: round trips, what the standalone checker proves, and every forgery it refuses."""
+
+import copy
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import sampling_design as sd
+from sampling_design.checkers import check, recovered
+from sampling_design.checkers.parts import digest
+from sampling_design.checkers.strict import from_json
+from sampling_design.cli.app import app
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.recovery.interval import interval, load_interval
+from sampling_design.recovery.readings import Above, Below, Mean
+from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
+from tests.oracles.estimators import transition
+
+SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], [[0.0], [1.0]], name="spring")
+GIVEN = {"w_bound": 0.05, "v_bound": 0.2}
+
+
+def data_of(seed=0, **options):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.4, 1.2, 8))
+    return [(float(t), [np.cos(t) + rng.uniform(-0.1, 0.1)], [float(rng.normal() * 0.1)]) for t in times]
+
+
+@pytest.fixture(scope="module")
+def whole():
+    record = data_of()
+    record[3] = (record[3][0], [Below(record[3][1][0] + 0.1)], None)
+    record[6] = (record[6][0], [Mean(record[6][1][0], since=record[5][0])], None)
+    found = interval(SPRING, record, record[-1][0] + 0.3, initial_error=[3.0, 3.0], of=["x1", "x2"], **GIVEN)
+    return found, json.loads(json.dumps(found._sealed()))
+
+
+def sealed(data):
+    data["digest"] = digest(data)
+    return data
+
+
+def test_a_file_comes_back_and_is_proven(whole, tmp_path):
+    found, _ = whole
+    path = found.save(tmp_path / "interval.json")
+    again = load_interval(path)
+    assert again.verify()
+    assert again.verify(rigorous=True)
+    assert np.all(again.lower <= found.lower)
+    assert np.all(again.upper >= found.upper)
+    assert np.allclose(again.radii, found.radii, rtol=1e-4)
+    assert np.array_equal(again.gains, found.gains)
+    assert again.rows.names == found.rows.names
+    assert again.save(tmp_path / "again.json").exists()
+    verdict = check(from_json(path.read_text()))
+    assert verdict["verdict"] == "proven"
+    assert 0 < verdict["amount"] < 1e-4
+
+
+def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
+    path = whole[0].save(tmp_path / "interval.json")
+    room = Path(recovered.__file__).parent
+    alone = subprocess.run([sys.executable, room / "check.py", path], capture_output=True, text=True, check=False)
+    assert alone.returncode == 0, alone.stdout
+    assert "for every row and every trajectory within the bounds" in alone.stdout
+    ran = CliRunner().invoke(app, ["verify", str(path)])
+    assert ran.exit_code == 0, ran.output
+    assert "Proven" in ran.output
+    data = json.loads(path.read_text())
+    forged_end(data)
+    path.with_name("forged.json").write_text(json.dumps(sealed(data)))
+    assert CliRunner().invoke(app, ["verify", str(path.with_name("forged.json"))]).exit_code == 1
+    sd.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
+    other = CliRunner().invoke(app, ["verify", str(path), "--plant", str(tmp_path / "other.toml")])
+    assert other.exit_code != 0
+    with pytest.raises(FileFormatError, match=r"holds an interval\. Use load_interval"):
+        sd.load_certificate(path)
+    with pytest.raises(ArgumentError, match=r"`path` of an interval must end in \.json"):
+        whole[0].save(tmp_path / "interval.txt")
+
+
+def forged_end(data):
+    data["upper"][0] -= 1e-3 * (data["upper"][0] - data["lower"][0])
+
+
+def forged_gain(data):
+    data["gains"][0][0][2] *= 1.5
+
+
+def forged_sign(data):
+    k = next(k for k, row in enumerate(rows_of(data)) if row["below"])
+    data["gains"][1][0][k] = -1.0
+
+
+def rows_of(data):
+    return [row for each in data["readings"] for row in each["rows"]]
+
+
+def forged_bound(data):
+    data["w"]["root"][0][0] *= 2
+
+
+def forged_noise(data):
+    for row in rows_of(data):
+        row["size"] *= 1.1
+
+
+def forged_plant(data):
+    data["plant"]["matrices"]["A"][1][0] = -1.05
+
+
+def forged_input(data):
+    data["inputs"][-1]["u"][0] += 0.5
+
+
+def forged_time(data):
+    data["t"] += 0.2
+
+
+@pytest.mark.parametrize(
+    "forge",
+    [
+        forged_end,
+        forged_gain,
+        forged_sign,
+        forged_bound,
+        forged_noise,
+        forged_plant,
+        forged_input,
+        forged_time,
+    ],
+)
+def test_what_the_gains_do_not_prove_is_refused(whole, forge):
+    data = copy.deepcopy(whole[1])
+    forge(data)
+    assert check(data)["inequality"] == "digest"
+    assert check(sealed(data))["verdict"] == "refuted"
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("gains",), [], "`gains` must have 2 entries"),
+        (("scales",), [1.0, 1.0], "`scales` must have 3 entries"),
+        (("start", "time"), 0.1, "`readings` must begin at the time of the start"),
+        (("t",), 1.0, "`t` must not lie before the last reading"),
+        (("readings", 2, "t"), 1e3, "`readings` must be in order of time"),
+        (("readings", 2, "rows", 0, "row"), [1.0], "must have rows of 2 numbers"),
+        (("start", "centre"), [0.0], "`start.centre` must have 2 entries"),
+        (("start", "root"), [[1.0]], "`start.root` must have 2 rows"),
+        (("w", "centre"), [0.0], "`w.centre` must have 2 entries"),
+        (("w", "root"), [[0.0]], "`w.root` must have 2 rows"),
+        (("inputs", 0, "u"), [1.0, 2.0], "`inputs` must each have 1 entries of u"),
+        (("inputs", 0, "t"), 1e3, "`inputs` must be in order of time"),
+        (("rows", "names"), ["x1"], "`rows.names` must have 2 entries"),
+        (("rows", "matrix"), [[1.0], [2.0]], "`rows.matrix` must have rows of 2 numbers"),
+    ],
+)
+def test_sizes_and_order_are_derived(whole, place, value, words):
+    data = copy.deepcopy(whole[1])
+    at = data
+    for key in place[:-1]:
+        at = at[key]
+    at[place[-1]] = value
+    verdict = check(sealed(data))
+    assert verdict["verdict"] == "bad file"
+    assert words in verdict["reason"]
+
+
+def test_a_mean_begins_at_a_known_time(whole):
+    data = copy.deepcopy(whole[1])
+    next(row for row in rows_of(data) if row["since"] is not None)["since"] += 0.01
+    assert "has a mean that does not begin at an earlier time" in check(sealed(data))["reason"]
+
+
+def test_a_contradiction_is_proven_too(tmp_path):
+    walk = sd.Plant([[0.0]], [[1.0]])
+    record = [(0.0, [1.0], None), (1.0, [Above(2.0)], None)]
+    found = interval(walk, record, w_bound=0.1, v_bound=0.05)
+    path = found.save(tmp_path / "no.json")
+    again = load_interval(path)
+    assert again.contradiction == pytest.approx(5.0, rel=1e-4)
+    assert again.verify()
+    assert again.verify(rigorous=True)
+    data = json.loads(path.read_text())
+    data["disproof"]["factors"]["all"] *= 1.01
+    assert check(sealed(data))["verdict"] in ("refuted", "undecided")
+    data["disproof"]["factors"]["all"] = 0.5
+    assert "a factor of at most 1 is no contradiction" in check(sealed(data))["reason"]
+
+
+def test_the_bound_is_what_quadrature_says(whole):
+    """g by scipy's expm, the integral of |G'g| by a fine sum: no line is shared."""
+    record = data_of(1)
+    found = interval(SPRING, record, initial_error=2.0, prior_time=0.0, of="x2", **GIVEN)
+    c = recovered_parts(found)
+    A, gains, times = SPRING.A, found.gains[0, 0], found.readings.times
+    g, total = np.array([0.0, 1.0]), 0.0
+    for k in range(len(times) - 1, -1, -1):
+        for row, gain in zip(found.readings.rows[k], gains_at(found, gains, k), strict=True):
+            g = g - row.H * gain
+            total += gain * row.y + abs(gain) * row.size
+        if k:
+            h = times[k] - times[k - 1]
+            fine = np.linspace(0, h, 801)
+            path = np.array([transition(A.T, s) @ g for s in fine])
+            total += 0.05 * np.trapezoid(np.linalg.norm(path, axis=1), fine)
+            held = [u for t, u in found.readings.inputs if t <= times[k - 1]]
+            total += np.trapezoid(path @ SPRING.B, fine, axis=0) @ (held[-1] if held else np.zeros(1))
+            g = transition(A.T, h) @ g
+    total += 2.0 * np.linalg.norm(g)
+    assert c == pytest.approx(total, rel=1e-5)
+
+
+def gains_at(found, gains, k):
+    return gains[found.readings.offsets[k] : found.readings.offsets[k + 1]]
+
+
+def recovered_parts(found):
+    from sampling_design.checkers import grammar
+
+    c = grammar.certificate(found._sealed())
+    return recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
+
+
+def test_a_check_may_do_so_much_and_no_more(whole):
+    from sampling_design.checkers.check import verdict
+    from sampling_design.checkers.work import Work
+
+    assert "more work than one check may do" in verdict(whole[1], Work(10.0)).reason
+    long = copy.deepcopy(whole[1])
+    long["t"] = 1e9
+    assert "is too long for this check" in check(sealed(long))["reason"]
+
+
+@pytest.mark.parametrize("name", ["double_integrator", "cart_pendulum", "satellite"])
+def test_intervals_of_adversarial_runs_are_proven_with_every_rounding(name):
+    for seed in range(3):
+        found, _ = adversarial_run(name, seed)
+        assert found.verify(rigorous=True), (name, seed)
+
+
+def main(runs: int) -> None:
+    """Prove intervals of so many adversarial runs and say how many are decided."""
+    from tests.laws.test_interval_of_the_data_always_holds_the_truth import CASES
+
+    ended: dict[str, int] = {}
+    for seed in range(runs):
+        for name in CASES:
+            if seed * len(CASES) >= runs:
+                break
+            verdict = check(adversarial_run(name, 1000 + seed)[0]._sealed())["verdict"]
+            ended[verdict] = ended.get(verdict, 0) + 1
+    print(ended)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)

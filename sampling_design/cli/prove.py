@@ -177,7 +177,7 @@ def verify(
         bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
     ] = False,
 ) -> None:
-    """Check a certificate (or an interval) from its data alone; exit code 1 if it does not hold, 3 if that cannot be decided in time.
+    """Check a certificate or an interval from its data alone; exit code 1: it does not hold, 3: not decided in time.
 
     Example: sampling-design verify out/certificate.json --rigorous
     """

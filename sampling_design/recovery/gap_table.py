@@ -6,7 +6,7 @@ A gap that was met once costs nothing again, and gaps that are new are made toge
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -65,9 +65,15 @@ class FlownGap:
     third: Array
     pieces: Array
     marks: Array
+    _cells: dict[int, Array] = field(default_factory=dict, repr=False)
 
     def cells(self, level: int) -> Array:
         """Return int e^{As}G ds (m, n, q) over cells on which an adversary's w is constant, finer with the level."""
+        if level not in self._cells:
+            self._cells[level] = self._cut(level)
+        return self._cells[level]
+
+    def _cut(self, level: int) -> Array:
         count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS**level, float(self.marks.size))
         cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
         return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))

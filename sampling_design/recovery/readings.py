@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from operator import itemgetter
 from typing import NamedTuple
@@ -188,6 +188,12 @@ def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: f
     return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
 
 
+@lru_cache(maxsize=64)
+def _even_sizes(A: bytes, n: int) -> Array:
+    """Sizes of the states in which A is even; the same plant is asked for with every sample."""
+    return freeze(balanced_schur(np.frombuffer(A).reshape(n, n)).d)
+
+
 @dataclass(frozen=True, eq=False)
 class Readings:
     """All that is known of a plant up to some time.
@@ -296,6 +302,8 @@ class Readings:
         """(K, n) the state that flows from the centre with the inputs and the centre of w, integrals reset."""
         x, pieces = np.zeros(len(self.A)), []
         x[: self.plant.n_states] = self.centre
+        if not (self.inputs or np.any(self.centre) or np.any(self.push.centre)):
+            return np.zeros((len(self.times), len(x)))
         marks = self.times.tolist()
         for a, b in pairwise(marks):
             pieces.append(self._pieces(a, b))
@@ -310,6 +318,8 @@ class Readings:
 
     def nominal_at(self, t: float) -> Array:
         """Return that state at t, at or after the last time."""
+        if t == self.times[-1]:
+            return np.asarray(self.nominal[-1][: self.plant.n_states])
         x, gap = self.nominal[-1], self._pieces(float(self.times[-1]), t)
         for flow, (_, force) in zip(self._flows([length for length, _ in gap]), gap, strict=True):
             x = flow @ np.concatenate([x, force])
@@ -344,7 +354,7 @@ class Readings:
     @cached_property
     def _balance(self) -> Array:
         """Sizes of the states in which A is even."""
-        return balanced_schur(self.A).d
+        return _even_sizes(self.A.tobytes(), len(self.A))
 
     def cut(self, count: int) -> Readings:
         """Return the first `count` times alone."""

@@ -246,7 +246,7 @@ class RecordProgram:
         gains = gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit
         if read.start.root is None:
             for _ in range(2):
-                rest, scale = self._rest(c, gains)
+                rest, scale = self._costates(c, gains)[1], self._terms(c, gains)
                 if np.linalg.norm(self.L.T @ rest) <= NOTHING * 1e-3 * scale:
                     break
                 change, through = self._start_rows
@@ -294,11 +294,14 @@ class RecordProgram:
             g = self.F[k - 1].T @ g
         return found, g - steps[0]
 
-    def _rest(self, c: Array, gains: Array) -> tuple[Array, float]:
-        """What of the start is left in D coordinates, and the size of the terms that it is a difference of."""
-        rest = self._costates(c, gains)[1]
-        terms = np.abs(gains) @ np.linalg.norm(self.H @ self.L, axis=1) if gains.size else 0.0
-        return rest, float(np.linalg.norm(self.L.T @ c) + terms)
+    def _terms(self, c: Array, gains: Array) -> float:
+        """The size of the terms that what is left of the start is a difference of."""
+        terms = np.abs(gains) @ self._shown_sizes if gains.size else 0.0
+        return float(np.linalg.norm(self.L.T @ c) + terms)
+
+    @cached_property
+    def _shown_sizes(self) -> Array:
+        return np.asarray(np.linalg.norm(self.H @ self.L, axis=1))
 
     def upper(self, t: float, row: Array, gains: Array) -> End:
         """Return what any gains prove of a row at t, without a solver: for all real times, rounded outwards."""
@@ -326,8 +329,7 @@ class RecordProgram:
         if read.start.root is not None:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
         else:
-            _, scale = self._rest(c, gains)
-            start = 0.0 if np.linalg.norm(self.L.T @ rest) <= NOTHING * scale else np.inf
+            start = 0.0 if np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains) else np.inf
         return Budget(float(gains @ read.shown), start, w, self._noise(gains))
 
     def _noise(self, gains: Array) -> float:

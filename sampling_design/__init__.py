@@ -32,7 +32,7 @@ _FRONT_DOOR = {
     "recovery.deviation": ("standard_deviation",),
     "recovery.limit": ("limit",),
     "recovery.recursion": ("PeriodicGains",),
-    "recovery.interval": ("interval", "load_interval"),
+    "recovery.interval": ("interval",),
     "recovery.record_bounds": ("bounds_from_record",),
     "certificates.exact.certificate": ("Certificate",),
     "certificates.certify": ("certify",),

@@ -93,7 +93,6 @@ from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval
-from sampling_design.recovery.interval import load_interval as load_interval
 from sampling_design.recovery.limit import limit as limit
 from sampling_design.recovery.record_bounds import bounds_from_record as bounds_from_record
 from sampling_design.recovery.recursion import PeriodicGains as PeriodicGains

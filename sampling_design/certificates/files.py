@@ -105,7 +105,9 @@ def certificate_from_dict(
             raise FileFormatError(sentence, where) from None
         raise ArgumentError(sentence) from None
     if isinstance(found, OfInterval):
-        raise FileFormatError(f"{where}: holds an interval. Use load_interval.", where)
+        raise FileFormatError(
+            f"{where}: holds an interval. Use Interval.load (sampling_design.recovery.interval).", where
+        )
     plant = plant_from_dict(data["plant"], where)
     if isinstance(found, grammar.OfFamily):
         return _of_family(data, plant, found)

@@ -272,7 +272,7 @@ def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectabilit
     if claim == "inclusion":
         return inclusion(data, plant)
     if claim == "interval":
-        return of_interval(read, plant)
+        return of_interval(data, plant)
     weights = weights_of(read, plant)
     if claim == "assumption-7":
         return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))

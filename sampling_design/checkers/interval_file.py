@@ -1,5 +1,6 @@
 """What a file of claim "interval" holds: what was read, the bounds, and gains that prove the ends of rows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -8,7 +9,6 @@ import numpy as np
 from .parts import AROUND, Plant
 from .strict import (
     Array,
-    Tree,
     flag,
     list_of,
     matrix,
@@ -24,6 +24,7 @@ from .strict import (
 MOST_ROWS = 5000  # that were read
 _numbers = list_of(number)
 _row = table({"row": _numbers, "y": number, "size": nonnegative, "below": flag, "since": or_nothing(number)})
+_timed = table({"t": number, "rows": list_of(_row)})
 _factors = {"all": or_nothing(nonnegative), "w": or_nothing(nonnegative), "v": or_nothing(nonnegative)}
 INTERVAL = table(
     {
@@ -38,7 +39,7 @@ INTERVAL = table(
         "w": table({"centre": _numbers, "root": matrix(), "ball": flag}),
         "noise_together": flag,
         "inputs": list_of(table({"t": number, "u": _numbers})),
-        "readings": list_of(table({"t": number, "rows": list_of(_row)})),
+        "readings": list_of(lambda value, place: timed(value, place)),
         "disproof": or_nothing(table({"factors": table(_factors), "gains": table(dict.fromkeys(_factors, _numbers))})),
     },
     whole="the certificate",
@@ -57,6 +58,15 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class Timed:
+    """What was read at one time, and where that stands in the file."""
+
+    t: float
+    rows: list[Reading]
+    place: str
+
+
+@dataclass(frozen=True)
 class OfInterval:
     """Rows of x(t) with their ends (None: not bounded) and gains (r, 2, R), or a contradiction's factors and gains.
 
@@ -68,6 +78,8 @@ class OfInterval:
     B: Array
     t: float
     rows: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
     ends: list[tuple[float | None, float | None]]
     gains: Array
     scales: Array
@@ -84,11 +96,12 @@ class OfInterval:
     factors: dict[str, tuple[float, Array]] | None
 
 
-def of_interval(read: Tree, plant: Plant) -> OfInterval:
-    """The claim in a table that was read, every size derived from the plant and compared."""
+def of_interval(data: Mapping[str, object], plant: Plant) -> OfInterval:
+    """The claim in the plain data of a file, every size derived from the plant and compared."""
+    read = INTERVAL(data, "")
     n, q = plant.n, plant.G.shape[1]
     B = read["plant"]["matrices"].get("B", np.zeros((n, 0)))
-    rows, R = read["rows"]["matrix"], sum(len(each["rows"]) for each in read["readings"])
+    rows, R = read["rows"]["matrix"], sum(len(each.rows) for each in read["readings"])
     r = len(rows)
     asked(n > 0 and r > 0 and rows.shape == (r, n), "rows.matrix", f"must have rows of {n} numbers")
     asked(R <= MOST_ROWS, "readings", f"must hold at most {MOST_ROWS} rows")
@@ -104,7 +117,7 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     asked(start["root"] is None or start["root"].shape[0] == n, "start.root", f"must have {n} rows")
     asked(len(w["centre"]) == q, "w.centre", f"must have {q} entries")
     asked(len(w["root"]) == q, "w.root", f"must have {q} rows")
-    times, readings = readings_of(read, n)
+    times, readings = in_order(read["readings"], start["time"], n)
     asked(read["t"] >= times[-1], "t", "must not lie before the last reading")
     means = {one.row.tobytes() for some in readings for one in some if one.since is not None}
     asked(len(read["scales"]) == n + len(means), "scales", f"must have {n + len(means)} entries")
@@ -125,6 +138,8 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
         B=B,
         t=read["t"],
         rows=rows,
+        names=tuple(read["rows"]["names"]),
+        units=tuple(read["rows"]["units"]),
         ends=list(zip(read["lower"], read["upper"], strict=True)),
         gains=np.array(read["gains"]).reshape(r, 2, R),
         scales=np.array(read["scales"]),
@@ -142,27 +157,29 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     )
 
 
-def readings_of(read: Tree, n: int) -> tuple[list[float], list[list[Reading]]]:
-    """Times and what was read at each: in order, the first the start; means begin at one of them and do not overlap."""
-    times = [each["t"] for each in read["readings"]]
-    asked(bool(times) and times[0] == read["start"]["time"], "readings", "must begin at the time of the start")
+def timed(value: object, place: str) -> "Timed":
+    """What was read at one time."""
+    read = _timed(value, place)
+    rows = [Reading(**{**one, "row": np.array(one["row"], dtype=np.float64)}) for one in read["rows"]]
+    return Timed(read["t"], rows, place)
+
+
+def in_order(given: list["Timed"], start: float, n: int) -> tuple[list[float], list[list[Reading]]]:
+    """Times and what was read at each: the first is the start; means begin at one of them and do not overlap."""
+    times = [each.t for each in given]
+    asked(bool(times) and times[0] == start, "readings", "must begin at the time of the start")
     asked(all(a < b for a, b in pairwise(times)), "readings", "must be in order of time")
-    found: list[list[Reading]] = []
     ended: dict[bytes, float] = {}
-    for k, each in enumerate(read["readings"]):
-        some = []
-        for one in each["rows"]:
-            row = np.array(one["row"], dtype=np.float64)
-            place = f"readings[{k}].rows"
-            asked(row.shape == (n,), place, f"must have rows of {n} numbers")
-            if one["since"] is not None:
-                known = one["since"] in times and one["since"] < each["t"]
-                free = ended.get(row.tobytes(), times[0]) <= one["since"]
-                asked(known and free, place, "has a mean that does not begin at an earlier time, after the one before")
-                ended[row.tobytes()] = each["t"]
-            some.append(Reading(row, one["y"], one["size"], one["below"], one["since"]))
-        found.append(some)
-    return times, found
+    for each in given:
+        for one in each.rows:
+            asked(one.row.shape == (n,), f"{each.place}.rows", f"must have rows of {n} numbers")
+            if one.since is not None:
+                known = one.since in times and one.since < each.t
+                free = ended.get(one.row.tobytes(), times[0]) <= one.since
+                words = "has a mean that does not begin at an earlier time, after the one before"
+                asked(known and free, f"{each.place}.rows", words)
+                ended[one.row.tobytes()] = each.t
+    return times, [each.rows for each in given]
 
 
 def asked(holds: bool, place: str, what: str) -> None:

@@ -12,6 +12,7 @@ from sampling_design._files import from_json, from_toml, read_text
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
+from sampling_design.recovery.interval import Interval
 
 if TYPE_CHECKING:
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from sampling_design.design.problem.requirement import Requirement
     from sampling_design.estimators.records.measurements import Measurements
     from sampling_design.plants.plant import Plant
-    from sampling_design.recovery.interval import Interval
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
@@ -69,7 +69,7 @@ def holds_interval(path: Path) -> bool:
 
 def interval(path: Path, about: Plant | None) -> tuple[Interval, Verdict]:
     """The interval of a file, and the checkers' verdict on it."""
-    found = _read("certificate", sd.load_interval, path)
+    found = _read("certificate", Interval.load, path)
     if about is not None and (other := first_difference(about, found.plant)):
         who = found.plant.name or "unnamed"
         raise CertificateError(f"{path}: is about another plant ({who}): {other}.", path=str(path))

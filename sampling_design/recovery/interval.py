@@ -15,7 +15,6 @@ from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.checkers.check import verdict
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery import interval_file
@@ -209,7 +208,7 @@ class Interval(Record):
         Parameters
         ----------
         path : path
-            Ends in .json. `load_interval` reads it, `sampling-design verify` and the standalone checkers prove it.
+            Ends in .json. `Interval.load` reads it, `sampling-design verify` and the standalone checkers prove it.
 
         Returns
         -------
@@ -223,7 +222,37 @@ class Interval(Record):
         """
         return interval_file.write_tree(self._sealed(), path)
 
-    def _sealed(self) -> Tree:
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Interval:
+        """Read an interval from the file that `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Interval
+            Not yet proven again: call `verify()`.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is missing, cut off, altered, or holds something else.
+        """
+        found, plant = interval_file.read_tree(path)
+        readings, rows = interval_file.readings_of(found, plant)
+        lower, upper = _ends(found.ends)
+        disproof, scales = None, freeze(found.scales)
+        if found.factors is not None:
+            nothing = np.inf, np.zeros(found.gains.shape[2])
+            stated = {which: found.factors.get(which, nothing) for which in SPREADS}
+            factors = {which: factor for which, (factor, _) in stated.items()}
+            disproof = Disproof(readings, factors, {which: freeze(own) for which, (_, own) in stated.items()}, scales)
+            lower = upper = freeze(np.full(len(rows), np.nan))
+        return cls(readings, found.t, rows, lower, upper, freeze(found.gains), scales, disproof=disproof)
+
+    def _sealed(self) -> dict[str, Plain]:
         readings, found = self.readings, self.disproof
         lower, upper = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf)
         if found is None:
@@ -356,37 +385,6 @@ def interval(
     if at < last:
         raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
     return prove(RecordProgram(readings), at, wanted_rows(plant, of))
-
-
-@door
-def load_interval(path: str | os.PathLike[str]) -> Interval:
-    """Read an interval from the file that `Interval.save` wrote.
-
-    Parameters
-    ----------
-    path : path
-
-    Returns
-    -------
-    Interval
-        Not yet proven again: call `verify()`.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, cut off, altered, or holds something else.
-    """
-    data, found = interval_file.read_tree(path)
-    readings, rows = interval_file.readings_of(data, found, os.fspath(path))
-    lower, upper = _ends(found.ends)
-    disproof = None
-    if found.factors is not None:
-        zero = np.zeros(found.gains.shape[2])
-        factors = {which: found.factors[which][0] if which in found.factors else np.inf for which in SPREADS}
-        gains = {which: freeze(found.factors[which][1] if which in found.factors else zero) for which in SPREADS}
-        disproof = Disproof(readings, factors, gains, freeze(found.scales))
-        lower = upper = freeze(np.full(len(rows), np.nan))
-    return Interval(readings, found.t, rows, lower, upper, freeze(found.gains), freeze(found.scales), disproof=disproof)
 
 
 def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Array]:

@@ -10,12 +10,14 @@ import numpy.typing as npt
 
 from sampling_design import __version__, _files
 from sampling_design._checks import freeze
+from sampling_design._record import Plain
 from sampling_design.checkers import grammar
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.parts import FORMAT, digest
-from sampling_design.checkers.strict import Altered, BadFile, Tree
+from sampling_design.checkers.strict import Altered, BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Push, Readings, Row, StartError
 from sampling_design.recovery.rows import WantedRows
 
@@ -35,10 +37,10 @@ def tree_of(
     gains: Array,
     scales: Array,
     disproof: tuple[dict[str, float], dict[str, Array]] | None,
-) -> Tree:
+) -> dict[str, Plain]:
     """Return the plain data of an interval's file, digest included; the ends are those that the gains prove."""
     root = readings.start.root
-    data: Tree = {
+    data: dict[str, Plain] = {
         "format": FORMAT,
         "claim": CLAIM,
         "plant": readings.plant.to_dict(),
@@ -76,7 +78,7 @@ def tree_of(
     return data
 
 
-def _row(row: Row) -> Tree:
+def _row(row: Row) -> dict[str, Plain]:
     since = None if row.since is None else float(row.since)
     return {"row": row.H.tolist(), "y": float(row.y), "size": float(row.size), "below": bool(row.below), "since": since}
 
@@ -85,7 +87,7 @@ def _or_nothing(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values]
 
 
-def write_tree(data: Tree, path: str | os.PathLike[str]) -> Path:
+def write_tree(data: dict[str, Plain], path: str | os.PathLike[str]) -> Path:
     """Write such data as JSON, whole or not at all.
 
     Raises
@@ -98,8 +100,8 @@ def write_tree(data: Tree, path: str | os.PathLike[str]) -> Path:
     return _files.write_text(path, _files.to_json(data))
 
 
-def read_tree(path: str | os.PathLike[str]) -> tuple[Tree, OfInterval]:
-    """Return the data of a file and what they mean, every size compared.
+def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
+    """Return what a file claims and the plant, every size compared.
 
     Raises
     ------
@@ -110,21 +112,19 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[Tree, OfInterval]:
     data = _files.from_json(_files.read_text(where), where)
     try:
         found = grammar.certificate(data)
-    except Altered as error:
-        raise FileFormatError(f"{where}: {error}.", where) from None
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
-        raise FileFormatError(f"{where}: is no interval: {sentence}", where) from None
+        said = f"{where}: {'' if isinstance(error, Altered) else 'is no interval: '}{sentence}"
+        raise FileFormatError(said, where) from None
     if not isinstance(found, OfInterval):
         raise FileFormatError(
             f"{where}: claims {data['claim']!r}, expected 'interval'. Use load_certificate for a certificate.", where
         )
-    return data, found
+    return found, plant_from_dict(data["plant"], where)
 
 
-def readings_of(data: Tree, found: OfInterval, where: str) -> tuple[Readings, WantedRows]:
+def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, WantedRows]:
     """Return readings and rows of a file that was read."""
-    plant = plant_from_dict(data["plant"], where)
     readings = Readings(
         plant=plant,
         push=Push(freeze(found.push_centre), freeze(found.push_root), found.push_ball),
@@ -135,4 +135,4 @@ def readings_of(data: Tree, found: OfInterval, where: str) -> tuple[Readings, Wa
         ball=found.together,
         inputs=tuple((at, freeze(u)) for at, u in found.inputs),
     )
-    return readings, WantedRows(freeze(found.rows), tuple(data["rows"]["names"]), tuple(data["rows"]["units"]))
+    return readings, WantedRows(freeze(found.rows), found.names, found.units)

@@ -11,12 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 import sampling_design as sd
-from sampling_design.checkers import check, recovered
+from sampling_design.checkers import check, grammar, recovered
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
+from sampling_design.cli import reading
 from sampling_design.cli.app import app
-from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.recovery.interval import interval, load_interval
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
+from sampling_design.recovery.interval import Interval, interval
 from sampling_design.recovery.readings import Above, Below, Mean
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
 from tests.oracles.estimators import transition
@@ -48,7 +50,7 @@ def sealed(data):
 def test_a_file_comes_back_and_is_proven(whole, tmp_path):
     found, _ = whole
     path = found.save(tmp_path / "interval.json")
-    again = load_interval(path)
+    again = Interval.load(path)
     assert again.verify()
     assert again.verify(rigorous=True)
     assert np.all(again.lower <= found.lower)
@@ -76,9 +78,16 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     path.with_name("forged.json").write_text(json.dumps(sealed(data)))
     assert CliRunner().invoke(app, ["verify", str(path.with_name("forged.json"))]).exit_code == 1
     sd.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
-    other = CliRunner().invoke(app, ["verify", str(path), "--plant", str(tmp_path / "other.toml")])
-    assert other.exit_code != 0
-    with pytest.raises(FileFormatError, match=r"holds an interval\. Use load_interval"):
+    with pytest.raises(CertificateError, match="is about another plant"):
+        reading.interval(path, sd.read_plant(tmp_path / "other.toml"))
+    kind = sd.certify_detectability(SPRING).save(tmp_path / "detectability.json")
+    data["t"] = "late"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="is no interval: `t` must be a number"):
+        Interval.load(path)
+    with pytest.raises(FileFormatError, match="Use load_certificate for a certificate"):
+        Interval.load(kind)
+    with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.load"):
         sd.load_certificate(path)
     with pytest.raises(ArgumentError, match=r"`path` of an interval must end in \.json"):
         whole[0].save(tmp_path / "interval.txt")
@@ -183,15 +192,20 @@ def test_a_contradiction_is_proven_too(tmp_path):
     record = [(0.0, [1.0], None), (1.0, [Above(2.0)], None)]
     found = interval(walk, record, w_bound=0.1, v_bound=0.05)
     path = found.save(tmp_path / "no.json")
-    again = load_interval(path)
+    again = Interval.load(path)
     assert again.contradiction == pytest.approx(5.0, rel=1e-4)
     assert again.verify()
     assert again.verify(rigorous=True)
     data = json.loads(path.read_text())
-    data["disproof"]["factors"]["all"] *= 1.01
+    factor = data["disproof"]["factors"]["all"]
+    data["disproof"]["factors"]["all"] = 1.02 * factor
+    with pytest.raises(Refused, match="the gains do not prove that all must grow by the factor"):
+        proven(data)
+    data["disproof"]["factors"]["all"] = 1.01 * factor
     assert check(sealed(data))["verdict"] in ("refuted", "undecided")
     data["disproof"]["factors"]["all"] = 0.5
-    assert "a factor of at most 1 is no contradiction" in check(sealed(data))["reason"]
+    with pytest.raises(Refused, match="a factor of at most 1 is no contradiction"):
+        proven(data)
 
 
 def test_the_bound_is_what_quadrature_says(whole):
@@ -222,20 +236,70 @@ def gains_at(found, gains, k):
 
 
 def recovered_parts(found):
-    from sampling_design.checkers import grammar
-
     c = grammar.certificate(found._sealed())
     return recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
 
 
-def test_a_check_may_do_so_much_and_no_more(whole):
-    from sampling_design.checkers.check import verdict
-    from sampling_design.checkers.work import Work
+def proven(data, work=np.inf):
+    with np.errstate(all="ignore"):  # as the checkers' door does
+        return recovered.prove(grammar.certificate(sealed(data)), recovered.Work(work))
 
-    assert "more work than one check may do" in verdict(whole[1], Work(10.0)).reason
-    long = copy.deepcopy(whole[1])
-    long["t"] = 1e9
-    assert "is too long for this check" in check(sealed(long))["reason"]
+
+def unseen(data):
+    data["start"]["root"] = None
+    data["plant"]["matrices"]["C"] = [[0.0, 0.0]]
+    for row in rows_of(data):
+        row["row"] = [0.0, 0.0]
+    data["scales"] = data["scales"][:3]
+
+
+def beyond_doubles(data):
+    data["plant"]["matrices"]["A"][0][1] = 1e300
+    data["plant"]["matrices"]["A"][1][0] = 1e300
+    data["scales"] = [1e-300, 1e300, 1e300]
+
+
+def far(data):
+    data["t"] = 1e9
+
+
+@pytest.mark.parametrize(
+    ("forge", "error", "words"),
+    [
+        (forged_sign, Refused, "a gain of a one-sided reading at"),
+        (forged_end, Refused, "the gains prove the upper end of row 0 only up to"),
+        (unseen, Undecided, "nothing is known of the start, and the readings do not show it well enough"),
+        (beyond_doubles, Undecided, "these numbers are beyond the range of doubles"),
+        (far, Undecided, "is too long for this check"),
+    ],
+)
+def test_why_it_is_not_proven(whole, forge, error, words):
+    data = copy.deepcopy(whole[1])
+    forge(data)
+    with pytest.raises(error, match=words):
+        proven(data)
+
+
+def test_what_rounding_hides_is_undecided(whole):
+    """An end between what the gains prove and what they are at least."""
+    data = copy.deepcopy(whole[1])
+    c = grammar.certificate(data)
+    most, least = recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()
+    data["upper"][0] = float((most[0] + least[0]) / 2)
+    with pytest.raises(Undecided, match="rounding is as large as what is left"):
+        proven(data)
+
+
+def test_an_open_start_has_no_contradiction_that_the_rest_of_it_could_hide(tmp_path):
+    walk = sd.Plant([[0.0]], [[1.0]])
+    found = interval(walk, [(0.0, [1.0], None), (1.0, [2.0], None)], w_bound=0.1, v_bound=0.05)
+    assert found.readings.start.root is None
+    assert found.verify(rigorous=True)
+
+
+def test_a_check_may_do_so_much_and_no_more(whole):
+    with pytest.raises(Undecided, match="it takes more work than one check may do"):
+        proven(copy.deepcopy(whole[1]), 10.0)
 
 
 @pytest.mark.parametrize("name", ["double_integrator", "cart_pendulum", "satellite"])

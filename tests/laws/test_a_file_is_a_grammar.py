@@ -23,6 +23,7 @@ from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 from sampling_design.recovery.interval import interval
+from sampling_design.recovery.interval import Interval, interval
 from sampling_design.recovery.readings import Below, Mean
 from sampling_design.schedules.family_files import family_from_dict
 from tests import mutants
@@ -311,7 +312,7 @@ def sweep_intervals(folder, most=MOST, seed=0):
         text = mutants.as_json(data)
         verdict = checked(text)["verdict"]
         path.write_text(text)
-        again = read(sd.load_interval, path)
+        again = read(Interval.load, path)
         assert verdict != ("proven" if again is None else "bad file"), label
         found[verdict] = found.get(verdict, 0) + 1
         if verdict == "proven" and again.disproof is None:

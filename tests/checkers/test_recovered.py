@@ -82,9 +82,10 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
         reading.interval(path, sd.read_plant(tmp_path / "other.toml"))
     kind = sd.certify_detectability(SPRING).save(tmp_path / "detectability.json")
     data["t"] = "late"
-    path.write_text(json.dumps(data))
+    late = tmp_path / "late.json"
+    late.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="is no interval: `t` must be a number"):
-        Interval.load(path)
+        Interval.load(late)
     with pytest.raises(FileFormatError, match="Use load_certificate for a certificate"):
         Interval.load(kind)
     with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.load"):

@@ -15,9 +15,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import Bound
 from sampling_design.recovery.gap_table import GapTable
-from sampling_design.recovery.interval import read_record
 from sampling_design.recovery.readings import Arrived, Readings
 from sampling_design.recovery.record_program import RecordProgram
+from sampling_design.recovery.record_readings import read_record
 
 Array = npt.NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window
-from sampling_design.recovery.interval import read_record
 from sampling_design.recovery.record_program import RecordProgram
+from sampling_design.recovery.record_readings import read_record
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
@@ -99,14 +98,5 @@ class SetMembershipEstimator(KalmanFilter):
         filtered = super()._known(state, node, estimate)
         if filtered.status == "prior":
             return filtered
-        found = filtered.interval()
-        if found.disproof is not None:
-            return replace(filtered, status="bounds disproved", radius=np.nan, certified=False, note=found.explain())
-        known = np.isfinite(found.lower) & np.isfinite(found.upper)
-        if not known.all():
-            x = np.where(known, found.centre, filtered.x)
-            return replace(filtered, x=freeze(x), radius=np.inf, certified=False, engine="set")
-        box = freeze(np.diag(found.radii**2) * len(found.radii))
-        return replace(
-            filtered, x=found.centre, covariance=box, radius=1.0, certified=True, engine="set", note="", cost=np.nan
-        )
+        moved = filtered.centred()
+        return replace(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)

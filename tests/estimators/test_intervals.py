@@ -165,3 +165,39 @@ def test_the_set_membership_estimator_returns_the_centre():
     refusal = r"`v_bound` is missing: without it no set is bounded\. Give 0 where there is none\."
     with pytest.raises(ArgumentError, match=refusal):
         sd.SetMembershipEstimator(PLANT, w_bound=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_estimate_moves_into_the_middle_of_its_interval(seed):
+    """Its radii are the half-widths, never more than before; its ellipsoid holds the box; the filter goes on as it was."""
+    rng = np.random.default_rng(seed)
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    kalman = sd.KalmanFilter(plant, w_bound=0.05, v_bound=0.3, initial_error=2.0)
+    x, now, found = rng.uniform(-1, 1, 2), 0.0, []
+    for t in np.cumsum(rng.uniform(0.4, 1.2, 8)):
+        x, now = plant.transition(t - now) @ x, t
+        found.append(kalman.update(float(t), plant.C @ x + rng.uniform(-0.3, 0.3, 1)))
+        moved = found[-1].centred()
+        assert np.allclose(moved.x, found[-1].interval().centre, atol=1e-6)
+        assert np.all(moved.radii <= found[-1].radii + 1e-9)
+        assert np.all(np.abs(moved.x - x) <= moved.radii)
+        assert np.allclose(moved.interval().radii_from(moved.x), moved.radii, rtol=1e-4)
+        assert moved.holds(x)
+        assert moved.certified
+        assert not moved.on_schedule
+        assert moved.note == "Moved into the middle of what the data prove."
+    record = sd.EstimateRecord.collect(plant, found)
+    assert np.array_equal(record.centred().x, [estimate.centred().x for estimate in found])
+
+
+def test_what_cannot_be_moved_says_why():
+    walk = sd.Plant([[0.0]], [[1.0]])
+    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given to the estimator"):
+        sd.KalmanFilter(walk).update(1.0, [0.0]).centred()
+    wide = sd.KalmanFilter(sd.Plant(np.diag([0.0, 0.1]), [[1.0, 0.0]]), w_bound=0.1, v_bound=0.1)
+    half = wide.update(1.0, [0.3]).centred()
+    assert np.isinf(half.radii[1])
+    assert not half.certified
+    torn = sd.KalmanFilter(walk, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    torn.update(1.0, [0.0])
+    assert torn.update(2.0, [3.0]).centred().status == "bounds disproved"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -34,6 +34,8 @@ infeasible: no trajectory meets the constraints and the data; solver failed: no 
 tolerance (in both cases the state is the open-loop prediction). bounds disproved: solved, and the cost is
 larger than the assumed noise bounds allow.
 """
+
+MOVED = "Moved into the middle of what the data prove."
 
 FAILURES: tuple[Status, ...] = ("infeasible", "solver failed", "bounds disproved")
 
@@ -194,6 +196,40 @@ class Estimate(Record):
             )
         return self.proof.interval(self.t, of, (self.x, self.radius * self.covariance) if self.certified else None)
 
+    def centred(self) -> Estimate:
+        """Return this estimate moved into the middle of its interval: no other has a smaller largest error.
+
+            x_i = (lower_i + upper_i)/2,    |x_i(t) - x_i| <= radii_i = (upper_i - lower_i)/2
+
+        Returns
+        -------
+        Estimate
+            Its ellipsoid is one around the box of half-widths `radii`. Where the data leave a state unbounded it keeps
+            its place and its radius is infinite; where they contradict the bounds the status says so. The
+            certificate's a-priori claim is about the estimate that was not moved.
+
+        Raises
+        ------
+        ArgumentError
+            If the estimator was given no bound on w or on v.
+        """
+        found = self.interval()
+        if found.disproof is not None:
+            return replace(
+                self,
+                status="bounds disproved",
+                radius=np.nan,
+                certified=False,
+                on_schedule=False,
+                note=found.explain(),
+            )
+        known = np.isfinite(found.lower) & np.isfinite(found.upper)
+        if not known.all():
+            x = freeze(np.where(known, found.centre, self.x))
+            return replace(self, x=x, radius=np.inf, certified=False, on_schedule=False)
+        box = freeze(np.diag(found.radii**2) * len(found.radii))
+        return replace(self, x=found.centre, covariance=box, radius=1.0, certified=True, on_schedule=False, note=MOVED)
+
     @cached_property
     def Pi(self) -> Array:
         """Information matrix, the inverse of `covariance`."""
@@ -342,6 +378,10 @@ class EstimateRecord(Table, Gridded):
 
     def __len__(self) -> int:
         return self.times.size
+
+    def centred(self) -> EstimateRecord:
+        """Return the estimates moved into the middle of their intervals, as `Estimate.centred`."""
+        return self.collect(self.plant, [estimate.centred() for estimate in self.estimates])
 
     @cached_property
     def radii(self) -> Array:

@@ -169,7 +169,7 @@ def test_the_set_membership_estimator_returns_the_centre():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_estimate_moves_into_the_middle_of_its_interval(seed):
-    """Its radii are the half-widths, never more than before; its ellipsoid holds the box; the filter goes on as it was."""
+    """Its radii are the half-widths, never more than before; its ellipsoid holds the box."""
     rng = np.random.default_rng(seed)
     plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     kalman = sd.KalmanFilter(plant, w_bound=0.05, v_bound=0.3, initial_error=2.0)

@@ -51,7 +51,7 @@ def adversarial(name: str, samples: int, seed: int = 0) -> tuple[sd.Plant, np.nd
 
 
 def schemes(plant: sd.Plant, gap: float, bounds: Any) -> dict[str, Callable[[], Any]]:
-    """Estimators whose weights follow the bounds, at a rate of a tenth of that of the gaps, and those of the filters."""
+    """Estimators whose weights follow the bounds, at a rate of a tenth of that of the gaps."""
     eta = 0.1 / gap
     cost = sd.CostFunction(**sd.weights_from_bounds(plant, eta, **bounds), eta=eta)
     return {

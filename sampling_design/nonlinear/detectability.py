@@ -19,6 +19,7 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim
 from sampling_design.nonlinear.model import NonlinearPlant, own_box
 from sampling_design.nonlinear.simulation import Integrator
+from sampling_design.nonlinear.tightest import TightestPairs, Trajectory
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet
@@ -28,6 +29,9 @@ Array = npt.NDArray[np.float64]
 
 QUIET_SHARE = 1 / 3
 """Share of the pairs without disturbance and noise: there the right side is smallest."""
+
+LINEARISED = 10
+"""Pairs beside whose first trajectory all small differences are looked at."""
 
 SAME_TIME = 1e-9
 """Grid times closer to a sample than this share of the step are that sample."""
@@ -44,7 +48,7 @@ class PairWitness(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DetectabilityEvidence(Record):
-    """Inequality (16) along random pairs.
+    """Inequality (16) along random pairs, and for all small differences from trajectories of some of them.
 
         ratio = min over pairs and times of  (right side of (16)) / |dx(t)|^2_P1
 
@@ -54,7 +58,11 @@ class DetectabilityEvidence(Record):
         (16) held along all pairs exactly when this is at least 1.
     least_lambda : float
         lambda_max(P2, P1) cannot be less than this for any P1 that satisfies (16) with these P2, Qw, R, Qv, eta:
-        the largest |dx(t)|^2_P2 over the right side. This much is refuted by the pairs, not only sampled.
+        the largest |dx(t)|^2_P2 over the right side. This much is refuted, not only sampled.
+    least_lambda_time : float
+        When that was.
+    quiet_lambda : float
+        The same for small differences with equal disturbances, so that Qw does not matter.
     ratios : array
         The least ratio of each pair.
     pairs, left_out : int
@@ -67,6 +75,8 @@ class DetectabilityEvidence(Record):
 
     ratio: float
     least_lambda: float
+    least_lambda_time: float
+    quiet_lambda: float
     ratios: Array
     pairs: int
     left_out: int
@@ -92,7 +102,8 @@ class DetectabilityEvidence(Record):
             ("pairs", f"{self.pairs}{left} (evidence, not proof)"),
             ("at", f"pair {self.witness.pair}, K_{self.witness.start}, t = {short(self.witness.t)} {self.time_unit}"),
             ("median ratio", short(np.median(self.ratios))),
-            ("lambda, at least", short(self.least_lambda)),
+            ("lambda, at least", f"{short(self.least_lambda)} (at t = {short(self.least_lambda_time)})"),
+            ("lambda, at least, equal disturbances", short(self.quiet_lambda)),
             ("horizon of Theorem 9, at least", f"{short(self.least_horizon())} {self.time_unit}"),
             ("eta", f"{short(self.eta)} 1/{self.time_unit}"),
             ("duration", f"{short(self.duration)} {self.time_unit}"),
@@ -165,9 +176,12 @@ def check_detectability(
 
     Notes
     -----
-    *Claim.* Sampled: holds at the grid times of these pairs, at samples also in the limit from the left.
+    *Claim.* Sampled: holds at the grid times of these pairs, at samples also in the limit from the left. `least_lambda`
+    is a bound from below, up to the integrator's tolerance.
     *Method.* w and v are uniform in their boxes (in +-1 scale where unbounded), shrunk by a random factor per pair, and
-    zero for a third of the pairs.
+    zero for a third of the pairs. Along one trajectory of each of the first ten pairs the least right side over all
+    small differences, disturbances and noises that lead to dx(t) is a quadratic form in dx(t), and (16) a generalised
+    eigenvalue problem at each time; before the first grid time at 40 more instants, evenly in their logarithms.
 
     References
     ----------
@@ -192,13 +206,26 @@ def check_detectability(
     found = []
     for k in range(count):
         i = 1 + k % sets.distinct
-        seen = study.pair(sets.starting_at(i), left, rng)
+        seen = study.pair(sets.starting_at(i), left, rng, k < LINEARISED)
         if seen is not None:
-            worst, t, difference, growth = seen
-            found.append((worst, growth, PairWitness(k, i, t, difference * plant.signals["states"].scales)))
+            found.append((seen, PairWitness(k, i, seen.t, seen.difference * plant.signals["states"].scales)))
         if progress is not None:
             progress((k + 1) / count, f"{k + 1} of {count} pairs")
     return study.evidence(found, count - len(found))
+
+
+class Looked(NamedTuple):
+    """What a pair shows: the least ratio, when, the scaled difference then, and the growth in P2, and when.
+
+    quiet : that growth with equal disturbances.
+    """
+
+    ratio: float
+    t: float
+    difference: Array
+    lam: float
+    lam_time: float
+    quiet: float = 1.0
 
 
 class _Study:
@@ -215,8 +242,9 @@ class _Study:
         self.step = self.duration / 40 if step is None else _checks.positive("step", step)
         self.u = _checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
         self.integrator = Integrator(plant)
+        self.tightest = TightestPairs(plant, weights)
 
-    def evidence(self, found: list[tuple[float, float, PairWitness]], left_out: int) -> DetectabilityEvidence:
+    def evidence(self, found: list[tuple[Looked, PairWitness]], left_out: int) -> DetectabilityEvidence:
         """Return the record of the pairs that stayed in X.
 
         Raises
@@ -226,15 +254,17 @@ class _Study:
         """
         if not found:
             raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
-        least, _, witness = min(found, key=lambda item: item[0])
+        least, witness = min(found, key=lambda item: item[0].ratio)
         unit = self.plant.time_unit
         statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"
         claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
-        values = _checks.freeze([value for value, _, _ in found])
-        growth = max(1.0, *(value for _, value, _ in found))  # at t = 0 it is 1
+        values = _checks.freeze([looked.ratio for looked, _ in found])
+        growth, when = max([(1.0, 0.0), *((looked.lam, looked.lam_time) for looked, _ in found)])  # at t = 0 it is 1
         return DetectabilityEvidence(
-            ratio=least,
+            ratio=least.ratio,
             least_lambda=growth,
+            least_lambda_time=when,
+            quiet_lambda=max(1.0, *(looked.quiet for looked, _ in found)),
             ratios=values,
             pairs=len(found),
             left_out=left_out,
@@ -245,8 +275,8 @@ class _Study:
             claim=claim,
         )
 
-    def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator) -> tuple[float, float, Array, float] | None:
-        """Return least ratio, where, the scaled difference there, and the growth in P2; None if the pair leaves X."""
+    def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator, near: bool) -> Looked | None:
+        """Return what a pair shows, where `near` with all small differences from its first one; None outside X."""
         within = times.between(0.0, self.duration)
         samples = within.times
         grid = _grid(self.duration, self.step, samples)
@@ -259,8 +289,20 @@ class _Study:
         measured[np.isin(grid, samples)] = True if within.outputs is None else within.outputs
         ratio = ratios(grid, x, w, v, y, measured, P1, self.weights)
         j = int(np.argmin(ratio))
-        growth = 1 / float(ratios(grid, x, w, v, y, measured, self.weights.P2, self.weights).min())
-        return float(ratio[j]), float(grid[j]), x[j], growth
+        grown = ratios(grid, x, w, v, y, measured, self.weights.P2, self.weights)
+        k = int(np.argmin(grown))
+        found = Looked(float(ratio[j]), float(grid[j]), x[j], 1 / float(grown[k]), float(grid[k]))
+        if not near:
+            return found
+        scale = {key: signals.scales for key, signals in self.plant.signals.items()}
+        first = [part * scale[key] for part, key in zip(one, ("states", "disturbances", "noises"), strict=False)]
+        tight = self.tightest.along(Trajectory(grid, first[0], first[1], first[2], self.u, measured), P1)
+        found = found._replace(quiet=tight.quiet)
+        if tight.lam > found.lam:
+            found = found._replace(lam=tight.lam, lam_time=tight.lam_time)
+        if tight.ratio < found.ratio:
+            found = found._replace(ratio=tight.ratio, t=tight.time, difference=tight.direction)
+        return found
 
     def _trajectory(
         self, grid: Array, loud: float, rng: np.random.Generator

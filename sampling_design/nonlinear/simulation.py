@@ -147,11 +147,11 @@ class SpreadIntegrator:
     Everything is scaled: states by s_x, disturbances by s_w.
     """
 
-    def __init__(self, plant: NonlinearPlant, noise: Array, eta: float) -> None:
+    def __init__(self, plant: NonlinearPlant, noise: Array, eta: float, tolerance: float = SPREAD_TOLERANCE) -> None:
         ca = casadi()
         n, m, q = plant.n_states, plant.n_inputs, plant.n_disturbances
         scale, unit = plant.signals["states"].scales, plant.signals["disturbances"].scales
-        self.scale, self.n = scale, n
+        self.scale, self.unit, self.n = scale, unit, n
         z, Y, s = ca.SX.sym("z", n), ca.SX.sym("Y", n, n), ca.SX.sym("s")
         u, rise, w = ca.SX.sym("u", m), ca.SX.sym("rise", m), ca.SX.sym("w", q)
         start, h, size = ca.SX.sym("start"), ca.SX.sym("h"), ca.SX.sym("size")
@@ -159,20 +159,23 @@ class SpreadIntegrator:
         A, G = ca.jacobian(rate, z), ca.jacobian(rate, w)
         half = ca.mtimes(A, Y)
         spread = half + half.T + eta * Y + ca.mtimes([G, ca.DM(noise), G.T]) / size
-        rates = ca.substitute(ca.vertcat(rate, ca.vec(spread)), w, ca.SX.zeros(q))
-        problem = {"x": ca.vertcat(z, ca.vec(Y)), "t": s, "p": ca.vertcat(u, rise, start, h, size), "ode": h * rates}
-        options: dict[str, object] = {"reltol": SPREAD_TOLERANCE, "abstol": SPREAD_TOLERANCE**1.5}
+        rates, parameters = ca.vertcat(rate, ca.vec(spread)), ca.vertcat(u, rise, w, start, h, size)
+        problem = {"x": ca.vertcat(z, ca.vec(Y)), "t": s, "p": parameters, "ode": h * rates}
+        options: dict[str, object] = {"reltol": tolerance, "abstol": tolerance**1.5}
         options |= {"max_num_steps": MAX_STEPS, "disable_internal_warnings": True, "show_eval_warnings": False}
         self._step = ca.integrator("spread", "cvodes", problem, 0.0, 1.0, options)
 
-    def step(self, x: Array, Y: Array, u: Array, later: Array, start: float, stop: float) -> Array:
+    def step(
+        self, x: Array, Y: Array, u: Array, later: Array, start: float, stop: float, w: Array | None = None
+    ) -> Array:
         """Return Y at `stop`, physical, from Y at `start`; infinite on the diagonal where the integration fails."""
         n = self.n
         scaled = Y / self.scale / self.scale[:, None]
         size = float(np.abs(scaled).max())
         if not (np.isfinite(size) and size > 0):
             return unknown(n)
-        parameters = np.concatenate([u, later - u, [start, stop - start, size]])
+        push = np.zeros(self.unit.size) if w is None else w / self.unit
+        parameters = np.concatenate([u, later - u, push, [start, stop - start, size]])
         begin = np.concatenate([x / self.scale, (scaled / size).ravel()])
         try:
             found = np.array(self._step(x0=begin, p=parameters)["xf"]).ravel()[n:].reshape(n, n)

@@ -25,6 +25,8 @@ def draw_figure(figure: PatientFigure, ax: Axes | None = None) -> Axes | style.P
     for state, row in zip(states, axes, strict=True):
         _row(figure.of, figure.number, state, row)
         row.label_outer()
+        if figure.number == 3:
+            _inset(figure.of, state, row)
     whole.suptitle(figure.explain())
     style.legend(axes[0])
     return axes
@@ -47,6 +49,23 @@ def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Pa
     style.legend(axes[0])
     whole.suptitle(run.explain(), fontsize="medium")
     return axes
+
+
+SETTLED = 1.0
+"""The inset of figure 3 begins here [d]: before, the prior's error is all that can be seen."""
+
+
+def _inset(run: PatientRun, state: int, row: Axes) -> None:
+    """Draw the states of a row from day 1 on, where truth and estimates are no longer one line."""
+    late = run.times >= SETTLED
+    if late.sum() < 2:
+        return
+    inset = row.inset_axes((0.35, 0.42, 0.63, 0.52))
+    paths = [(run.truth, style.TRUTH), (run.standard, style.ATTAINED), (run.sample_based, style.MEASURED)]
+    for path, colour in paths:
+        inset.plot(run.times[late], path[late, state] * SCALING[state], color=colour, linewidth=0.9)
+    inset.tick_params(labelsize="x-small")
+    inset.set_title(f"from day {SETTLED:g}", fontsize="x-small", pad=2.0)
 
 
 def _row(run: PatientRun, number: int, state: int, ax: Axes) -> Axes:

@@ -6,9 +6,12 @@ import pytest
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability, ratios
+from sampling_design.nonlinear.experiment import paper_weights
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.weights import NonlinearWeights
 from tests.oracles import nonlinear as oracle
 
@@ -38,8 +41,9 @@ def test_a_certificate_of_a_linear_plant_is_never_refuted():
     assert found.holds
     assert found.ratio >= 1.0
     assert found.claim.strength == "sampled"
-    # the pairs can only refute a lambda below the certificate's
-    assert 1.0 <= found.least_lambda <= certificate.lam * (1 + 1e-9)
+    # of a linear plant the small differences say it all: what they ask for is what the certificate has
+    assert found.least_lambda == pytest.approx(certificate.lam, rel=1e-5)
+    assert 1.0 <= found.quiet_lambda <= found.least_lambda
     assert "not proof" in found.explain()
 
 
@@ -50,9 +54,12 @@ def test_what_is_seen_by_nothing_is_refuted_with_a_witness():
     found = check_detectability(blind, SCHEDULE, ([-1.0], [1.0]), cost=CostFunction(eta=0.2), duration=3.0, pairs=9)
     assert not found.holds
     assert found.witness.t == pytest.approx(3.0)
-    # without disturbance the ratio is exactly e^{-(eta + 2) t}
-    assert found.ratio == pytest.approx(np.exp(-2.2 * 3.0), rel=1e-6)
+    # Y' = (2 + eta) Y + 1 from 1, and without disturbance e^{(eta + 2) t}
+    grown = np.exp(2.2 * 3.0)
+    assert found.ratio == pytest.approx(1 / (grown + (grown - 1) / 2.2), rel=1e-6)
+    assert found.quiet_lambda == pytest.approx(grown, rel=1e-6)
     assert found.least_lambda == pytest.approx(1 / found.ratio)
+    assert found.least_lambda_time == pytest.approx(3.0)
     assert found.least_horizon() == pytest.approx(2 * np.log(2 / found.ratio) / 0.2)
     assert "does not hold with these weights" in found.explain()
     assert "evidence, not proof" in str(found)
@@ -136,5 +143,26 @@ def test_a_mask_that_hides_an_output_gives_another_verdict():
     hidden = check_detectability(plant, PeriodicSchedule([0.5], outputs=[[0, 1]]), **given)
     assert check_detectability(plant, PeriodicSchedule([0.5]), **given).holds
     assert not hidden.holds
-    # without disturbance nothing but the prior is left
-    assert hidden.ratio == pytest.approx(10 * np.exp(-2.2 * 3.0), rel=1e-6)
+    # nothing but the prior is left, and the disturbance
+    grown = np.exp(2.2 * 3.0)
+    assert hidden.ratio == pytest.approx(10 / (grown + (grown - 1) / 2.2), rel=1e-6)
+
+
+def test_the_papers_weights_ask_for_a_lambda_that_random_pairs_miss():
+    """At 6e-7 d, before any sample, a difference in T3_c has become one in TSH_c: lambda is at least 172.5."""
+    plant, weights = thyroid.thyroid(), paper_weights()
+    rest = plant.equilibrium(thyroid.TRUE_START, [0.0, 0.0])
+    schedule = PeriodicSchedule([1.0], time_unit="d")
+    options = {"cost": weights, "duration": 0.01, "step": 0.001, "pairs": 1}
+    found = check_detectability(plant, schedule, (0.999 * rest, 1.001 * rest), **options)
+    assert found.quiet_lambda == pytest.approx(172.5, rel=2e-2)
+    # one pair of trajectories shows it: the difference that grows most, small, and its weights before and after
+    t, scale, P2 = 5.6e-7, thyroid.SCALING, np.diag([1.0, 5.0, 1.0, 1.0, 1.0, 1.0])
+    base = simulate(plant, rest, [0.0, t])[-1]
+    grown = (
+        np.array([simulate(plant, rest + e / scale, [0.0, t])[-1] - base for e in 1e-3 * np.eye(6)]).T * scale[:, None]
+    )
+    square = float(np.linalg.eigvalsh(grown.T @ P2 @ grown / np.sqrt(np.outer(np.diag(P2), np.diag(P2))))[-1]) / 1e-6
+    assert square == pytest.approx(found.quiet_lambda, rel=2e-2)
+    assert found.least_lambda > 1e6  # with w read per second: Qw makes disturbances nearly free
+    assert found.least_horizon() > 33.4

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, evened, followed
+from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.efforts import LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
@@ -26,6 +26,7 @@ from sampling_design.certificates.exact.weight_choice import (
     choose_rate,
     choose_weights,
     rate_range,
+    round_choices,
     settled_sizes,
 )
 from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
@@ -196,7 +197,7 @@ class _Proof:
                 missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
             anywhere = max(anywhere, missed, at_samples, key=_value)
         raise UndecidedError(
-            f"undecided: the proof of the certificate did not close: {verdict.reason}.",
+            f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}",
             verification=verdict,
             certificate=made,
         )
@@ -440,10 +441,15 @@ def _best_proven(
     budget: float,
     began: float,
 ) -> Certificate:
-    """The choice of the least exact horizon whose proof closes; a spare one where none does."""
+    """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
-    for spare in (False, True):
-        some = [choice for choice in choices if choice.spare == spare]
+    for stage in ("best", "spare", "round"):
+        if stage == "round":
+            low = min((choice.eta for choice in choices), default=0.0)
+            rates = [low] if eta is not None else [low, low / 10]
+            some = round_choices(canon, rates, budget) if low else []
+        else:
+            some = [choice for choice in choices if choice.spare == (stage == "spare")]
         try:
             if some:
                 return _first_proven(problem, canon, some, eta, budget, began)
@@ -451,7 +457,9 @@ def _best_proven(
             failed.append(error)
     if failed:
         raise failed[0]
-    raise UndecidedError(f"undecided: no weights within the budget {budget:g} could be followed in doubles.")
+    raise UndecidedError(
+        f"undecided: no weights within the budget {budget:g} could be followed in doubles.{slip(canon)}"
+    )
 
 
 def _first_proven(

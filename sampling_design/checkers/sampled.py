@@ -23,7 +23,7 @@ ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a d
 MAX_OPEN = 100_000  # open cells or steps at once
 PERIODS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
 SUSPECTS = 200  # windows at once in which a violation is looked for: those of the largest Y
-INFLATION = 1e-2  # noise added per gap, where the target is I, to find the family B_i; then less and less
+INFLATION = 1e-2  # noise added per sample, where the target is I, to find the family B_i; then less and less
 
 Target = tuple[Array, str]
 
@@ -211,8 +211,9 @@ class Windows(Frame):
                 before = Y
                 self.spend(N * 8)
                 for i in range(N):
-                    moved = once.F[i] @ Y @ once.F[i].T + once.W[i] + inflation * self.I
-                    Z[i] = Y = self.after(moved, i, self.gain(moved, i))[0]
+                    moved = once.F[i] @ Y @ once.F[i].T + once.W[i]
+                    # after the sample: what an exact output leaves could not hide the rounding of its own proof
+                    Z[i] = Y = self.after(moved, i, self.gain(moved, i))[0] + inflation * self.I
                 if np.linalg.norm(Y - before) <= inflation / 2:  # then one period maps Z below itself
                     break
             worst = max(largest(Z).max(), largest(self.along(Z, once[after])[0]).max())

@@ -10,10 +10,14 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import weight_choice
+from sampling_design.certificates.exact import riccati, weight_choice
+from sampling_design.certificates.exact.canonical import canonical
+from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.errors import UndecidedError
 from tests.benchmarks.bench_certify_random import drawn
+from tests.oracles.riccati import settled
 
 QUICK = (3, 5, 6, 7)
 """One to three states in mixed units; 5: two gauges, 1e12 apart, of one state."""
@@ -64,8 +68,46 @@ def test_where_the_best_rate_cannot_be_proven_another_is(monkeypatch):
     assert spare.horizon().minimum >= plain.horizon().minimum * (1 - 1e-3)
 
 
-def test_what_cannot_be_followed_is_undecided_with_its_reason():
-    """Four modes within 4e-6 of each other, seen by one output: no rounding tells them apart."""
+def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
+    """The covariance itself, inverted, may have a condition that no proof in doubles bears."""
+    monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)
+    plant, schedule = drawn(2)
+    closed, choices, rounder = room._Proof.closed, room.round_choices, list[float]()
+
+    def fails(proof, solver, plainly=False):
+        if not rounder:
+            raise UndecidedError("undecided: the proof is made to fail")
+        return closed(proof, solver, plainly)
+
+    def asked(canon, rates, budget):
+        found = choices(canon, rates, budget)
+        rounder.extend(np.linalg.cond(choice.P2) for choice in found)
+        return found
+
+    monkeypatch.setattr(room._Proof, "closed", fails)
+    monkeypatch.setattr(room, "round_choices", asked)
+    made = certify(plant, schedule)
+    assert made.verify().passed
+    assert rounder and min(rounder) < 100
+
+
+def test_what_doubling_and_walking_lose_is_followed_from_above():
+    """Three defective clusters, noises 1e-30 apart: nothing settles; with a floor it does, near what 400 digits say."""
+    plant, schedule = drawn(98)
+    canon = canonical(plant, schedule, weights_of(plant, None, None, None), driven=False)
+    problem = window_problem(canon.plant, canon.schedule, np.eye(plant.n_states), *canon.weights, 0.05)
+    with np.errstate(all="ignore"):
+        found = riccati.periodic_riccati_solution(problem)
+    exact = settled(problem.A.tolist(), problem.noise.tolist(), problem.rows.tolist(), problem.gaps.tolist(), 0.05)
+    for Y, true in zip(found, exact, strict=True):
+        assert np.all(np.diagonal(Y) >= 0.99 * np.diagonal(true))
+        assert np.all(np.diagonal(Y) <= 1.5 * np.diagonal(true))
+
+
+def test_what_cannot_be_followed_is_undecided_with_its_reason(monkeypatch):
+    """Four modes within 4e-6 of each other, seen by one output: at these rates no rounding tells them apart."""
+    monkeypatch.setattr(weight_choice, "SLOWER", ())
+    monkeypatch.setattr(weight_choice, "SCAN", 2)
     plant, schedule = drawn(64)
     with pytest.raises(UndecidedError, match="the schedule is on the edge of what can be certified"):
         certify(plant, schedule)

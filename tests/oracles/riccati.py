@@ -148,3 +148,43 @@ def witness_ratio(data):
 def worst_trajectory_ratio(P1, Pi):
     """Largest x'P1x / x'Pi x."""
     return float(eigh(P1, Pi, eigvals_only=True)[-1])
+
+
+def settled(A, noise, rows, gaps, eta, laps=80):
+    """Y after each sample of the period once it has settled, in 360 digits and sample by sample; A without eta/2."""
+    import flint
+
+    before, flint.ctx.prec = flint.ctx.prec, 1200
+    try:
+        n = len(A)
+        plain = lambda M: flint.arb_mat(M.nrows(), M.ncols(), [x.mid() for x in M.entries()])  # noqa: E731
+        shifted, S = flint.arb_mat(A), flint.arb_mat(noise)
+        for i in range(n):
+            shifted[i, i] += flint.arb(eta) / 2
+        flows = []
+        for h in gaps:
+            block = flint.arb_mat(2 * n, 2 * n)
+            for i in range(n):
+                for j in range(n):
+                    block[i, j], block[i, n + j], block[n + i, n + j] = (
+                        -shifted[i, j] * h,
+                        S[i, j] * h,
+                        shifted[j, i] * h,
+                    )
+            E = block.exp().tolist()
+            F = flint.arb_mat([row[n:] for row in E[n:]]).transpose()
+            flows.append((plain(F), plain(F * flint.arb_mat([row[n:] for row in E[:n]]))))
+        Y = flint.arb_mat(n, n, [flint.arb(i == j) for i in range(n) for j in range(n)])
+        found = []
+        for lap in range(laps):
+            for i, (F, W) in enumerate(flows):
+                Y = F * Y * F.transpose() + W
+                for row in rows[i]:
+                    c = flint.arb_mat([row])
+                    cross = Y * c.transpose()
+                    Y = plain(Y - cross * cross.transpose() / ((c * cross)[0, 0] + 1))
+                if lap == laps - 1:
+                    found.append(np.array([float(x) for x in Y.entries()]).reshape(n, n))
+        return found
+    finally:
+        flint.ctx.prec = before

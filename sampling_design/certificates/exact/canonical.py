@@ -24,7 +24,8 @@ MOST_GROWTH = 300.0
 """Exponent of the largest growth between two samples that is followed: its square is still a double."""
 RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
-
+LATE = 10
+"""Gaps before the first sample from which on dates are suspected that do not count from the schedule's beginning."""
 BITS = 40
 """Binary digits that a search keeps: far above rounding, far below what it can tell apart."""
 
@@ -156,12 +157,17 @@ def followed(canon: Canonical, eta: float) -> None:
     gaps, first = canon.schedule.gaps, float(canon.schedule.times[0])
     longest = max(float(np.max(gaps, initial=0.0)), first)
     if rate * longest > MOST_GROWTH:
-        origin = canon.schedule.times.size > 1 and first > 10 * float(np.median(np.diff(canon.schedule.times)))
-        slip = " Times count from 0: should the schedule begin there?" if origin else ""
         raise UndecidedError(
             f"undecided: the squared error may grow by e^{rate * longest:.4g} before the next sample, beyond what "
-            f"doubles can follow (e^{MOST_GROWTH:g}).{slip}"
+            f"doubles can follow (e^{MOST_GROWTH:g}).{slip(canon)}"
         )
+
+
+def slip(canon: Canonical) -> str:
+    """A question about the origin of the times, where the first sample comes long after time 0; else nothing."""
+    times = canon.schedule.times
+    late = times.size > 1 and float(times[0]) > LATE * float(np.median(np.diff(times)))
+    return " Times count from 0: should the schedule begin there?" if late else ""
 
 
 def _power(logs: npt.ArrayLike) -> Array:

@@ -7,7 +7,7 @@ from sampling_design.checkers.work import Work
 LOOK_WORK = 2e6
 """Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
 what they have met by then is tried."""
-CHECK_WORK, BALL_WORK, ONE_CHECK = 6e6, 3e6, 3e6
+CHECK_WORK, BALL_WORK, ONE_CHECK = 5e6, 2e6, 2.5e6
 """Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats; once more
 as much for the spare choices."""
 

@@ -25,8 +25,14 @@ REPEATED_RTOL = 1e-6
 MERGED_RTOL = 1e-5
 """A window below (1 + this) times the periodic solution brings nothing new: lambda is then its own within 1e-5."""
 MAX_DOUBLINGS = 40
-LONGEST_WALK = 4000
-"""Samples that are followed one by one where the composition of periods is lost in rounding."""
+LONGEST_WALK, SHORTER_WALK = 4000, 1000
+"""Samples that are followed one by one where the composition of periods is lost in rounding; likewise with a floor."""
+FLOOR = 1e-13
+"""Share of every state's variance that is added before each sample where nothing settles without."""
+ROUGHLY = 1e-3
+"""Change from period to period at which it has settled with such a floor: it serves as a proposal, and lies above."""
+WALK_WORK = 150
+"""Work of one of them."""
 JUMP = 5
 """Periods that are followed between two jumps."""
 MAX_STEPS = 100_000
@@ -79,11 +85,11 @@ def push(Y: Array, F: Array, W: Array) -> Array:
     return symmetrise(F @ Y @ np.swapaxes(F, -1, -2) + W)
 
 
-def periodic_riccati_solution(problem: WindowProblem) -> Array:
+def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
     One period is Y -> F Y (I + H Y)^-1 F' + W; two periods are again of that form, so that 2^k periods cost k
-    compositions and slow plants need no more time than fast ones.
+    compositions and slow plants need no more time than fast ones. What is followed one by one is counted in `work`.
 
     Raises
     ------
@@ -102,41 +108,54 @@ def periodic_riccati_solution(problem: WindowProblem) -> Array:
     try:
         return _doubled(problem, flows)
     except (np.linalg.LinAlgError, SolverError):
-        return _walked(problem, flows)
-
-
-def _walked(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
-    """The periodic solution by following it: slower, but no composition of periods is lost in rounding.
-
-    Every `JUMP` periods it jumps to where the gains of the last one would settle (a step of Newton's method, from
-    above): sums of positive terms alone.
-    """
-    Y = np.eye(problem.size)
-    for lap in range(1, LONGEST_WALK // problem.count + 2):
-        with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
-            around, whole, added = _with_gains(problem, flows, Y)
-            if not np.isfinite(around).all():
-                break
-            if _settled(Y, around[-1], STEADY_RTOL):
-                return around
-            jumps = lap % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
-            following = _summed(whole, added) if jumps else around[-1]
-            if jumps and _settled(Y, following, REPEATED_RTOL):  # what is left is of second order
-                return _around(problem, flows, following)
-        Y = following
+        pass
+    for share in (0.0, FLOOR):
+        found = _walked(problem, flows, share, Work(np.inf) if work is None else work)
+        if found is not None:
+            return found
     raise SolverError(
         "the information did not settle over 2^40 periods: this schedule is on the edge of what can be certified.",
         status="unsettled",
     )
 
 
-def _with_gains(problem: WindowProblem, flows: tuple[Array, Array], Y: Array) -> tuple[Array, Array, Array]:
+def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, work: Work) -> Array | None:
+    """The periodic solution by following it: slower, but no composition of periods is lost in rounding.
+
+    Every `JUMP` periods it jumps to where the gains of the last one would settle (a step of Newton's method, from
+    above): sums of positive terms alone. With a `share`, so much of every state's variance is added before each sample:
+    what rounding does without order is then done with order, and from above, and less is asked of where it settles.
+    """
+    Y = np.eye(problem.size)
+    settled, repeated = (ROUGHLY, ROUGHLY) if share else (STEADY_RTOL, REPEATED_RTOL)
+    for lap in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
+        work.spend(WALK_WORK * problem.count)
+        with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
+            around, whole, added = _with_gains(problem, flows, Y, share)
+            if not np.isfinite(around).all():
+                break
+            if _settled(Y, around[-1], settled):
+                return around
+            jumps = lap % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
+            following = _summed(whole, added) if jumps else around[-1]
+            if jumps and _settled(Y, following, repeated):  # what is left is of second order
+                return _with_gains(problem, flows, following, share)[0]
+        Y = following
+    return None
+
+
+def _with_gains(
+    problem: WindowProblem, flows: tuple[Array, Array], Y: Array, share: float
+) -> tuple[Array, Array, Array]:
     """Y after each sample of a period, and the period with these gains as the map Y -> `whole` Y `whole`' + `added`."""
     whole, added = np.eye(problem.size), np.zeros((problem.size, problem.size))
     result = np.empty((problem.count, problem.size, problem.size))
     for i in range(problem.count):
         F, W = flows[0][i], flows[1][i]
         Y, whole, added = push(Y, F, W), F @ whole, push(added, F, W)
+        if share:
+            floor = np.diag(share * np.diagonal(Y))
+            Y, added = Y + floor, added + floor
         for row in problem.rows[i]:
             cross = Y @ row
             gain = cross / (1 + cross @ row)

@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import brentq, minimize, minimize_scalar
 
 from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical
+from sampling_design.certificates.exact.canonical import Canonical, slip
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
@@ -29,6 +29,8 @@ ETA_RANGE = (0.05, 3.0)
 BELOW_UNSEEN = 0.9
 """Fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched."""
 SCAN = 7
+SLOWER = 3.0, 10.0, 30.0, 100.0, 1000.0
+"""Rates so many times below the slowest that is searched are tried, one after the other, where none can be followed."""
 REFERENCE = 3.0
 """The budget at which rates are compared and the first descents run, whatever budget is asked for."""
 BELOW = (2.0, 1.5, 1.2), (1.5,)
@@ -43,6 +45,11 @@ ROUNDNESS = (0.01, 1.0, 30.0)
 LEAST_SHARE = 1e-6
 """P1 keeps at least this part of the long-run information in every direction (over the budget): below it the prior is
 lost in rounding, and the horizon gains nothing."""
+LEAST_ROUND = 1e-10
+"""Share of each state's variance that is added to a covariance before it is inverted: what is known better than that
+of a combination of states drowns in rounding."""
+ROUNDER = 1e-7, 1e-4, 0.1
+"""Shares for shapes of less and less condition, where none of a larger one can be proven."""
 SMALL = 4
 """States up to which a search may take its full time; beyond them the second number of each pair below counts."""
 STARTS = 3, 1
@@ -125,8 +132,8 @@ class Setting:
 class WeightSearch:
     """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
 
-    def __init__(self, canon: Canonical) -> None:
-        self.canon = canon
+    def __init__(self, canon: Canonical, roundness: float = LEAST_ROUND) -> None:
+        self.canon, self.roundness = canon, roundness
         self.known: dict[float, Setting] = {}
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
@@ -151,10 +158,10 @@ class WeightSearch:
         windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta), self.work)
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
-        along = np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0)
-        held = np.linalg.inv(symmetrise(along))
+        along = rounded(np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0), self.roundness)
+        held = np.linalg.inv(along)
         B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
-        mean = along if windows.steady is None else np.mean(windows.steady, axis=0)
+        mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
         return Setting(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
 
     def guesses(self, eta: float) -> list[Array]:
@@ -223,6 +230,11 @@ class WeightSearch:
             return start
         T, rate = state.unpack(state.best)
         return Choice(L @ T @ T.T @ L.T, rate, state.value, steps, status)
+
+
+def rounded(Y: Array, share: float) -> Array:
+    """Y with so much more of every state's own variance: of a condition of about n/share at most."""
+    return symmetrise(Y + share * np.diag(np.diagonal(Y)))
 
 
 def _value(choice: Choice) -> float:
@@ -368,7 +380,7 @@ def choose_weights(
     guesses: list[Choice] = []
     for k, rate in enumerate(rates):
         report(0.3 * k / len(rates), f"rate {rate:.3g}")
-        if guesses and search.late:
+        if search.late:
             break
         try:
             guess = search.best_guess(rate, REFERENCE)
@@ -376,10 +388,20 @@ def choose_weights(
             continue
         if guess is not None:
             guesses.append(guess)
+    if free and not guesses:  # the slower the rate, the fewer modes grow when their squares are discounted
+        for rate in (bounds[0] / slower for slower in SLOWER):
+            try:
+                guess = search.best_guess(rate, REFERENCE)
+            except (SolverError, np.linalg.LinAlgError):
+                continue
+            if guess is not None:
+                guesses.append(guess)
+                bounds, free = (rate, rate), False
+                break
     if not guesses:
         raise UndecidedError(
             "undecided: at no rate that was tried could the information on this schedule be followed in doubles; the "
-            "schedule is on the edge of what can be certified."
+            f"schedule is on the edge of what can be certified.{slip(canon)}"
         )
     guesses.sort(key=_value)
     found: list[Choice] = []
@@ -414,6 +436,20 @@ def _spare(search: WeightSearch, guesses: list[Choice], budget: float) -> list[C
     found = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
     spare = [replace(choice, spare=True) for choice in found if choice is not None]
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
+
+
+def round_choices(canon: Canonical, rates: list[float], budget: float) -> list[Choice]:
+    """First guesses of less and less condition at these rates: for where nothing better can be proven."""
+    found: list[Choice] = []
+    for share in ROUNDER:
+        search = WeightSearch(canon, share)
+        for rate in rates:
+            try:
+                guess = search.best_guess(rate, budget)
+            except (SolverError, np.linalg.LinAlgError):
+                continue
+            found += [] if guess is None else [replace(guess, spare=True)]
+    return found
 
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:

@@ -59,7 +59,7 @@ class WindowSet:
         parts = np.asarray(PARTS)
         F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
         shape = (problem.count, parts.size, problem.size, problem.size)
-        steady = None if problem.period is None else periodic_riccati_solution(problem)
+        steady = None if problem.period is None else periodic_riccati_solution(problem, work)
         return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady, work)
 
     def least_floor(self, size: Array) -> float:

@@ -140,6 +140,7 @@ class BallWindows:
         """Whether all windows between `ends`, which hold Y just before sample i, stay below I."""
         frame, schedule = self.frame, self.schedule
         for _ in range(PERIODS * schedule.N):
+            self.clock.check(200 + 3 * frame.n**3)
             K = frame.gain(np.mean([floats(Y) for Y in ends], axis=0), i)
             ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
             if self.caught(ends, i):

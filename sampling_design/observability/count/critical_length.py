@@ -112,7 +112,7 @@ def search(values: Complex) -> float | None:
 def _complex_vector(value: npt.ArrayLike) -> Complex:
     try:
         found = np.atleast_1d(np.asarray(value))
-    except Exception:
+    except Exception:  # whatever a foreign object does when it is asked for an array
         found = np.array(None)
     if found.ndim != 1 or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
         raise ArgumentError(f"`plant` must be a Plant or a list of eigenvalues, got {described(value)}.")

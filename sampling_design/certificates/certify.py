@@ -236,31 +236,16 @@ def _value(peak: Peak) -> float:
 
 @overload
 def certify(
-    plant: Plant,
-    schedule: AnySchedule | None,
-    *,
-    eta: float | None = ...,
-    P2: npt.ArrayLike | None = ...,
-    Qw: npt.ArrayLike | None = ...,
-    R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ...,
-    budget: float = ...,
-    progress: Progress | None = ...,
-) -> Certificate: ...
+    plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    budget: float = ..., progress: Progress | None = ...,
+) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: Plant,
-    schedule: SamplingFamily,
-    *,
-    eta: float | None = ...,
-    P2: npt.ArrayLike | None = ...,
-    Qw: npt.ArrayLike | None = ...,
-    R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ...,
-    budget: float = ...,
-    memory: int | None = ...,
-    progress: Progress | None = ...,
-) -> FamilyCertificate: ...
+    plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    budget: float = ..., memory: int | None = ..., progress: Progress | None = ...,
+) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: LinearInclusion, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,

@@ -40,6 +40,21 @@ def test_a_wider_range_has_a_larger_lambda():
     assert lams[0] < lams[1] < lams[2]
 
 
+def test_a_gap_that_no_lambda_bears_is_said_before_anything_is_tried(monkeypatch):
+    """Lambda is at least e^{(2 alpha + eta) h}: hours of programs would end where they began."""
+    monkeypatch.setattr(family, "FamilySearch", None)
+    growing = Plant([[0.1, 1.0], [0.0, -0.2]], [[1.0, 0.3]], time_unit="h")
+    with pytest.raises(UndecidedError, match=r"may grow by e\^180\.1 within the longest gap of 900") as told:
+        sd.certify(growing, GapRange(0.5, 900.0, time_unit="h"))
+    assert told.value.details["longest"] == pytest.approx(184, abs=1)
+
+
+def test_a_gap_that_some_lambda_bears_keeps_to_its_lower_bound():
+    growing = Plant([[0.1]], [[1.0]])
+    found = sd.certify(growing, GapRange(0.5, 40.0), eta=0.01)
+    assert found.lam >= np.exp(0.21 * 40.0) * (1 - 1e-3)
+
+
 def test_a_range_of_one_gap_is_nearly_the_exact_certificate():
     exact = sd.certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4, P2=[[2.0, 0.3], [0.3, 1.0]])
     found = sd.certify(OSCILLATOR, GapRange(1.0, 1.0), eta=0.4, P2=exact.P2)

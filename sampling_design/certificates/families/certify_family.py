@@ -319,9 +319,25 @@ def certify_family(
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
+    _bearable(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
     found = FamilySearch(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
     return certified(plant, family, weights, given, found)
+
+
+def _bearable(plant: Plant, longest: float, eta: float) -> None:
+    """Say that it is undecided, before anything is tried, where the longest gap alone asks for too large a lambda.
+
+    A window may start as the gap does, and nothing is seen until it ends: lambda is at least e^{(2 max Re mu + eta) h}.
+    """
+    rate, most = 2 * float(np.max(np.linalg.eigvals(plant.A).real)) + eta, 2 * float(np.log(LARGEST_LAM))
+    if rate * longest > most:
+        raise UndecidedError(
+            f"undecided at rate {eta:.6g}: the squared error may grow by e^{rate * longest:.4g} within the longest gap "
+            f"of {short(longest)}, and lambda is at least that; certificates of a family are sought up to "
+            f"e^{most:.3g}. Gaps up to {short(most / rate)} can be tried.",
+            status="undecided", eta=eta, growth=rate * longest, longest=most / rate,
+        )  # fmt: skip
 
 
 def certified(

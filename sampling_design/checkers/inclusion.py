@@ -18,6 +18,7 @@ from itertools import product
 
 import numpy as np
 
+from . import intervals as iv
 from . import programs
 from .inclusion_file import Box, Inclusion, Parameter, Region, Vertices, moved
 from .intervals import Interval
@@ -280,6 +281,15 @@ def jumps(c: Inclusion, P: Array, Rt: Array) -> float:
 # --- the cells of a nonlinear plant's region -------------------------------------------------------------------------
 
 
+def halves(x: Interval) -> Parts:
+    """A middle and a radius of each interval: certainly within; radius 0 where both ends are one number."""
+    whole = np.isfinite(x.low) & np.isfinite(x.high)
+    middle = np.where(whole, x.low / 2 + x.high / 2, 0.0)
+    with np.errstate(invalid="ignore"):
+        radius = np.maximum(np.nextafter(x.high - middle, np.inf), np.nextafter(middle - x.low, np.inf))
+    return middle, np.where(whole, np.where(x.low == x.high, 0.0, radius), np.inf)
+
+
 class Cells:
     """The region of a nonlinear plant, halved until the Jacobians of every cell are proven."""
 
@@ -303,18 +313,19 @@ class Cells:
             low, high = low[inside], high[inside]
             if not len(low):
                 break
-            M, E = self.jacobians(low, high, of_f)
+            M, E, moving = self.spread(low, high, of_f)
             good = np.zeros(len(low), bool)
             for first in range(0, len(low), BATCH):
                 part = slice(first, first + BATCH)
-                good[part], spent, slack = self.judged(M[part], E[part], judge, of_f, each, spent, slack)
+                parts = M[part], E[part], moving[:, part]
+                good[part], spent, slack = self.judged(parts, judge, of_f, each, spent, slack)
             if good.all():
                 break
             low, high = low[~good], high[~good]
             self.refute(name, low, high, judge, of_f)
             if spent > MOST_MATRICES:
                 raise Undecided(name, f"{name} could not be decided: {len(low)} cells of the region are left")
-            low, high = self.halved(name, low, high, M[~good], E[~good], of_f)
+            low, high = self.halved(name, low, high, of_f)
         return slack
 
     def inside(self, low: Array, high: Array) -> Mask:
@@ -328,23 +339,58 @@ class Cells:
 
     def jacobians(self, low: Array, high: Array, of_f: bool) -> Parts:
         """Middles and radii of (A, G) side by side, or of C, over each cell."""
+        M, E, moving = self.spread(low, high, of_f)
+        return M, E + np.abs(moving).sum(axis=0)
+
+    def spread(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
+        """Middles, radii, and matrices (D, cells, rows, columns) of which any multiples in [-1, 1] may be added.
+
+        A derivative of one atom moves all outputs together in which it occurs: one matrix for each, of rank one.
+        """
         inputs: dict[str, list[Interval]] = {"x": [], "u": [], "w": []}
-        for j, (key, _) in enumerate(self.order):
-            inputs[key].append(Interval(low[:, j], high[:, j]))
+        for k, (name, _) in enumerate(self.order):
+            inputs[name].append(Interval(low[:, k], high[:, k]))
         program, along = (self.region.f, ("x", "w")) if of_f else (self.region.h, ("x",))
-        found = programs.run(program, inputs, along)
+        done = programs.every(program, inputs, along)
+        outputs = programs.forms(program, done)
         columns = [("x", k) for k in range(self.n)] + [("w", k) for k in range(self.q if of_f else 0)]
-        M, E = np.zeros((2, len(low), len(found), len(columns)))
-        for i, (_, slopes) in enumerate(found):
-            for j, column in enumerate(columns):
-                if column in slopes:
-                    a, b = slopes[column].low, slopes[column].high
-                    whole = np.isfinite(a) & np.isfinite(b)
-                    middle = np.where(whole, a / 2 + b / 2, 0.0)
-                    M[:, i, j] = middle
-                    radius = np.maximum(np.nextafter(b - middle, np.inf), np.nextafter(middle - a, np.inf))
-                    E[:, i, j] = np.where(whole, np.where(a == b, 0.0, radius), np.inf)
-        return M, E
+        shape = (len(low), len(outputs), len(columns))
+        M, E, size = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        moved: dict[tuple[str, int, int], Array] = {}
+        for i, form in enumerate(outputs):
+            for key, factor in form.items():
+                slopes = done[key[1]][1] if key[0] == "atom" else {key: iv.number(1.0, factor)}
+                c, dc = halves(factor)
+                for column, slope in slopes.items():
+                    if column not in columns:
+                        continue
+                    j, (g, dg) = columns.index(column), halves(slope)
+                    M[:, i, j] += c * g
+                    size[:, i, j] += np.abs(c) * (np.abs(g) + dg)
+                    E[:, i, j] += np.where(dc > 0, dc * (np.abs(g) + dg), 0.0)
+                    if np.any(dg > 0):
+                        alone = sum(key in other for other in outputs) == 1
+                        own = ("row", i, j) if alone else (*key, j)
+                        moved.setdefault(own, np.zeros(shape))[:, i, j] += c * dg
+        moving = np.array(list(moved.values())).reshape(len(moved), *shape)
+        with np.errstate(invalid="ignore"):
+            terms = EPS * (len(program.code) + 4) * size
+        exact = (E == 0) & (np.abs(moving).sum(axis=0) == 0) & (self.single(outputs, done, columns))
+        return M, E + np.where(exact, 0.0, np.where(np.isnan(terms), np.inf, terms)), moving
+
+    @staticmethod
+    def single(outputs: list[programs.Form], done: list[programs.Both], columns: list[tuple[str, int]]) -> Mask:
+        """Entries (rows, columns) that one product with a factor of 1 or -1, or none, makes: these are not rounded."""
+        count = np.zeros((len(outputs), len(columns)))
+        for i, form in enumerate(outputs):
+            for key, factor in form.items():
+                for column in done[key[1]][1] if key[0] == "atom" else (key,):
+                    if column in columns:
+                        one = factor.known() and abs(factor.low[0]) == 1 if len(factor.low) else True
+                        bare = key[0] != "atom" and factor.known() if len(factor.low) else True
+                        count[i, columns.index(column)] += 1 if one or bare else 2
+        found: Mask = count <= 1
+        return found
 
     def effect(self, E: Array, of_f: bool) -> Array:
         """Sizes of the radii in units in which P is about the identity."""
@@ -354,39 +400,34 @@ class Cells:
 
     def judged(
         self,
-        M: Array,
-        E: Array,
+        parts: tuple[Array, Array, Array],
         judge: Callable[[Array, Array, Array, Array], Parts],
         of_f: bool,
         each: int,
         spent: int,
         slack: float,
     ) -> tuple[Mask, int, float]:
-        """Which cells are proven; the corners of the widest entries, and the others as a perturbation."""
-        finite = np.isfinite(E).all(axis=(1, 2))
+        """Which cells are proven; the corners of the widest directions, and the others as a perturbation."""
+        M, E, moving = parts
+        finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
         good = np.zeros(len(M), bool)
         if not finite.any():
             return good, spent, slack
-        E, M = E[finite], M[finite]
-        worth = self.effect(E, of_f).max(axis=0)
-        wide = [
-            int(k) for k in np.argsort(-worth.ravel())[:CORNERS] if worth.ravel()[k] > 1e-12 * (worth.max() + 1e-300)
-        ]
+        E, M, moving = E[finite], M[finite], moving[:, finite]
+        worth = np.array([self.effect(np.abs(D), of_f).max() for D in moving])
+        order = np.argsort(-worth)
+        wide = [int(k) for k in order[:CORNERS] if worth[k] > 1e-12 * (worth.max() + 1e-300)]
+        others = [k for k in range(len(moving)) if k not in wide]
         signs = np.array(list(product((-1.0, 1.0), repeat=len(wide)))).reshape(2 ** len(wide), len(wide))
-        rest, size = E.copy().reshape(len(E), -1), np.abs(M).reshape(len(M), -1)
-        moving = np.zeros((len(wide), *rest.shape))
-        for j, k in enumerate(wide):
-            moving[j, :, k] = rest[:, k]
-            rest[:, k] = EPS * (rest[:, k] + size[:, k])
+        size = np.abs(moving[wide]).sum(axis=0)
+        off = E + np.abs(moving[others]).sum(axis=0) + np.where(size > 0, EPS * (len(wide) + 2) * (np.abs(M) + size), 0)
         least_of = np.full(len(M), np.inf)
         for sign in signs:
-            at = (M.reshape(len(M), -1) + np.tensordot(sign, moving, 1)).reshape(M.shape)
-            off = rest.reshape(M.shape)
+            at = M + np.tensordot(sign, moving[wide], 1)
             spent += each * len(M)
             for first in range(0, len(M), max(1, BATCH // each)):
                 part = slice(first, first + max(1, BATCH // each))
-                arguments = (at[part], off[part])
-                below, _ = judge(*self.split(*arguments, of_f))
+                below, _ = judge(*self.split(at[part], off[part], of_f))
                 least_of[part] = np.minimum(least_of[part], below)
         good[finite] = least_of > 0
         kept = least_of[least_of > 0]
@@ -418,7 +459,7 @@ class Cells:
             amount, reason = float(above[k]), f"{name} fails by {-above[k]:.3g} of its terms at x = [{where}]"
             raise Refused(name, reason, amount, direction=x.tolist())
 
-    def halved(self, name: str, low: Array, high: Array, M: Array, E: Array, of_f: bool) -> Parts:
+    def halved(self, name: str, low: Array, high: Array, of_f: bool) -> Parts:
         """Both halves of each cell, along the side that narrows the Jacobian most."""
         best, side = np.full(len(low), np.inf), np.full(len(low), -1)
         for j in range(low.shape[1]):

@@ -82,6 +82,12 @@ def earlier(value: object, place: str, at: int) -> int:
 
 def run(program: Program, inputs: Mapping[str, list[Interval]], along: tuple[str, ...]) -> list[Both]:
     """Values and derivatives with respect to the inputs in `along`, of every output."""
+    done = every(program, inputs, along)
+    return [done[k] for k in program.outputs]
+
+
+def every(program: Program, inputs: Mapping[str, list[Interval]], along: tuple[str, ...]) -> list[Both]:
+    """The same of every instruction."""
     done: list[Both] = []
     like = next(item for items in inputs.values() for item in items)
     for each in program.code:
@@ -98,7 +104,40 @@ def run(program: Program, inputs: Mapping[str, list[Interval]], along: tuple[str
         else:
             found = TWO[name](done[places[0]], done[places[1]])
         done.append(found)
-    return [done[k] for k in program.outputs]
+    return done
+
+
+Form = dict[tuple[str, int], Interval]
+
+
+def forms(program: Program, done: list[Both]) -> list[Form]:
+    """Every output as a sum of constants times inputs and "atoms": instructions that are not linear in earlier ones.
+
+    So an atom that occurs in several outputs has the same derivatives in all of them. What is constant is left out.
+    """
+    found: list[Form] = []
+    for at, each in enumerate(program.code):
+        parts = [found[k] for k in each.places] if each.word not in INPUTS else []
+        unit: Form = {("atom", at): one(done[at][0])}
+        if each.word in INPUTS:
+            form: Form = {(each.word, each.places[0]): one(done[at][0])}
+        elif not any(parts):
+            form = {}
+        elif each.word == "neg":
+            form = {key: -part for key, part in parts[0].items()}
+        elif each.word == "twice":
+            form = {key: times(part, two(part)) for key, part in parts[0].items()}
+        elif each.word in ("add", "sub"):
+            form = added(parts[0], parts[1], 1 if each.word == "add" else -1)
+        elif each.word == "mul" and not all(parts):
+            whole, factor = (0, 1) if parts[0] else (1, 0)
+            form = {key: times(part, done[each.places[factor]][0]) for key, part in parts[whole].items()}
+        elif each.word == "div" and not parts[1]:
+            form = {key: times(part, iv.inverse(done[each.places[1]][0])) for key, part in parts[0].items()}
+        else:
+            form = unit
+        found.append(form)
+    return [found[k] for k in program.outputs]
 
 
 def chained(value: Interval, slope: Interval, inner: Slopes) -> Both:

@@ -143,3 +143,48 @@ def quadruple_tank() -> NonlinearPlant:
         name="quadruple tank",
     )
     return plant.in_region([2.0] * 4, [20.0] * 4)
+
+
+def bioreactor() -> NonlinearPlant:
+    """Return a bioreactor whose growth rate is not known: Monod growth, biomass and substrate measured, time in hours.
+
+        b' = mu s/(.5 + s) b - .1 b,    s' = -2 mu s/(.5 + s) b + .1 (20 - s),    mu' = w_mu
+
+    Biomass b within 9 to 10 g/l, substrate s within .4 to .7 g/l, mu (it stands still) within .25 to .35 per h.
+    """
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        growth = x[2] * x[1] / (0.5 + x[1]) * x[0]
+        return [growth - 0.1 * x[0] + w[0], -2 * growth + 0.1 * (20.0 - x[1]) + w[1], w[2]]
+
+    plant = NonlinearPlant(
+        dynamics,
+        lambda x, u, v: [x[0] + v[0], x[1] + v[1]],
+        {"states": 3, "disturbances": 3, "outputs": 2},
+        time_unit="h",
+        name="bioreactor",
+        signals={
+            "states": Signals(("b", "s", "mu"), ("g/l", "g/l", "1/h"), [1.0, 0.2, 0.05]),
+            "outputs": Signals(("b", "s"), ("g/l", "g/l"), [1.0, 0.2]),
+            "disturbances": Signals(("w_b", "w_s", "w_mu"), (), [0.1, 0.1, 0.01]),
+        },
+    )
+    return plant.in_region([9.0, 0.4, 0.25], [10.0, 0.7, 0.35])
+
+
+def unicycle(heading: float = 0.5) -> NonlinearPlant:
+    """Return a unicycle that drives at .8 to 1.2 m/s, its ranges to three beacons measured.
+
+    Position within 1 m of the origin, heading within `heading` rad of the first axis, beacons 5 m away; speed and
+    turning rate are inputs.
+    """
+    ca = casadi()
+    beacons = ((5.0, 0.0), (-2.5, 4.33), (-2.5, -4.33))
+    plant = NonlinearPlant(
+        lambda x, u, w: [u[0] * ca.cos(x[2]) + w[0], u[0] * ca.sin(x[2]) + w[1], u[1] + w[2]],
+        lambda x, u, v: [ca.sqrt((x[0] - a) ** 2 + (x[1] - b) ** 2) + v[k] for k, (a, b) in enumerate(beacons)],
+        {"states": 3, "inputs": 2, "disturbances": 3, "outputs": 3},
+        name="unicycle",
+        bounds={"inputs": ([0.8, -1.0], [1.2, 1.0])},
+    )
+    return plant.in_region([-1.0, -1.0, -heading], [1.0, 1.0, heading])

@@ -80,20 +80,10 @@ class InclusionSearch:
         self.columns, self.sizes = plant.columns, np.zeros(0)
         if self.columns is not None:  # multipliers stand for all members
             self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
-        self.chosen = self._first()
+        self.chosen, self.shown = extreme(self.members.dynamics), extreme(self.members.outputs)
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self.extra: list[Array] = []
         self._roots: dict[float, Array] = {}
-
-    def _first(self) -> list[int]:
-        """Members that begin: all where there are few, else those that are extreme in some entry."""
-        M = self.members.dynamics
-        flat = M.reshape(len(M), -1)
-        if len(M) <= 8:
-            return list(range(len(M)))
-        moving = np.flatnonzero(np.ptp(flat, axis=0) > 0)
-        ends = {int(k) for j in moving for k in (np.argmin(flat[:, j]), np.argmax(flat[:, j]))}
-        return sorted(ends)[:16]
 
     def inner(self, eta: float, pieces: int) -> tuple[Posed, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T'."""
@@ -156,14 +146,15 @@ class InclusionSearch:
             found = self._once(posed, T, narrow)
             if found is None:
                 return None
-            worst = self._violated(posed, found)
-            if not worst:
+            worst, unseen = self._violated(posed, found), self._hidden(posed, found)
+            if not worst and not unseen:
                 return found
-            self.chosen = sorted({*self.chosen, *worst})
+            self.chosen, self.shown = sorted({*self.chosen, *worst}), sorted({*self.shown, *unseen})
         return None
 
     def _once(self, posed: Posed, T: Array, narrow: bool) -> InclusionSolution | None:
-        some = replace(posed, dynamics=self._pushed(posed)[self.chosen_now(posed)])
+        dynamics = self._pushed(posed)[self.chosen_now(posed)]
+        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[self.shown])
         search = InclusionProgram(some)
         floor, x, record = search.floor()
         if x is None:
@@ -219,6 +210,16 @@ class InclusionSearch:
         least = flow_slacks(moved, found.P)
         bad = [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.chosen]
         return [k for k in bad if k < len(self.members.dynamics)]
+
+    def _hidden(self, posed: Posed, found: InclusionSolution) -> list[int]:
+        """Outputs at which the solution's jump fails most, not yet in the program."""
+        if len(self.shown) == len(posed.outputs):
+            return []
+        turn = np.asarray(np.linalg.solve(self._basis(posed), found.T), dtype=np.float64)
+        moved = posed.turned(turn)
+        least = jump_slacks(moved, found.P)
+        bad = [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0]
+        return [k for k in bad if k not in self.shown]
 
     def _basis(self, posed: Posed) -> Array:
         return self._coordinates(posed.eta / self.family.longest)
@@ -293,6 +294,25 @@ def flow_slacks(posed: Posed, P: Array) -> Array:
         form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
         least.append(np.linalg.eigvalsh(form)[..., 0].min(axis=1))
     return np.concatenate(least)
+
+
+def jump_slacks(posed: Posed, P: Array) -> Array:
+    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
+    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
+    own = posed.centre.T @ posed.Rt @ posed.centre
+    seen = cross + np.swapaxes(cross, 1, 2) - own
+    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
+    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))
+
+
+def extreme(stack: Array) -> list[int]:
+    """Members that begin: all where there are few, else those that are extreme in some entry."""
+    flat = stack.reshape(len(stack), -1)
+    if len(stack) <= 8:
+        return list(range(len(stack)))
+    moving = np.flatnonzero(np.ptp(flat, axis=0) > 0)
+    ends = {int(k) for j in moving for k in (np.argmin(flat[:, j]), np.argmax(flat[:, j]))}
+    return sorted(ends)[:16]
 
 
 def rounded(P: Array, digits: int) -> Array:

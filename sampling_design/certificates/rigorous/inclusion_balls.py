@@ -23,6 +23,7 @@ from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vert
 from sampling_design.checkers.programs import Instruction
 
 Array = npt.NDArray[np.float64]
+Slopes = dict[tuple[str, int], Ball]
 SUBJECT = "every plant of the model, all gaps in the range and every real window start"
 SHARES = (0.9, 0.0)
 """Parts of the guessed least eigenvalue that are tried as a proven slack."""
@@ -226,8 +227,8 @@ class Cells:
             a, b, depth = pending.pop()
             if self.outside(a, b):
                 continue
-            M = self.jacobian(a, b, of_f)
-            if M is not None and self.holds(M, forms, of_f):
+            found = self.assembly(a, b, of_f)
+            if found is not None and self.holds(found, forms, of_f):
                 continue
             self.refute(name, a, b, forms, of_f)
             side = self.side(a, b, of_f)
@@ -239,21 +240,21 @@ class Cells:
             pending += [(a, left, depth + 1), (right, b, depth + 1)]
         return 0.0
 
-    def holds(self, M: Matrix, forms: Callable[[Matrix], Iterator[Matrix]], of_f: bool) -> bool:
-        """Whether all forms are positive for all matrices in the balls of M."""
-        if all(definite(form) is True for form in forms(M)):
+    def holds(self, found: Assembly, forms: Callable[[Matrix], Iterator[Matrix]], of_f: bool) -> bool:
+        """Whether all forms are positive for all matrices of a cell: as they are, else at ends of the widest slopes."""
+        if all(definite(form) is True for form in forms(found.matrix({}))):
             return True
-        radii = self.effect(np.array([float(x.rad()) for x in M.entries()]).reshape(M.nrows(), M.ncols()), of_f).ravel()
-        wide = [int(k) for k in np.argsort(-radii)[:CORNERS] if radii[k] > WIDE * radii.max()]
-        if not wide or not radii.max() > 0:
+        widths = {key: self.effect(size, of_f).max(initial=0.0) for key, size in found.widths().items()}
+        top = max(widths.values(), default=0.0)
+        wide = [key for key in sorted(widths, key=lambda key: -widths[key])[:CORNERS] if widths[key] > WIDE * top]
+        if not wide or not top > 0:
             return False
-        entries = M.entries()
         for signs in product((-1, 1), repeat=len(wide)):
-            corner = list(entries)
-            for k, sign in zip(wide, signs, strict=True):
-                corner[k] = entries[k].upper() if sign > 0 else entries[k].lower()
-            at = flint().arb_mat(M.nrows(), M.ncols(), corner)
-            if not all(definite(form) is True for form in forms(at)):
+            ends = {
+                key: found.slopes[key].upper() if sign > 0 else found.slopes[key].lower()
+                for key, sign in zip(wide, signs, strict=True)
+            }
+            if not all(definite(form) is True for form in forms(found.matrix(ends))):
                 return False
         return True
 
@@ -306,16 +307,78 @@ class Cells:
 
     def jacobian(self, a: Array, b: Array, of_f: bool) -> Matrix | None:
         """(A, G) or C over a cell; None where it is not finite."""
+        found = self.assembly(a, b, of_f)
+        return None if found is None else found.matrix({})
+
+    def assembly(self, a: Array, b: Array, of_f: bool) -> Assembly | None:
+        """(A, G) or C over a cell as what its slopes make of it; None where it is not finite."""
         inputs = {key: hull(low, high) for key, low, high in zip(self.keys, a.tolist(), b.tolist(), strict=True)}
         n, q = self.c.plant.n, self.c.plant.G.shape[1]
         program = self.region.f if of_f else self.region.h
         columns = [("x", k) for k in range(n)] + [("w", k) for k in range(q if of_f else 0)]
-        found = differentiated(program.code, inputs)
+        found = Assembly(program.code, program.outputs, columns, differentiated(program.code, inputs))
+        return found if all(x.is_finite() for x in found.matrix({}).entries()) else None
+
+
+class Assembly:
+    """The derivatives of outputs from those of what is not linear in earlier instructions.
+
+    A slope that several outputs share is one and the same number in all of them.
+    """
+
+    def __init__(
+        self,
+        code: tuple[Instruction, ...],
+        outputs: tuple[int, ...],
+        columns: list[tuple[str, int]],
+        done: list[tuple[Ball, Slopes]],
+    ) -> None:
+        self.code, self.outputs, self.columns, self.done = code, outputs, columns, done
+        self.fixed: list[bool] = []
+        for each in code:
+            inner = each.word not in ("x", "u", "w")
+            self.fixed.append(inner and all(self.fixed[k] for k in each.places))
+        self.slopes: dict[tuple[int, tuple[str, int]], Ball] = {
+            (at, column): slope
+            for at, each in enumerate(code)
+            if not self.fixed[at] and each.word not in ("x", "u", "w") and not self.linear(each)
+            for column, slope in done[at][1].items()
+        }
+
+    def linear(self, each: Instruction) -> bool:
+        """Whether an instruction is linear in what is not constant among its arguments."""
+        if each.word == "mul":
+            return any(self.fixed[k] for k in each.places)
+        return each.word in ("neg", "twice", "add", "sub") or (each.word == "div" and self.fixed[each.places[1]])
+
+    def matrix(self, ends: Mapping[tuple[int, tuple[str, int]], Ball]) -> Matrix:
+        """The derivatives, some slopes replaced by an end of theirs."""
+        made: list[Slopes] = []
+        for at, each in enumerate(self.code):
+            if self.fixed[at] or each.word == "u":
+                made.append({})
+            elif each.word in ("x", "w"):
+                made.append({(each.word, each.places[0]): ball(1.0)})
+            elif not self.linear(each):
+                made.append({column: ends.get((at, column), slope) for column, slope in self.done[at][1].items()})
+            elif each.word in ("neg", "twice"):
+                factor = ball(-1.0 if each.word == "neg" else 2.0)
+                made.append({key: factor * part for key, part in made[each.places[0]].items()})
+            else:
+                pair = [(self.done[k][0], made[k]) for k in each.places]
+                made.append(joined(each.word, pair[0], pair[1])[1])
         zero = ball(0.0)
-        rows: list[list[Ball]] = [[found[k][1].get(column, zero) for column in columns] for k in program.outputs]
-        if not all(x.is_finite() for row in rows for x in row):
-            return None
-        return flint().arb_mat(rows)
+        return flint().arb_mat([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
+
+    def widths(self) -> dict[tuple[int, tuple[str, int]], Array]:
+        """By how much each slope moves the derivatives: its radius times what one of it adds."""
+        still = dict.fromkeys(self.slopes, ball(0.0))
+        base = floats(self.matrix(still))
+        found = {}
+        for key, slope in self.slopes.items():
+            if float(slope.rad()) > 0:
+                found[key] = np.abs(floats(self.matrix({**still, key: ball(1.0)})) - base) * float(slope.rad())
+        return found
 
 
 def hull(low: float, high: float) -> Ball:
@@ -327,9 +390,6 @@ def hull(low: float, high: float) -> Ball:
     found = lower.union(upper)
     whole: Ball = flint().arb(0, float("inf"))
     return found if np.isfinite(low) and np.isfinite(high) else whole
-
-
-Slopes = dict[tuple[str, int], Ball]
 
 
 def differentiated(code: tuple[Instruction, ...], inputs: dict[tuple[str, int], Ball]) -> list[tuple[Ball, Slopes]]:

@@ -1,0 +1,100 @@
+"""Two trajectories of a certified nonlinear plant never come apart further than Assumption 7 allows.
+
+Starts near and far, disturbances that push apart along the worst direction of P(tau), gaps at both ends of the range;
+a pair counts until one of the two leaves the region.
+`python -m tests.laws.test_no_pair_of_trajectories_violates_a_nonlinear_certificate 1000` flies 1000 pairs of each.
+"""
+
+import sys
+
+import numpy as np
+import pytest
+
+from sampling_design import GapRange
+from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.nonlinear import examples
+
+PLANTS = {
+    "pendulum": (examples.pendulum, 0.4, 1.0, 8),
+    "van der Pol": (examples.van_der_pol, 0.05, 1.0, 8),
+    "stirred reactor": (lambda: examples.stirred_reactor(2.0), 0.1, 0.2, 4),
+    "batch reactor": (examples.batch_reactor, 0.01, 3.0, 4),
+    "quadruple tank": (examples.quadruple_tank, 0.005, 5.0, 4),
+    "bioreactor": (examples.bioreactor, 0.02, 0.5, 4),
+    "unicycle": (examples.unicycle, 0.1, 0.5, 4),
+}
+STEPS = 12
+"""Of a Runge-Kutta method in each gap."""
+
+
+def far(plant, low, high):
+    """Ends of a box, a few scales where it has none."""
+    return np.where(np.isfinite(low), low, -3.0), np.where(np.isfinite(high), high, 3.0)
+
+
+def fly(name, pairs, seed=0, gaps=5):
+    """The largest V(t) over what Assumption 7 allows, over all pairs and instants, and how many pairs stayed inside."""
+    make, eta, longest, pieces = PLANTS[name]
+    plant = make()
+    c = certify_inclusion(plant, GapRange(longest / 10, longest), eta=eta, pieces=pieces)
+    rng, n, q = np.random.default_rng(seed), plant.n_states, plant.n_disturbances
+    f = plant.f_casadi.map(pairs)
+    h = plant.h_casadi.map(pairs)
+    low, high = far(plant, plant.region.lower, plant.region.upper)
+    ulow, uhigh = far(plant, *plant.bounds["inputs"])
+    middle, half = (low + high) / 2, (high - low) / 2
+    one = middle + 0.7 * half * rng.uniform(-1, 1, (pairs, n))
+    two = one + half * rng.uniform(-0.3, 0.3, (pairs, n)) * rng.choice([1e-4, 1.0], (pairs, 1))
+    size = plant.disturbances.scales * rng.choice([0.0, 0.02], (pairs, 1))
+    inside = plant.region.holds(one) & plant.region.holds(two)
+    d = one - two
+    allowed = np.einsum("ki,ij,kj->k", d, c.P2, d)
+    worst, counted = 0.0, 0
+
+    def slope(x, u, w):
+        return np.array(f(x.T, u.T, w.T)).T
+
+    # the first window may begin at any time since the last sample; here it begins at a sample, before it counts
+    for _ in range(gaps):
+        gap = longest * (1.0 if rng.random() < 0.5 else rng.uniform(0.1, 1.0))
+        u = rng.uniform(ulow, uhigh, (pairs, len(ulow))) if len(ulow) else np.zeros((pairs, 0))
+        dt = gap / STEPS
+        for k in range(STEPS):
+            P = c.at(k * dt)
+            push = np.sign((one - two) @ P @ c.plant.G) * (rng.random((pairs, q)) < 0.8)
+            w1, w2 = size * push, -size * push
+            moved = []
+            for x, w in ((one, w1), (two, w2)):
+                k1 = slope(x, u, w)
+                k2 = slope(x + dt / 2 * k1, u, w)
+                k3 = slope(x + dt / 2 * k2, u, w)
+                moved.append(x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + dt * k3, u, w)))
+            one, two = moved
+            with np.errstate(invalid="ignore"):
+                inside &= plant.region.holds(one) & plant.region.holds(two)
+            dw = w1 - w2
+            lost = np.einsum("ki,ij,kj->k", dw, c.Qw, dw) * (1 - np.exp(-eta * dt)) / eta
+            allowed = allowed * np.exp(-eta * dt) + lost
+            d = np.where(inside[:, None], one - two, 0.0)
+            V = np.einsum("ki,ij,kj->k", d, c.at((k + 1) * dt), d)
+            worst = max(worst, float(np.max(np.where(inside & (allowed > 0), V / np.maximum(allowed, 1e-300), 0.0))))
+            counted = int(inside.sum())
+        x1, x2 = (np.where(inside[:, None], x, middle) for x in (one, two))
+        quiet = np.zeros((pairs, plant.n_noises))
+        dy = np.array(h(x1.T, u.T, quiet.T)).T - np.array(h(x2.T, u.T, quiet.T)).T
+        allowed = allowed + np.einsum("ki,ij,kj->k", dy, c.Rtilde, dy)
+        one, two = x1, x2
+    return worst, counted
+
+
+@pytest.mark.parametrize("name", ["stirred reactor", "batch reactor"])
+def test_no_pair_of_trajectories_violates_a_nonlinear_certificate(name):
+    worst, counted = fly(name, 40)
+    assert counted >= 3
+    assert worst <= 1 + 1e-6
+
+
+if __name__ == "__main__":
+    for name in PLANTS if len(sys.argv) < 3 else sys.argv[2:]:
+        worst, counted = fly(name, int(sys.argv[1]))
+        print(f"{name}: largest ratio {worst:.4g}, {counted} of {sys.argv[1]} pairs to the end", flush=True)

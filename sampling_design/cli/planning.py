@@ -21,7 +21,7 @@ from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.requirement_file import requirement_and_plant
-from sampling_design.planning.sheet import write_sheet
+from sampling_design.planning.sheet import write_form, write_sheet
 from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
 
@@ -39,8 +39,14 @@ def plan(
         float, typer.Option(metavar="SECONDS", help="Seconds that the search may take; the proof comes on top.")
     ] = 60.0,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
+    compare: Annotated[
+        Path | None, typer.Option(metavar="PLAN", help="Another plan (plan.json) to set beside this one.")
+    ] = None,
 ) -> None:
     """Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.
+
+    With -o DIR: calendar (plan.ics), sheet, form to fill in, picture, and files for the other commands; the page "From
+    opening hours to a calendar" of the documentation goes through them.
 
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
@@ -49,15 +55,23 @@ def plan(
         plant = reading.plant(plant_file)
     if plant is None:
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
+    other = None if compare is None else load_plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan(plant, requirement, search_seconds=search_seconds, progress=progress)
     dates = None
     if requirement.calendar is not None and result.keeps:
         dates = plan_dates(result, periods)
     _write(settings, result, dates, person)
+    comparison = None if other is None else other.compare(result, ("before", "now"))
+    folder = settings.folder()
+    if comparison is not None and folder is not None:
+        settings.write_json(folder / "comparison.json", comparison.to_dict())
+        settings.wrote(save_picture(comparison, folder / "comparison.png"))
     tables: list[Table | str] = [record_table(result), _times(result), result.explain()]
     if dates is not None and dates.exceptions:
         tables += [record_table(dates), dates.explain()]
+    if comparison is not None:
+        tables += [table("Comparison", ["", *comparison.names], comparison.lines()), comparison.explain()]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":
         raise typer.Exit(3)
@@ -77,6 +91,8 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
         real, zone = dates.schedule(), result.requirement.calendar.zone
         title = f"{result.plant.name or 'plant'}: sample"
         settings.wrote(write_calendar_csv(real, folder / "calendar.csv", zone=zone))
+        settings.wrote(sd.write_schedule(real, folder / "dates.csv"))
+        settings.wrote(write_form(dates, folder / "form.csv"))
         settings.wrote(sd.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone))
         settings.wrote(write_sheet(dates, folder / "sheet.html", person=person))
 

@@ -23,6 +23,7 @@ from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 if TYPE_CHECKING:
+    from sampling_design.planning.comparison import PlanComparison
     from sampling_design.planning.robustness import PlanRobustness
 
 Array = npt.NDArray[np.float64]
@@ -124,6 +125,18 @@ class Plan(Record):
         """The share of its cost that another plan could at most save; None where no such bound was asked for."""
         proof = self.bound.cost
         return None if proof is None else max(0.0, 1 - proof.value / self.cost)
+
+    def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
+        """Return this plan and another one side by side: accuracy, cost, samples, robustness.
+
+        Raises
+        ------
+        ArgumentError
+            If it is no plan for the same states with a goal in common.
+        """
+        from sampling_design.planning.comparison import PlanComparison
+
+        return PlanComparison(self, other, names)
 
     def verify(self) -> bool:
         """Work out every claim anew without a solver: hours, accuracy, and both bounds."""

@@ -1,4 +1,4 @@
-"""A sheet of paper for the laboratory: who, when, which sensor."""
+"""What the laboratory fills in: a sheet of paper (who, when, which sensor), and a file of measurements."""
 
 from __future__ import annotations
 
@@ -80,3 +80,22 @@ Kept by these samples: {escape(goals)}.</p>
 </body></html>
 """
     return write_text(path, text)
+
+
+def write_form(dates: PlanDates, path: str | os.PathLike[str]) -> Path:
+    """Write the dates of a plan as a file of measurements whose values are still to be filled in.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    names = dates.plan.plant.outputs.names
+    lines = [",".join(["date", *(_cell(name) for name in names)])]
+    lines += [entry.date.isoformat() + "," * len(names) for entry in dates.entries]
+    return write_text(path, "\n".join(lines) + "\n")
+
+
+def _cell(text: str) -> str:
+    """A cell of a CSV file."""
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

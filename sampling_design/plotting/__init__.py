@@ -20,6 +20,7 @@ _PICTURES = {
     "WindowSigma": ("windows", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
     "Plan": ("plans", "draw_plan"),
+    "PlanComparison": ("plan_comparison", "draw_plan_comparison"),
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
     "Accuracy": ("accuracy", "draw_accuracy"),

@@ -19,17 +19,17 @@ Mask = npt.NDArray[np.bool_]
 def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw when which sensor is read (on `ax` alone if given), and below it the accuracy of every goal."""
     if ax is not None:
-        return _sensors(result, ax)
+        return draw_sensors(result, ax)
     goals = result.goals if result.accuracy is not None else ()
     sensors = result.problem.allowed.shape[1]
     figure, axes = style.new_figure(
         1 + len(goals), row_height=2.1, ratios=(0.5 + 0.28 * sensors, *(1.0 for _ in goals))
     )
-    _sensors(result, axes[0])
+    draw_sensors(result, axes[0])
     for k, one in enumerate(axes[1:]):
         _goal(result, k, one)
     for one in axes:
-        _days(result, one)
+        mark_days(result, one)
         one.set_xlim(0.0, result.schedule.period)
     for one in axes[:-1]:
         one.tick_params(labelbottom=False)
@@ -39,7 +39,7 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     return axes
 
 
-def _sensors(result: Plan, ax: Axes) -> Axes:
+def draw_sensors(result: Plan, ax: Axes) -> Axes:
     """One row for each sensor: when it may be read, and when it is."""
     problem, names = result.problem, result.plant.outputs.names
     for j in range(len(names)):
@@ -87,7 +87,7 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     style.legend(ax)
 
 
-def _days(result: Plan, ax: Axes) -> None:
+def mark_days(result: Plan, ax: Axes) -> None:
     """Weekdays instead of numbers where the plan has a calendar."""
     calendar, period = result.requirement.calendar, result.schedule.period
     if calendar is None:

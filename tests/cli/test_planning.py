@@ -13,7 +13,7 @@ from sampling_design.errors import ArgumentError
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SMALL = """format = "sampling-design/plan-requirement/1"
 period = 6.4
-raster = 0.4
+raster = 0.8
 w_bound = 0.02
 [accuracy]
 position = 0.5
@@ -22,7 +22,7 @@ noise_bound = 0.2
 """
 
 
-def test_a_plant_and_a_requirement_become_files(shell, tmp_path):
+def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     (tmp_path / "wanted.toml").write_text(SMALL)
     out = tmp_path / "out"
     result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", out)
@@ -33,6 +33,20 @@ def test_a_plant_and_a_requirement_become_files(shell, tmp_path):
     assert data["reached"][0] <= 0.5
     assert (out / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert shell("accuracy", out / "plant.toml", out / "schedule.csv", "--w", "0.02", "--v", "0.2").code == 0
+    plan_file = tmp_path / "out" / "plan.json"
+    result = shell("next", plan_file, "--now", "0.5", "-o", tmp_path / "out")
+    assert result.code == 0
+    assert "Next draw by " in result.out
+    assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
+    other = ("-o", tmp_path / "b", "--compare", plan_file)
+    again = shell("plan", tmp_path / "out" / "plant.toml", tmp_path / "wanted.toml", *other)
+    assert "Both cost the same" in " ".join(again.out.split())
+    assert (tmp_path / "b" / "comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert set(json.loads((tmp_path / "b" / "comparison.json").read_text())) >= {"before", "now"}
+    wrong = shell("next", plan_file, "--now", "tomorrow")
+    assert wrong.code == 2
+    with pytest.raises(ArgumentError, match="`--now` must be a number of"):
+        next_command(Settings("next"), plan_file, now="tomorrow")
 
 
 def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
@@ -42,17 +56,3 @@ def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
     assert "`PLANT` is missing" in result.err
     with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
         plan(Settings("plan"), tmp_path / "wanted.toml")
-
-
-def test_a_plan_says_by_when_to_sample_next(shell, tmp_path):
-    (tmp_path / "wanted.toml").write_text(SMALL)
-    shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", tmp_path / "out")
-    plan_file = tmp_path / "out" / "plan.json"
-    result = shell("next", plan_file, "--now", "0.5", "-o", tmp_path / "out")
-    assert result.code == 0
-    assert "Next draw by " in result.out
-    assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
-    wrong = shell("next", plan_file, "--now", "tomorrow")
-    assert wrong.code == 2
-    with pytest.raises(ArgumentError, match="`--now` must be a number of"):
-        next_command(Settings("next"), plan_file, now="tomorrow")

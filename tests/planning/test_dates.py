@@ -6,10 +6,12 @@ from dataclasses import replace
 import pytest
 
 import sampling_design as sd
+from sampling_design.cli.settings import Settings
+from sampling_design.cli.track import log
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.files import save_plan
-from sampling_design.planning.sheet import write_sheet
+from sampling_design.planning.sheet import write_form, write_sheet
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +101,19 @@ def test_a_forged_bound_does_not_verify(week, tmp_path):
     data["no_cheaper_than"]["value"] += 1.0
     path.write_text(json.dumps(data))
     assert not sd.load_plan(path).verify()
+
+
+def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
+    form = write_form(dates, tmp_path / "form.csv").read_text().splitlines()
+    head, *lines = form
+    assert head == "date,gauge,meter"
+    assert len(lines) == len(dates.entries)
+    filled = [line.replace(",,", ",1.5,0.2") for line in lines]
+    (tmp_path / "measured.csv").write_text("\n".join([head, *filled]) + "\n")
+    sd.write_plant(week.plant, tmp_path / "plant.toml")
+    sd.write_schedule(dates.schedule(), tmp_path / "dates.csv")
+    files = [tmp_path / name for name in ("plant.toml", "dates.csv", "measured.csv")]
+    log(Settings("log", output=tmp_path, quiet=True), *files)
+    told = json.loads((tmp_path / "log.json").read_text())
+    assert len(told["planned"]) == len(told["actual"]) == len(lines)
+    assert max(map(abs, told["deviations"])) < 1e-6  # on both sides of the change of the clocks

@@ -8,6 +8,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.planning.evidence import PlanBound
+from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
@@ -77,3 +78,17 @@ def test_spacing_and_limits_are_kept():
     found = sd.plan(OSCILLATOR, wanted, **BARE)
     assert len(found.schedule) <= 3
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9
+
+
+def test_another_program_measures_the_same(week):
+    plant, period = week.plant, week.schedule.period
+    times = (np.arange(7)[:, None] * period + week.schedule.times).ravel()
+    seen = np.tile(week.chosen[week.chosen.any(axis=1)], (7, 1))
+    hidden = []
+    for k in range(len(times) - 1 - week.samples, len(times) - 1):
+        for end in (times[k], (times[k] + times[k + 1]) / 2, times[k + 1]):
+            given = plant.A, plant.C, plant.G, times[: k + 1], seen[: k + 1], [1.0, 0.0], end, [0.02, 0.01], [0.5, 0.1]
+            hidden.append([oracle.hidden(*given, rest=rest)[0] for rest in (True, False)])
+    rest, free = np.max(hidden, axis=0)  # from below, and with any past
+    assert rest <= week.reached[0] <= 1.01 * rest
+    assert free <= week.reached[0]

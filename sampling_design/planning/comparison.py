@@ -1,0 +1,120 @@
+"""Two plans side by side: what each costs, keeps and bears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sampling_design._record import Plain, Record, short
+from sampling_design._units import time_factor
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.plan_record import Plan
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanComparison(Record):
+    """Two plans for the same plant, side by side.
+
+    Attributes
+    ----------
+    first, second : Plan
+    names : (str, str)
+    """
+
+    first: Plan
+    second: Plan
+    names: tuple[str, str] = ("first", "second")
+
+    def __post_init__(self) -> None:
+        shared = [goal.name for goal in self.first.goals if any(goal.name == g.name for g in self.second.goals)]
+        if not shared or self.first.plant.states.names != self.second.plant.states.names:
+            raise ArgumentError(
+                "`other` must be a plan for the same states with at least one goal in common, got goals "
+                f"{', '.join(g.name for g in self.first.goals)} and {', '.join(g.name for g in self.second.goals)}."
+            )
+
+    @property
+    def plans(self) -> tuple[Plan, Plan]:
+        """Both."""
+        return self.first, self.second
+
+    def shared(self) -> list[tuple[str, str, float, float]]:
+        """Goals of both by name, with their unit and what each plan reaches."""
+        reached = [{g.name: (g, float(r)) for g, r in zip(p.goals, p.reached, strict=True)} for p in self.plans]
+        both = [name for name in reached[0] if name in reached[1]]
+        return [(name, reached[0][name][0].unit, reached[0][name][1], reached[1][name][1]) for name in both]
+
+    def a_day(self, plan: Plan, value: float) -> float:
+        """An amount per period as one per day, so that periods may differ."""
+        return value / (plan.schedule.period * time_factor(plan.plant.time_unit, "d"))
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """Label and what each plan says of it."""
+
+        def both(label: str, say: object) -> tuple[str, str, str]:
+            assert callable(say)
+            return label, str(say(self.first)), str(say(self.second))
+
+        unit = self.first.plant.time_unit
+        rows = [
+            both("samples", lambda p: f"{p.samples} in {short(p.schedule.period)} {p.plant.time_unit}"),
+            both("cost of a period", lambda p: short(p.cost)),
+        ]
+        if self.first.schedule.period != self.second.schedule.period:
+            rows.append(both("cost of a day", lambda p: short(self.a_day(p, p.cost))))
+        rows.append(both("no plan for less than", lambda p: "-" if p.bound.cost is None else short(p.bound.cost.value)))
+        for name, of, one, other in self.shared():
+            mark = f" {of}" if of else ""
+            rows.append((name, f"{short(one, 4)}{mark}", f"{short(other, 4)}{mark}"))
+        rows.append(both("of the tolerances", lambda p: short(p.ratio, 4)))
+        rows.append(both("could gain at most", lambda p: f"{100 * p.gap:.2g} %"))
+        if any(p.robustness is not None for p in self.plans):
+            rows += [
+                both("one sample late by", lambda p: _bears(p, "late", unit)),
+                both("samples that may be lost", lambda p: _bears(p, "lost", unit)),
+            ]
+        rows.append(both("rate of the certificate", lambda p: _rate(p)))
+        return rows
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("", " | ".join(self.names)), *((label, f"{one} | {other}") for label, one, other in self.lines())]
+
+    def explain(self) -> str:
+        """Say which plan costs less and which knows more."""
+        costs = [self.a_day(p, p.cost) for p in self.plans]
+        share = min(costs) / max(costs) if max(costs) > 0 else 1.0
+        alike = share > 1 - 1e-9
+        less = self.names[0] if costs[0] < costs[1] else self.names[1]
+        text = "Both cost the same" if alike else f"{less} costs {100 * (1 - share):.3g} % less"
+        parts = []
+        for name, _, one, other in self.shared():
+            better = self.names[0] if one < other else self.names[1]
+            parts.append(f"{name} by {better} ({100 * (1 - min(one, other) / max(one, other)):.2g} % closer)")
+        return f"{text}; known better: {', '.join(parts)}."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+
+        def plain(p: Plan) -> dict[str, Plain]:
+            return {
+                "samples": p.samples,
+                "period": p.schedule.period,
+                "cost": p.cost,
+                "reached": {g.name: float(r) for g, r in zip(p.goals, p.reached, strict=True)},
+                "ratio": p.ratio,
+                "gap": p.gap,
+                "robustness": None if p.robustness is None else p.robustness.to_dict(),
+            }
+
+        return {name: plain(p) for name, p in zip(self.names, self.plans, strict=True)}
+
+
+def _bears(plan: Plan, what: str, unit: str) -> str:
+    if plan.robustness is None:
+        return "-"
+    if what == "lost":
+        return f"{plan.robustness.lost} in a row" if plan.robustness.lost else "none"
+    return f"{short(plan.robustness.least_late)} {unit}"
+
+
+def _rate(plan: Plan) -> str:
+    return "-" if plan.certificate is None else f"{short(plan.certificate.eta)} 1/{plan.plant.time_unit}"

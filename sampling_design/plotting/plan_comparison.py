@@ -1,0 +1,67 @@
+"""Two plans in one picture: when each reads what, and each shared goal over its period."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sampling_design.planning.comparison import PlanComparison
+from sampling_design.planning.plan_record import Plan
+from sampling_design.plotting import style
+from sampling_design.plotting.plans import draw_sensors, mark_days
+
+COLOURS = (style.PROVEN, style.ATTAINED)
+
+
+def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw both plans' sensors above each other, and each shared goal in a panel (on `ax` alone: the first goal)."""
+    shared = [name for name, *_ in result.shared()]
+    if ax is not None:
+        _goal(result, shared[0], ax)
+        return ax
+    sensors = [p.problem.allowed.shape[1] for p in result.plans]
+    ratios = (*(0.5 + 0.28 * count for count in sensors), *(1.0 for _ in shared))
+    figure, axes = style.new_figure(2 + len(shared), row_height=2.1, ratios=ratios)
+    for one, plan, name, colour in zip(axes, result.plans, result.names, COLOURS, strict=False):
+        draw_sensors(plan, one)
+        cost = f"{plan.samples} samples" if plan.problem.counts else f"cost {plan.cost:g}"
+        one.set_title(f"{name}: {cost}", loc="left", fontsize="small", color=colour)
+    for name, one in zip(shared, axes[2:], strict=True):
+        _goal(result, name, one)
+    longest = max(result.plans, key=lambda p: p.schedule.period)
+    for one in axes:
+        mark_days(longest, one)
+        one.set_xlim(0.0, longest.schedule.period)
+    for one in axes[:-1]:
+        one.tick_params(labelbottom=False)
+        one.set_xlabel("")
+    figure.suptitle(f"{result.first.plant.name or 'plans'}: {result.names[0]} and {result.names[1]}")
+    return axes
+
+
+def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
+    """One goal of both plans, over as many periods as the longer one needs."""
+    longest = max(plan.schedule.period for plan in result.plans)
+    top = 0.0
+    for plan, label, colour in zip(result.plans, result.names, COLOURS, strict=True):
+        k = [goal.name for goal in plan.goals].index(name)
+        edges, upper = curve(plan, k)
+        laps = np.arange(-1, int(np.ceil(longest / plan.schedule.period - 1e-9)))
+        for lap in laps.tolist():
+            ax.stairs(upper, edges + lap * plan.schedule.period, baseline=None, color=colour,
+                      label=label if lap == 0 else None)  # fmt: skip
+        tolerance = plan.goals[k].tolerance
+        line = "--" if plan is result.first else ":"
+        ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=line, label=f"tolerance, {label}")
+        top = max(top, tolerance, float(np.max(upper)))
+    unit = next(u for n, u, *_ in result.shared() if n == name)
+    ax.set_ylim(0.0, 1.15 * top)
+    ax.set_ylabel(f"{name}\n[{unit}]" if unit else name)
+    ax.set_xlabel(style.time_label(result.first.plant.time_unit))
+    style.legend(ax, columns=4)
+
+
+def curve(plan: Plan, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Edges and height of a goal over the period."""
+    assert plan.accuracy is not None
+    return plan.accuracy.profile.edges, plan.accuracy.profile.upper[k]

@@ -71,7 +71,8 @@ def plan(
     if dates is not None and dates.exceptions:
         tables += [record_table(dates), dates.explain()]
     if comparison is not None:
-        tables += [table("Comparison", ["", *comparison.names], comparison.lines()), comparison.explain()]
+        lines = [[line.label, line.first, line.second] for line in comparison.lines()]
+        tables += [table("Comparison", ["", *comparison.names], lines), comparison.explain()]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":
         raise typer.Exit(3)

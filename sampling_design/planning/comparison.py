@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import time_factor
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
+
+
+@dataclass(frozen=True)
+class SharedGoal:
+    """What both plans reach for one goal, in its unit."""
+
+    name: str
+    unit: str
+    first: float
+    second: float
+
+
+@dataclass(frozen=True)
+class ComparedLine:
+    """One line of the table: what each plan says of it."""
+
+    label: str
+    first: str
+    second: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,22 +57,21 @@ class PlanComparison(Record):
         """Both."""
         return self.first, self.second
 
-    def shared(self) -> list[tuple[str, str, float, float]]:
+    def shared(self) -> list[SharedGoal]:
         """Goals of both by name, with their unit and what each plan reaches."""
         reached = [{g.name: (g, float(r)) for g, r in zip(p.goals, p.reached, strict=True)} for p in self.plans]
         both = [name for name in reached[0] if name in reached[1]]
-        return [(name, reached[0][name][0].unit, reached[0][name][1], reached[1][name][1]) for name in both]
+        return [SharedGoal(name, reached[0][name][0].unit, reached[0][name][1], reached[1][name][1]) for name in both]
 
     def a_day(self, plan: Plan, value: float) -> float:
         """An amount per period as one per day, so that periods may differ."""
         return value / (plan.schedule.period * time_factor(plan.plant.time_unit, "d"))
 
-    def lines(self) -> list[tuple[str, str, str]]:
+    def lines(self) -> list[ComparedLine]:
         """Label and what each plan says of it."""
 
-        def both(label: str, say: object) -> tuple[str, str, str]:
-            assert callable(say)
-            return label, str(say(self.first)), str(say(self.second))
+        def both(label: str, say: Callable[[Plan], str]) -> ComparedLine:
+            return ComparedLine(label, say(self.first), say(self.second))
 
         unit = self.first.plant.time_unit
         rows = [
@@ -62,9 +81,9 @@ class PlanComparison(Record):
         if self.first.schedule.period != self.second.schedule.period:
             rows.append(both("cost of a day", lambda p: short(self.a_day(p, p.cost))))
         rows.append(both("no plan for less than", lambda p: "-" if p.bound.cost is None else short(p.bound.cost.value)))
-        for name, of, one, other in self.shared():
-            mark = f" {of}" if of else ""
-            rows.append((name, f"{short(one, 4)}{mark}", f"{short(other, 4)}{mark}"))
+        for goal in self.shared():
+            mark = f" {goal.unit}" if goal.unit else ""
+            rows.append(ComparedLine(goal.name, f"{short(goal.first, 4)}{mark}", f"{short(goal.second, 4)}{mark}"))
         rows.append(both("of the tolerances", lambda p: short(p.ratio, 4)))
         rows.append(both("could gain at most", lambda p: f"{100 * p.gap:.2g} %"))
         if any(p.robustness is not None for p in self.plans):
@@ -76,7 +95,7 @@ class PlanComparison(Record):
         return rows
 
     def _rows(self) -> list[tuple[str, str]]:
-        return [("", " | ".join(self.names)), *((label, f"{one} | {other}") for label, one, other in self.lines())]
+        return [("", " | ".join(self.names)), *((x.label, f"{x.first} | {x.second}") for x in self.lines())]
 
     def explain(self) -> str:
         """Say which plan costs less and which knows more."""
@@ -86,9 +105,10 @@ class PlanComparison(Record):
         less = self.names[0] if costs[0] < costs[1] else self.names[1]
         text = "Both cost the same" if alike else f"{less} costs {100 * (1 - share):.3g} % less"
         parts = []
-        for name, _, one, other in self.shared():
-            better = self.names[0] if one < other else self.names[1]
-            parts.append(f"{name} by {better} ({100 * (1 - min(one, other) / max(one, other)):.2g} % closer)")
+        for goal in self.shared():
+            better = self.names[0] if goal.first < goal.second else self.names[1]
+            closer = 1 - min(goal.first, goal.second) / max(goal.first, goal.second)
+            parts.append(f"{goal.name} by {better} ({100 * closer:.2g} % closer)")
         return f"{text}; known better: {', '.join(parts)}."
 
     def to_dict(self) -> dict[str, Plain]:

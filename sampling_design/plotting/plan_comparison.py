@@ -15,7 +15,7 @@ COLOURS = (style.PROVEN, style.ATTAINED)
 
 def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw both plans' sensors above each other, and each shared goal in a panel (on `ax` alone: the first goal)."""
-    shared = [name for name, *_ in result.shared()]
+    shared = [goal.name for goal in result.shared()]
     if ax is not None:
         _goal(result, shared[0], ax)
         return ax
@@ -54,7 +54,7 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
         line = "--" if plan is result.first else ":"
         ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=line, label=f"tolerance, {label}")
         top = max(top, tolerance, float(np.max(upper)))
-    unit = next(u for n, u, *_ in result.shared() if n == name)
+    unit = next(goal.unit for goal in result.shared() if goal.name == name)
     ax.set_ylim(0.0, 1.15 * top)
     ax.set_ylabel(f"{name}\n[{unit}]" if unit else name)
     ax.set_xlabel(style.time_label(result.first.plant.time_unit))

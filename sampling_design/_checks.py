@@ -36,7 +36,8 @@ def real_array(name: str, value: object, ndim: int) -> Array:
     """
     array = _as_reals(name, value)
     if array.ndim != ndim:
-        raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.")
+        slip = " One row is [[...]], in two brackets." if (ndim, array.ndim) == (2, 1) else ""
+        raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.{slip}")
     if not np.all(np.isfinite(array)):
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ArgumentError(f"`{name}` must be finite, got {name}[{', '.join(map(str, index))}] = {array[index]}.")

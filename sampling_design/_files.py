@@ -27,6 +27,9 @@ PIECES = 1 << 14
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 
+_SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")
+"""A matrix as other programs write it: [0 1; -1 0]."""
+
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
     """Return the content of a file.
@@ -51,12 +54,21 @@ def read_text(path: str | os.PathLike[str]) -> str:
     FileFormatError
         If it is not text, or as in `read_bytes`.
     """
-    where = os.fspath(path)
+    content = read_bytes(path)
     try:
-        text = read_bytes(path).decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
+        raise _no_text(os.fspath(path), content) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _no_text(where: str, content: bytes) -> FileFormatError:
+    """What a file that is no text seems to be, and what to do about it."""
+    if content.startswith(b"PK"):
+        told = "is a workbook (Excel) or another zip file. Save the table as csv (UTF-8)"
+    else:
+        told = "is not a text file (not UTF-8). Save it as UTF-8"
+    return FileFormatError(f"{where}: {told}.", where)
 
 
 def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
@@ -73,7 +85,7 @@ def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
             for line in stream:
                 yield line.removesuffix("\n")
     except UnicodeDecodeError:
-        raise FileFormatError(f"{where}: is not a text file (not UTF-8).", where) from None
+        raise _no_text(where, read_bytes(path)) from None
     except OSError as error:
         raise _unreadable(where, error) from None
 
@@ -260,7 +272,10 @@ def from_toml(text: str, where: str) -> Tree:
         sentence = f"{where}: {error}."
         raise FileFormatError(sentence, where) from None
     except tomllib.TOMLDecodeError as error:
-        raise FileFormatError(f"{where}: is not valid TOML ({error}). Was the file cut off?", where) from None
+        slip = "Was the file cut off?"
+        if _SEMICOLONS.search(text):
+            slip = "Rows stand in brackets of their own: A = [[0.0, 1.0], [-1.0, 0.0]]."
+        raise FileFormatError(f"{where}: is not valid TOML ({error}). {slip}", where) from None
     except (RecursionError, ValueError):
         raise _unreasonable(where) from None
 

@@ -283,6 +283,8 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
     """Reader of a list of rows of finite numbers, all of one length; without rows it has the columns asked for."""
 
     def read(value: object, place: str) -> Array:
+        if isinstance(value, (list, tuple)) and value and not any(isinstance(row, (list, tuple)) for row in value):
+            raise refuse(place, f"must be a list of rows, got {shown(value)}. One row is [[...]], in two brackets")
         table = list_of(list_of(number))(value, place)
         wide = columns if columns is not None else len(table[0]) if table else 0
         if (rows is not None and len(table) != rows) or any(len(row) != wide for row in table):

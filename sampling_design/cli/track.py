@@ -32,8 +32,8 @@ GAPS_IN_HORIZON = 10
 
 MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
 Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
-WBound = Annotated[str | None, typer.Option(help=f"Bound on the disturbance w(t). {Numbers}")]
-VBound = Annotated[str | None, typer.Option(help=f"Bound on the measurement noise v. {Numbers}")]
+WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
+VBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")]
 InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
 CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]

@@ -109,6 +109,8 @@ def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: st
 
 
 def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
+    if not data:
+        raise ArgumentError("the file is empty, expected a plant.")
     _checks.known_keys("the file", data, _TREE)
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a plant file?")

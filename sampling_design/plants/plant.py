@@ -180,7 +180,9 @@ class Plant(Record):
     def __post_init__(self) -> None:
         A = _checks.matrix("A", self.A)
         n = A.shape[0]
-        A = _checks.matrix("A", A, n, n)
+        if A.shape[1] != n:
+            slip = " Decimals have a point, not a comma: 0.5." if A.shape[1] == 2 * n else ""
+            raise ArgumentError(f"`A` must be square, got shape {A.shape}.{slip}")
         empty = self.C is not None and np.size(np.asarray(self.C, dtype=object)) == 0 and n > 0
         C = np.zeros((0, n)) if empty else _checks.matrix("C", self.C, None, n)
         p = C.shape[0]

@@ -37,7 +37,7 @@ def test_integers_become_floats():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"A": [[0.0, 1.0]]}, r"`A` must have shape \(1, 1\), got \(1, 2\)"),
+        ({"A": [[0.0, 1.0]]}, r"`A` must be square, got shape \(1, 2\)"),
         ({"A": [[0.0, np.nan], [0.0, 0.0]]}, r"`A` must be finite, got A\[0, 1\] = nan"),
         ({"A": [[0.0, np.inf], [0.0, 0.0]]}, r"`A` must be finite, got A\[0, 1\] = inf"),
         ({"A": [[1j, 0.0], [0.0, 0.0]]}, "`A` must be real, got complex entries. Use a real basis"),

@@ -60,7 +60,9 @@ def read_table(where: str, lines: Iterator[str], plant: Measured, origin: str | 
     if first is None:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
     mark = _files.separator(first[1])
-    ((_, header),) = _files.csv_rows([first], where)
+    ((_, found),) = _files.csv_rows([first], where)
+    own = {*plant.outputs.names, *plant.inputs.names}
+    header = [name.lower() if name.lower() in ("time", "date") and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
     clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin))
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
@@ -291,7 +293,10 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
     wanted = [*plant.outputs.names, *plant.inputs.names]
     missing = [name for name in wanted if name not in header]
     if missing:
-        raise FileFormatError(f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.", where)
+        near = [name for name in header if name.lower().startswith(missing[0].lower())]
+        slip = f" Is it {near[0]!r}? Names stand as in the plant, without units." if near else ""
+        told = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
+        raise FileFormatError(told, where)
     twice = [name for i, name in enumerate(header) if name in header[:i]]
     if twice:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
@@ -299,7 +304,8 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
         known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
         _checks.known_keys("the header", header, known)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: unknown column: {error}", where) from None
+        slip = f" A column that is neither is left out; the plant names {', '.join(wanted)}."
+        raise FileFormatError(f"{where}: unknown column: {error}{slip}", where) from None
     return stamps[0]
 
 
@@ -309,6 +315,8 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
     value = _files.decimal(cell)
     if value is None:
         hint = " Leave the cell empty if nothing was measured." if blank else ""
+        if name == "time" and _dated(cell):
+            hint = " Dates stand in a column named date."
         raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
     return value
 
@@ -318,8 +326,18 @@ def date_of(where: str, line: int, cell: str) -> datetime:
         date = datetime.fromisoformat(cell)
     except ValueError:
         at = f"in line {line}" if line else "given as origin"
-        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.", where) from None
+        slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
+        raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.{slip}", where) from None
     return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+
+
+def _dated(cell: str) -> bool:
+    """Whether a cell is a date."""
+    try:
+        datetime.fromisoformat(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _check_twin(where: str, line: int, new: tuple[float, ...], old: tuple[int, tuple[float, ...]]) -> None:

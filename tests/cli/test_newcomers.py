@@ -1,0 +1,185 @@
+"""What a newcomer gets wrong, and what is said to it: one sentence that names what came and what to do."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLANT = EXAMPLES / "plants" / "oscillator.toml"
+WISH = EXAMPLES / "requirements" / "oscillator.toml"
+TEXT, WISHED = PLANT.read_text(), WISH.read_text()
+DATA = "time,position\n0.5,0.2\n1.7,-0.3\n3.1,-0.9\n"
+EDGE = 'format = "sampling-design/plant/1"\ntime_unit = "s"\n[matrices]\n'
+
+
+def swapped(text, old, new):
+    assert old in text
+    return text.replace(old, new)
+
+
+FREE = swapped(TEXT, TEXT[TEXT.index("B = ") : TEXT.index("C = ")], "")
+FREE = swapped(FREE, FREE[FREE.index("[inputs]") : FREE.index("[disturbances]")], "")
+
+
+# what is wrong: (file's name, its content, words that the answer holds, exit code)
+PLANTS = {
+    "flat C": (
+        "p.toml",
+        EDGE + "A = [[0.0, 1.0], [-1.0, 0.0]]\nC = [1.0, 0.0]\n",
+        "One row is [[...]], in two brackets",
+        2,
+    ),
+    "flat A": ("p.toml", EDGE + "A = [0.0, 1.0]\nC = [[1.0, 0.0]]\n", "One row is [[...]], in two brackets", 2),
+    "A not square": ("p.toml", EDGE + "A = [[0.0, 1.0]]\nC = [[1.0, 0.0]]\n", "square", 2),
+    "C of another size": ("p.toml", EDGE + "A = [[0.0, 1.0], [-1.0, 0.0]]\nC = [[1.0]]\n", "`C` must have", 2),
+    "ragged A": ("p.toml", EDGE + "A = [[0.0, 1.0], [-1.0]]\nC = [[1.0, 0.0]]\n", "A", 2),
+    "decimal commas": ("p.toml", EDGE + "A = [[0,0, 1,0], [-1,0, 0,0]]\nC = [[1,0]]\n", "point, not a comma", 2),
+    "numbers as text": ("p.toml", EDGE + 'A = [["0", "1"], ["-1", "0"]]\nC = [[1.0, 0.0]]\n', "number", 2),
+    "no C": ("p.toml", EDGE + "A = [[0.0]]\n", "C", 2),
+    "nan": ("p.toml", EDGE + "A = [[nan]]\nC = [[1.0]]\n", "finite", 2),
+    "MATLAB's semicolons": ("p.toml", EDGE + "A = [0 1; -1 0]\nC = [1 0]\n", "Rows stand in brackets of their own", 2),
+    "unit in words": ("p.toml", swapped(TEXT, '"s"', '"seconds"'), "time_unit", 2),
+    "unknown unit": ("p.toml", swapped(TEXT, '"s"', '"y"'), "time_unit", 2),
+    "no unit": ("p.toml", swapped(TEXT, 'time_unit = "s"\n', ""), "time_unit", 2),
+    "a misspelt key": ("p.toml", swapped(TEXT, "[matrices]", "[matrix]"), "matri", 2),
+    "too many names": ("p.toml", swapped(TEXT, '"velocity",', '"velocity", "heat",'), "one per name", 2),
+    "one name twice": ("p.toml", swapped(TEXT, '"velocity",', '"position",'), "position", 2),
+    "an empty file": ("p.toml", "", "the file is empty, expected a plant", 2),
+    "another kind of text": ("p.txt", TEXT, ".toml", 2),
+    "a workbook": ("p.xlsx", b"PK\x03\x04" + bytes(60), ".toml", 2),
+    "a workbook named toml": ("p.toml", b"PK\x03\x04\x00\xff" + bytes(60), "is a workbook", 2),
+    "Latin letters of Windows": (
+        "p.toml",
+        swapped(TEXT, "oscillator", "Schwingfähig").encode("latin-1"),
+        "Save it as UTF-8",
+        2,
+    ),
+    "text of two bytes": ("p.toml", TEXT.encode("utf-16"), "UTF-", 2),
+    "with a byte order mark": ("p.toml", b"\xef\xbb\xbf" + TEXT.encode(), "oscillator", 0),
+    "with line ends of Windows": ("p.toml", TEXT.replace("\n", "\r\n"), "oscillator", 0),
+    "a requirement": ("p.toml", WISHED, "is a requirement file, expected a plant file", 2),
+    "measurements": ("p.csv", DATA, "measurement", 2),
+}
+WISHES = {
+    "a window of no length": (swapped(WISHED, "window = 6.28", "window = 0.0 # "), "`window` must be", 2),
+    "a negative spacing": (swapped(WISHED, "spacing = 0.2", "spacing = -0.2"), "`spacing` must be", 2),
+    "half a sample": (swapped(WISHED, "exactly = 4", "exactly = 4.5"), "samples", 2),
+    "no sample": (swapped(WISHED, "exactly = 4", "exactly = 0"), "samples", 2),
+    "more than fit": (swapped(WISHED, "spacing = 0.2", "spacing = 3.0"), "spacing", 1),
+    "a misspelt key": (swapped(WISHED, "spacing", "spaceing"), "spacing", 2),
+    "hours the wrong way round": (WISHED + "forbidden = [[3.0, 2.0]]\n", "forbidden", 2),
+    "hours past the period": (WISHED + "forbidden = [[5.0, 9.0]]\n", "forbidden", 2),
+    "everything closed": (WISHED + "forbidden = [[0.0, 6.283185307179586]]\n", "forbidden", 1),
+    "an unknown sensor": (WISHED + "[outputs.speed]\ncost = 2.0\n", "speed", 2),
+    "a plant": (TEXT, "is a plant file, expected a requirement file", 2),
+}
+RECORDS = {
+    "as it should be": (DATA, "3 ", 0),
+    "`Time`": (DATA.replace("time", "Time"), "", 0),
+    "`t`": (DATA.replace("time", "t"), "time", 2),
+    "no head": (DATA.split("\n", 1)[1], "time", 2),
+    "an unknown column": (DATA.replace("position", "pos"), "pos", 2),
+    "an extra column": ("time,position,note\n0.5,0.2,a\n1.7,-0.3,b\n", "the plant names position", 2),
+    "an extra column of numbers": ("time,position,speed\n0.5,0.2,1.0\n1.7,-0.3,2.0\n", "speed", 2),
+    "semicolons": (DATA.replace(",", ";"), "", 0),
+    "semicolons and decimal commas": (DATA.replace(",", ";").replace(".", ","), "", 0),
+    "decimal commas between commas": ("time,position\n0,5,0,2\n1,7,-0,3\n", "cell", 2),
+    "tabs": (DATA.replace(",", "\t"), "", 0),
+    "blanks after commas": (DATA.replace(",", ", "), "", 0),
+    "a byte order mark": (b"\xef\xbb\xbf" + DATA.encode(), "", 0),
+    "line ends of Windows": (DATA.replace("\n", "\r\n"), "", 0),
+    "an empty file": ("", "empty", 2),
+    "a head and nothing else": ("time,position\n", "no ", 2),
+    "one row": ("time,position\n0.5,0.2\n", "", 0),
+    "time backwards": ("time,position\n1.7,0.2\n0.5,-0.3\n", "", 0),
+    "a time twice": ("time,position\n0.5,0.2\n0.5,-0.3\n", "line 3 repeats the time of line 2", 2),
+    "a cell that is no number": (DATA.replace("-0.3", "n/a?"), "n/a?", 2),
+    "an empty cell": (DATA.replace("-0.3", ""), "Leave a lost sample out", 2),
+    "nan": (DATA.replace("-0.3", "nan"), "Leave the cell empty", 2),
+    "an endless value": (DATA.replace("-0.3", "inf"), "inf", 2),
+    "a row too short": ("time,position\n0.5,0.2\n1.7\n", "line 3", 2),
+    "dates": ("date,position\n2026-03-16 08:00,0.2\n2026-03-16 08:01,0.1\n", "", 0),
+    "dates under time": ("time,position\n2026-03-16 08:00,0.2\n2026-03-16 08:01,0.1\n", "a column named date", 2),
+    "dates of Germany": ("date,position\n16.03.2026 08:00,0.2\n", "Write 2026-03-16", 2),
+    "dates of America": ("date,position\n03/16/2026 8:00 AM,0.2\n", "Write 2026-03-16", 2),
+    "a unit in the head": ("time,position [m]\n0.5,0.2\n1.7,-0.3\n", "without units", 2),
+    "a unit in the cell": ("time,position\n0.5,0.2 m\n", "0.2 m", 2),
+    "a workbook": (b"PK\x03\x04\x00\xff" + bytes(60), "Save the table as csv", 2),
+}
+CALLS = {
+    "a list for C": (lambda: sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [1.0, 0.0]), "One row is [[...]], in two brackets"),
+    "degrees": (lambda: sd.Schedule(["0°", "90°"]), "`times`"),
+    "a count for times": (lambda: sd.sigma_min(sd.named_plant("oscillator"), 4), "`times` must have 1 dimension"),
+    "times for gaps": (lambda: sd.PeriodicSchedule([0.0, 1.0, 2.0]), "gaps"),
+    "a file's name for a plant": (lambda: sd.certify("plant.toml", sd.PeriodicSchedule([1.0])), "read_plant"),
+    "a file's name for a schedule": (lambda: sd.certify(sd.named_plant("oscillator"), "s.csv"), "read_schedule"),
+    "arguments swapped": (
+        lambda: sd.certify(sd.PeriodicSchedule([1.0]), sd.named_plant("oscillator")),
+        "got PeriodicSchedule",
+    ),
+    "seconds for hours": (
+        lambda: sd.sigma_min(sd.named_plant("oscillator"), sd.Schedule([1.0, 2.0], time_unit="h")),
+        "in_unit",
+    ),
+    "an unknown plant": (lambda: sd.named_plant("pendulum"), "oscillator"),
+    "a bound forgotten": (
+        lambda: sd.accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1),
+        "`v_bound`",
+    ),
+    "a bound below zero": (
+        lambda: sd.accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=-1.0),
+        "`v_bound`",
+    ),
+    "a misspelt name": (lambda: sd.desing_schedule, "design_schedule"),
+    "a complex matrix": (lambda: sd.Plant([[1j]], [[1.0]]), "real"),
+    "a matrix of objects": (lambda: sd.Plant(np.array([[None]]), [[1.0]]), "`A`"),
+}
+
+
+def written(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def judge(done, words, code):
+    assert done.code == code, done.err or done.out
+    told = done.err if code else done.out
+    assert words.lower() in told.lower(), told
+    if code:
+        assert len(done.err.strip().splitlines()) == 1, done.err
+        assert "Traceback" not in done.err
+
+
+@pytest.mark.parametrize("what", PLANTS)
+def test_a_plant_file(what, shell, tmp_path):
+    name, content, words, code = PLANTS[what]
+    judge(shell("info", written(tmp_path, name, content)), words, code)
+
+
+@pytest.mark.parametrize("what", WISHES)
+def test_a_requirement_file(what, shell, tmp_path):
+    content, words, code = WISHES[what]
+    judge(shell("design", PLANT, written(tmp_path, "r.toml", content), "--branches", 0, "--quiet"), words, code)
+
+
+@pytest.mark.parametrize("what", RECORDS)
+def test_a_measurement_file(what, shell, tmp_path):
+    content, words, code = RECORDS[what]
+    path = written(tmp_path, "m.csv", content)
+    judge(
+        shell("estimate", written(tmp_path, "free.toml", FREE), path, "--w", 0.1, "--v", 0.2, "--initial-error", 2.0),
+        words,
+        code,
+    )
+
+
+@pytest.mark.parametrize("what", CALLS)
+def test_a_call(what):
+    call, words = CALLS[what]
+    with pytest.raises((sd.SamplingDesignError, AttributeError), match=re.escape(words)):
+        call()

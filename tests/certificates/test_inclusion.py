@@ -364,3 +364,17 @@ def test_matrices_of_a_file_are_not_made_symmetric_in_silence(certificate):
     P[0, 1, 0] += 0.1
     with pytest.raises(ArgumentError, match="must be symmetric"):
         replace(certificate, P=P)
+
+
+def test_linear_coordinates_change_nothing_that_is_proven():
+    rng = np.random.default_rng(4)
+    T = rng.normal(size=(2, 2)) + 2 * np.eye(2)
+    inverse = np.linalg.inv(T)
+    plant = Plant(inverse @ OSCILLATOR.A @ T, OSCILLATOR.C @ T, G=inverse)
+    part = UncertainParameter("omega^2", 0.81, 1.21, A=inverse @ np.array(STIFFNESS.A) @ T, nominal=1.0)
+    turned = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.2, 2.0), eta=0.02, pieces=8)
+    assert turned.verify().passed
+    with pytest.raises(UndecidedError):
+        certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.2, 2.4), eta=0.02, pieces=8)
+    with pytest.raises(UndecidedError):
+        certify_inclusion(UNCERTAIN, GapRange(0.2, 2.4), eta=0.02, pieces=8)

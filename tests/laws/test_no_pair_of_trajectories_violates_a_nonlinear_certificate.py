@@ -15,7 +15,7 @@ from sampling_design.certificates.inclusion.certify_inclusion import certify_inc
 from sampling_design.nonlinear import examples
 
 PLANTS = {
-    "pendulum": (examples.pendulum, 0.4, 1.0, 8),
+    "pendulum": (examples.pendulum, 0.4, 1.0, 16),
     "van der Pol": (examples.van_der_pol, 0.05, 1.0, 8),
     "stirred reactor": (lambda: examples.stirred_reactor(2.0), 0.1, 0.2, 4),
     "batch reactor": (examples.batch_reactor, 0.01, 3.0, 4),

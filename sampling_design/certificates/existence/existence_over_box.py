@@ -15,7 +15,7 @@ from sampling_design._linalg import positive_or_one
 from sampling_design._record import Record, short
 from sampling_design.errors import UndecidedError
 from sampling_design.observability.box.branching import halved
-from sampling_design.observability.box.expansion import BoxCells, expanded
+from sampling_design.observability.box.expansion import UP, BoxCells, expanded
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
 from sampling_design.plants.plant import Plant
@@ -190,7 +190,7 @@ class GainedGaps:
             bound = np.linalg.norm(corners, 2, axis=(1, 2)).max() + left * np.linalg.norm(slopes, axis=(1, 2)).sum()
             bound += (np.linalg.norm(keep, 2) + left) * rest
             with np.errstate(divide="ignore"):
-                total += self.rate / 2 * gap + float(np.log(bound * (1 + 1e-10)))
+                total += self.rate / 2 * gap + float(np.log(bound * UP))
         return bool(total < 0)
 
     def effect(self, cell: BoxCells) -> Array:

@@ -25,12 +25,13 @@ Mask = npt.NDArray[np.bool_]
 
 ALLOWANCE = 1e-12
 """Relative error granted to e^{A r}, of its norm, for r |A| up to 200 and in proportion beyond, as in `windows/`."""
-WORST_BASIS = 1e7
-"""Eigenvectors of a larger condition are no coordinates to bound anything in."""
+WORST_BASIS = 1e5
+"""A basis of a larger condition is none to bound anything in: its inverse is rounded by this times n eps."""
 DEGREE, FOLD = 19, 4
 """Of the Taylor polynomial at |M| <= 1, and by how many powers it is folded."""
-UP = 1 + 1e-9
-"""Covers the rounding of the bounds themselves."""
+UP = 1 + 1e-8
+"""Covers the rounding of the bounds themselves, that of the inverse of a basis among it."""
+EPS = float(np.finfo(float).eps)
 
 
 class BoxCells(NamedTuple):
@@ -108,6 +109,7 @@ def _rest(
     """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects."""
     B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))[:, None]
     mu = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1][:, None]
+    mu = mu + 64 * len(model.A) * EPS * (np.linalg.cond(T) * np.linalg.norm(B, 2, axis=(1, 2)))[:, None]
     parts = np.linalg.norm(inverse[:, None] @ model.parts_A @ T[:, None], 2, axis=(2, 3))
     moved = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
     e, size = UP * np.sum(cells.half * parts, axis=1), np.linalg.norm(B, 2, axis=(1, 2))
@@ -153,7 +155,7 @@ def _schur(A: Array, longest: float) -> Complex:
         above = np.abs(U[:j, j]) / d[:j]
         worst = float(above.max())
         d[j] = min(d[j - 1], want / worst) if worst > 0 else d[j - 1]
-    return np.asarray(Q * np.maximum(d, 1e-12))
+    return np.asarray(Q * np.maximum(d, 1 / WORST_BASIS))
 
 
 def exponentials(M: Array) -> Array:

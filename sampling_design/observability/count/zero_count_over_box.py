@@ -13,7 +13,7 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import Branched, branch
-from sampling_design.observability.box.expansion import BoxCells, bases
+from sampling_design.observability.box.expansion import UP, BoxCells, bases
 from sampling_design.observability.box.least import least_sigma
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
@@ -142,7 +142,7 @@ def _frequencies(model: BoxModel) -> tuple[Branched, float]:
             inverse = np.linalg.inv(T)
             B = inverse[:, None] @ corners @ T[:, None]
             turning = np.linalg.eigvalsh((B - np.conj(np.swapaxes(B, 2, 3))) / 2j)
-            top = np.minimum(top, np.abs(turning).max(axis=(1, 2)) * (1 + 1e-12))
+            top = np.minimum(top, np.abs(turning).max(axis=(1, 2)) * UP)
             effect[:, :-1] = np.linalg.norm(inverse[:, None] @ parts @ T[:, None], axis=(2, 3))
         own = np.abs(np.linalg.eigvals(A).imag).max(axis=1)
         return 1 / (floor + np.maximum(top, own)), 1 / (floor + own), effect

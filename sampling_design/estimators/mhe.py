@@ -174,7 +174,8 @@ class MovingHorizonEstimator(WindowedEstimator):
 
     def _solve(self, window: Window) -> Solution:
         free = smooth(window)
-        return solve_constrained(window, self.constraints, free, self.engine) if self.constraints.active else free
+        limited = self.constraints.active or window.limits is not None
+        return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
     def _advance(self, state: State, sample: Taken) -> Node:
         self._prepare(state, sample.t)
@@ -183,7 +184,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         flow, drift = self._last_gap(state, sample.t)
         scheduled = self._fits_schedule(state, sample.t, mask)
         held = (y, mask, feedthrough), (flow, drift)
-        solved = self._slid(state, start, sample.t, *held) or self._solved(state, start, sample, *held)
+        limits = self._limited(sample, feedthrough)
+        free = limits is None and all(node.limits is None for node in start.inside)
+        slid = self._slid(state, start, sample.t, *held) if free else None
+        solved = slid or self._solved(state, start, sample, *held, limits)
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
         estimate = self._estimate(
@@ -215,6 +219,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             estimate=estimate,
             sample=sample,
             number=state.last.number + 1,
+            limits=limits,
         )
 
     def _solved(
@@ -224,9 +229,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         sample: Taken,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
+        limits: Array | None = None,
     ) -> Answer:
         """Return what the window says, put together and solved as a whole."""
-        window, (flow, drift) = self._window(state, start, sample.t, measured), last_gap
+        window, (flow, drift) = self._window(state, start, sample.t, measured, limits), last_gap
         terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
         last, engine, cost = state.last, "", np.nan
         if self._too_large(window.weighted(window.residual)):
@@ -261,7 +267,7 @@ class MovingHorizonEstimator(WindowedEstimator):
                 rest = _without(window, j, i)
                 own = float(energies[j] - self._kept_energy(rest.masks[j : j + 1])[0] * window.discount[j])
                 found.append((smooth(rest).dual - (terms - own), j, i, own))
-        if self.constraints.active:
+        if self.constraints.active or window.limits is not None:
             found.sort()
             found = [(self._over(_without(window, j, i), terms - own), j, i, own) for _, j, i, own in found[:SUSPECTS]]
         over, j, i, own = min(found)

@@ -12,6 +12,7 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict, rounding
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
@@ -159,8 +160,30 @@ class WindowedEstimator(OpenLoopEstimator):
             return None
         return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
 
-    def _window(self, state: State, start: Start, t: float, measured: tuple[Array, Array, Array]) -> Window:
-        """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came."""
+    def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:
+        """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
+        if self._v_bound is None or not any(each.since is None for each in sample.told):
+            return None
+        noise = np.broadcast_to(self._v_bound, feedthrough.shape)
+        found = np.array([np.full(feedthrough.size, -np.inf), np.full(feedthrough.size, np.inf)])
+        for each in sample.told:
+            if each.since is None:
+                i = each.output
+                found[0, i] = max(found[0, i], each.lower - feedthrough[i] - noise[i])
+                found[1, i] = min(found[1, i], each.upper - feedthrough[i] + noise[i])
+        torn = found[0] > found[1]  # what two limits contradict, the interval tells
+        found[0, torn], found[1, torn] = -np.inf, np.inf
+        return found if np.isfinite(found).any() else None
+
+    def _window(
+        self,
+        state: State,
+        start: Start,
+        t: float,
+        measured: tuple[Array, Array, Array],
+        limits: Array | None = None,
+    ) -> Window:
+        """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came, with `limits` of C x."""
         inside = [node for node in start.inside if node.t > start.s]
         opening = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
         times = [start.s, *(node.t for node in inside)]
@@ -176,6 +199,9 @@ class WindowedEstimator(OpenLoopEstimator):
         if self.check_spacing is not None and self.constraints.x is not None:
             times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
+        told = {node.t: node.limits for node in start.inside if node.limits is not None}
+        told |= {} if limits is None else {t: limits}
+        free = np.array([np.full(self.plant.n_outputs, -np.inf), np.full(self.plant.n_outputs, np.inf)])
         return build_window(
             weights=self.weights,
             times=np.array(times),
@@ -186,6 +212,7 @@ class WindowedEstimator(OpenLoopEstimator):
             masks=masks,
             feedthrough=feedthrough,
             prior_root=start.root,
+            limits=np.array([told.get(at, free) for at in times]) if told else None,
         )
 
     def _path(

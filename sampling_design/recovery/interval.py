@@ -27,6 +27,7 @@ from sampling_design.recovery.readings import (
 from sampling_design.recovery.record_program import SPREADS, End, RecordProgram
 from sampling_design.recovery.record_readings import read_record
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.recovery.unknown import unseen_modes
 
 Array = npt.NDArray[np.float64]
 
@@ -295,8 +296,36 @@ class Interval(Record):
         """Say what the data prove."""
         if self.disproof is not None:
             return self.disproof.explain()
-        ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
-        return "The data prove " + ", ".join(f"{n} from {short(a, 4)} to {short(b, 4)}" for n, a, b in ends) + "."
+        labels, bounded = self.rows.labels(), np.isfinite(self.lower) | np.isfinite(self.upper)
+        ends = list(zip(labels, self.lower, self.upper, bounded, strict=True))
+        said = [f"{n} from {short(a, 4)} to {short(b, 4)}" for n, a, b, known in ends if known]
+        sentences = [f"The data prove {', '.join(said)}."] if said else []
+        if not bounded.all():
+            names = ", ".join(n for n, *_, known in ends if not known)
+            modes = self.unseen_modes
+            why = f": nothing that was read shows {', '.join(modes)}" if modes else ""
+            sentences.append(f"They leave {names} unbounded{why}.")
+        return " ".join([*sentences, *([self.notice] if self.notice else [])])
+
+    @property
+    def notice(self) -> str:
+        """Say where the program is degenerate: readings that count as exact leave a set without interior."""
+        rows = [row for rows in self.readings.rows for row in rows if row.size == 0 and not row.below]
+        exact = {row.H.tobytes() for row in rows}
+        outputs = zip(self.plant.outputs.names, self.plant.C, strict=True)
+        names = [name for name, row in outputs if row.tobytes() in exact]
+        if not names:
+            return ""
+        return (
+            f"Readings of {', '.join(names)} count as exact (noise bound 0): what is possible has no interior, the "
+            "ends are proven but need not be attained, and rounding alone may contradict such data."
+        )
+
+    @property
+    def unseen_modes(self) -> tuple[str, ...]:
+        """Eigenvalues that no output that was read shows, in words."""
+        measured = {row.H.tobytes(): row.H for rows in self.readings.rows for row in rows if not row.below}
+        return unseen_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; what is unbounded becomes None."""

@@ -106,6 +106,20 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDAr
     return Known(reduced, d[:, None] * N, d[:, None] * U, tuple(modes))
 
 
+def unseen_modes(A: Array, C: Array) -> tuple[str, ...]:
+    """Return the eigenvalues of A, in words, that some direction has which no row of C shows (Hautus)."""
+    d = balanced_schur(A).d
+    A, C = A * d / d[:, None], C * d
+    size = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(size > 0, size, 1.0) * max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    found = []
+    for cluster in eigenvalue_clusters(A):
+        shown = np.linalg.svd(np.vstack([A - complex(cluster.value) * np.eye(len(A)), C]), compute_uv=False)
+        if not shown[-1] > UNSEEN * shown[0]:
+            found.append(format_eigenvalue(complex(cluster.value)))
+    return tuple(found)
+
+
 def _scales(plant: Plant, period: float) -> Array:
     """One over what the outputs show of each state over as many periods as there are states: units play no part.
 

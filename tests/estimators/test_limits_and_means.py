@@ -134,3 +134,60 @@ def test_estimators_of_nonlinear_plants_take_plain_numbers():
     plant = sd.from_linear(WALK)
     with pytest.raises(ArgumentError, match="this estimator takes plain numbers only"):
         sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1)).update(1.0, [Below(0.5)])
+
+
+SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])
+BOUNDED = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 2.0}
+
+
+def limited_run(seed, **options):
+    """A run in which half of the readings are limits of detection: truth and estimates."""
+    rng = np.random.default_rng(seed)
+    mhe = sd.MovingHorizonEstimator(SPRING, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDED, **options)
+    x, now, truth, found = rng.uniform(-1, 1, 2), 0.0, [], []
+    for t in np.cumsum(rng.uniform(0.4, 1.5, 12)):
+        w = rng.uniform(-0.07, 0.07, 2)
+        x = SPRING.transition(t - now) @ x + sum(
+            SPRING.transition(s) @ w * (t - now) / 40 for s in (np.arange(40) + 0.5) * (t - now) / 40
+        )
+        y, now = float(SPRING.C[0] @ x) + rng.uniform(-0.2, 0.2), float(t)
+        limit = rng.normal() * 0.3
+        told = y if rng.random() < 0.5 else Below(limit) if y < limit else Above(limit)
+        found.append(mhe.update(now, [told]))
+        truth.append(x)
+    return np.array(truth), found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_limits_constrain_the_moving_horizon_estimate_which_still_holds_the_truth(seed):
+    truth, found = limited_run(seed)
+    for x, estimate in zip(truth, found, strict=True):
+        assert estimate.status == "ok"
+        assert estimate.certified
+        assert estimate.holds(x)
+    bounded = limited_run(seed, constraints=sd.Constraints(engine="reference"))[1]
+    for one, other in zip(found, bounded, strict=True):
+        assert np.allclose(one.x, other.x, atol=2e-5)
+
+
+def test_a_limit_moves_the_estimate_under_it():
+    plain = sd.MovingHorizonEstimator(SPRING, horizon=6.0, prior=[3.0, 0.0], **BOUNDED)
+    estimate = plain.update(0.1, [Below(1.0)])
+    assert estimate.x[0] <= 1.0 + 0.2 + 1e-6
+    assert estimate.x[0] > 1.1
+    later = plain.update(0.2, [Above(0.5)])
+    assert later.x[0] >= 0.3 - 1e-6
+    both = sd.Plant([[0.0]], [[1.0]])
+    torn = sd.MovingHorizonEstimator(both, horizon=6.0, **BOUNDED)
+    torn.update(1.0, [Below(0.0)])
+    assert torn.update(1.0, [Above(5.0)]).interval().contradiction > 1
+
+
+def test_limits_stay_where_they_are_when_a_late_sample_is_replayed():
+    rows = [(0.5, [0.4]), (1.0, [Below(0.1)]), (1.6, [0.0]), (2.2, [Above(-0.3)])]
+    ordered = sd.MovingHorizonEstimator(SPRING, horizon=6.0, **BOUNDED)
+    late = sd.MovingHorizonEstimator(SPRING, horizon=6.0, **BOUNDED)
+    last = [ordered.update(*row) for row in rows][-1]
+    for k in (0, 2, 3, 1):
+        again = late.update(*rows[k])
+    assert np.allclose(again.x, last.x, atol=1e-10)

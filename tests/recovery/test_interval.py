@@ -132,3 +132,31 @@ def test_one_row_takes_milliseconds():
 def test_bad_input_is_refused(record, change, match):
     with pytest.raises(ArgumentError, match=match):
         interval(OSCILLATOR, record, **(GIVEN | change))
+
+
+def test_what_nothing_shows_is_unbounded_and_named():
+    plant = sd.Plant(np.diag([0.1, -0.1]), [[0.0, 1.0]], states=["hidden", "seen"])
+    found = interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1)
+    assert np.isinf(found.radii[0])
+    assert "They leave hidden unbounded: nothing that was read shows 0.1." in found.explain()
+    assert "seen from 0.9 to 1.1" in found.explain()
+    assert found.unseen_modes == ("0.1",)
+    only = interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1, of="hidden")
+    assert only.explain().startswith("They leave hidden unbounded")
+    early = interval(sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1)
+    assert early.explain().endswith("They leave x2 unbounded.")
+
+
+def test_exact_readings_say_that_the_program_is_degenerate():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["position"])
+    record = [(0.0, [1.0], None), (1.0, [1.0], None)]
+    found = interval(plant, record, w_bound=0.0, v_bound=0.0)
+    assert "Readings of position count as exact (noise bound 0)" in found.notice
+    assert found.explain().endswith(found.notice)
+    assert np.allclose(found.radii, 0.0, atol=1e-9)
+    assert interval(plant, record, w_bound=0.1, v_bound=0.1).notice == ""
+
+
+def test_one_zero_state_plant_of_no_dynamics_has_its_mode_named():
+    found = interval(sd.Plant([[0.0]], [[0.0]]), [(0.0, [0.05], None)], w_bound=0.1, v_bound=0.1)
+    assert "nothing that was read shows 0" in found.explain()

@@ -95,6 +95,9 @@ def _improved(
     if constraints.x is not None:
         for at, step in zip(point.x, x, strict=True):
             program.keep_inside(constraints.x, at, step)
+    if window.limits is not None:
+        for bounds, at, step in zip(window.limits, point.x, x, strict=True):
+            program.keep_inside(ConvexSet.box(*bounds), plant.C @ at, plant.C @ step)
     for j, step in v.items():
         seen = window.masks[j] > 0
         fit, own = marginal_root(weights.R, seen), marginal_root(weights.v, seen)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from sampling_design.estimators.constraints.constrained_signals import Signal
 from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.constraints.convex_set import convex_set
+from sampling_design.estimators.constraints.convex_set import ConvexSet, convex_set
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import Demands
 from sampling_design.estimators.gap_flows.flows import FlowTable
@@ -56,6 +56,8 @@ class WindowConstraints:
             signals.append(Signal("constraints.x", window.times, self.plant.states.names, nodes, [self.x], at, unit))
         if self.keeps_v:
             signals += self._noisy_signals(window, free)
+        if window.limits is not None:
+            signals.append(self._limited_signal(window, free, window.limits))
         if self.reach is not None and window.flows:
             whiten = np.array([flow.whiten for flow in window.flows])
             base, before = _omegas(window, nodes, whiten), -np.matmul(whiten, window.F)
@@ -75,6 +77,23 @@ class WindowConstraints:
                 )
             )
         return Demands(free.spread, signals, *nodes.shape)
+
+    def _limited_signal(self, window: Window, free: Solution, limits: Array) -> Signal:
+        """C x where limits of detection were told."""
+        seen = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
+        at, C = np.flatnonzero(seen.any(axis=1)), self.plant.C
+        known = np.sqrt(np.einsum("ij,jk,ik->i", C, free.covariance, C))
+        return Signal(
+            name="limits of detection",
+            times=window.times[at],
+            entries=self.plant.outputs.names,
+            base=free.nodes[at] @ C.T,
+            sets=[ConvexSet.box(*limits[k]) for k in at],
+            at=at,
+            unit=np.where(known > 0, known, 1.0),
+            here=np.broadcast_to(C, (at.size, *C.shape)),
+            seen=seen[at],
+        )
 
     def _noisy_signals(self, window: Window, free: Solution) -> list[Signal]:
         """The noise v = gain (y - C x - D u) + its own part, and the output C x + D u + v, at the samples."""

@@ -39,6 +39,7 @@ class Node(NamedTuple):
     estimate: Estimate
     sample: Taken
     number: int = 0
+    limits: Array | None = None
     counted: float = np.nan
 
 

@@ -48,6 +48,8 @@ class Window:
         Measurements (0 where missing) and D u.
     F : (N, n, n)
         Transitions.
+    limits : (N+1, 2, p) or None
+        What C x lies between where limits of detection were told, infinite elsewhere.
     """
 
     weights: Weights
@@ -62,6 +64,7 @@ class Window:
     y: Array
     feedthrough: Array
     F: Array
+    limits: Array | None = None
 
     @cached_property
     def joint(self) -> Array | None:
@@ -127,6 +130,7 @@ def build_window(
     masks: Array,
     feedthrough: Array,
     prior_root: Array | None = None,
+    limits: Array | None = None,
 ) -> Window:
     """Return the window problem; `reference[0]` is the prior, `drift` (N, n) the inputs' part of each gap."""
     C = weights.plant.C
@@ -149,4 +153,5 @@ def build_window(
         y=y,
         feedthrough=feedthrough,
         F=F,
+        limits=limits,
     )

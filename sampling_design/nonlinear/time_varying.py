@@ -56,7 +56,7 @@ class _Spent:
             )
 
 
-class Motion(NamedTuple):
+class TransitionTable(NamedTuple):
     """What a plant does between increasing times, scaled.
 
     F (K-1, n, n) and W (K-1, n, n) carry a state, and what white noise on w adds, over each gap; C (K, p, n) at the
@@ -203,7 +203,7 @@ class TimeVaryingPlant(Record):
         """Number of states."""
         return len(self.states)
 
-    def motion(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> Motion:
+    def motion(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> TransitionTable:
         """Return the transitions between increasing times in [0, horizon].
 
         Parameters
@@ -232,7 +232,7 @@ class TimeVaryingPlant(Record):
         n, unit = self.n_states, self.states.scales
         error = float(np.abs(fine[:, :n] - coarse[:, :n]).max(initial=0.0))
         shown = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()])
-        return Motion(fine[:, :n], fine[:, n:], shown * unit / self.outputs.scales[:, None], error)
+        return TransitionTable(fine[:, :n], fine[:, n:], shown * unit / self.outputs.scales[:, None], error)
 
     def _flown(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""

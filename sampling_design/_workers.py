@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, MissingExtraError, SolverError
+
+MOST_KILLED = 3
+"""Times that processes may be killed in a row before any of them has finished a job."""
+
+PATIENCE = 5.0
+"""Seconds after which an address where no scheduler answers is said to be none."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -18,6 +25,10 @@ class Client(Protocol):
 
     def get_executor(self) -> Executor:
         """Return the executor that runs on the client's machines."""
+        ...
+
+    def close(self) -> None:
+        """Leave the scheduler."""
         ...
 
 
@@ -53,21 +64,126 @@ def mapped(
 ) -> Iterator[Result]:
     """Yield function(item) for every item, computed by `workers`; in order, or as they are finished.
 
+    A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, or by
+    this one where the executor is not ours to renew.
+
     Raises
     ------
     ArgumentError
         As `check_workers`.
+    SolverError
+        If processes keep being killed before they finish anything.
     """
+    found = numbered(function, items, workers)
+    if not ordered:
+        return (result for _, result in found)
+    return _in_order(found)
+
+
+def _in_order(found: Iterator[tuple[int, Result]]) -> Iterator[Result]:
+    waiting: dict[int, Result] = {}
+    due = 0
+    for k, result in found:
+        waiting[k] = result
+        while due in waiting:
+            yield waiting.pop(due)
+            due += 1
+
+
+def numbered(
+    function: Callable[[Item], Result], items: Sequence[Item], workers: Workers
+) -> Iterator[tuple[int, Result]]:
+    """Yield (number, function(item)) as they are finished; errors and workers as in `mapped`."""
     check_workers(workers)
+    todo = dict(enumerate(items))
     if workers is None:
-        return map(function, items)
+        return ((k, function(item)) for k, item in todo.items())
     if isinstance(workers, (Executor, Client)):
-        executor = workers if isinstance(workers, Executor) else workers.get_executor()
-        if ordered:
-            return iter(executor.map(function, items))
-        return (future.result() for future in as_completed([executor.submit(function, item) for item in items]))
+        given = workers if isinstance(workers, Executor) else workers.get_executor()
+        return _surviving(function, todo, given, None)
+    if isinstance(workers, int):
+        return _surviving(function, todo, None, partial(_processes, workers))
     from joblib import Parallel, delayed
 
-    chosen = {"n_jobs": workers} if isinstance(workers, int) else {"n_jobs": -1, "backend": workers}
-    order = {} if ordered else {"return_as": "generator_unordered"}
-    return iter(Parallel(**order, **chosen)(delayed(function)(item) for item in items))
+    chosen = Parallel(n_jobs=-1, backend=workers, return_as="generator_unordered")
+    return iter(chosen(delayed(_with_number)(function, k, item) for k, item in todo.items()))
+
+
+def _with_number(function: Callable[[Item], Result], k: int, item: Item) -> tuple[int, Result]:
+    return k, function(item)
+
+
+def _processes(count: int) -> Executor:
+    """Processes of our own, new ones where the last were killed."""
+    from joblib import cpu_count
+    from joblib.externals.loky import get_reusable_executor
+
+    found: Executor = get_reusable_executor(max_workers=cpu_count() if count < 0 else count)
+    return found
+
+
+def _surviving(
+    function: Callable[[Item], Result],
+    todo: dict[int, Item],
+    executor: Executor | None,
+    renewed: Callable[[], Executor] | None,
+) -> Iterator[tuple[int, Result]]:
+    """Yield what an executor computes, and go on where it breaks."""
+    idle = 0
+    while todo:
+        pool = executor if renewed is None else renewed()
+        assert pool is not None
+        before, futures = len(todo), dict[Future[Result], int]()
+        try:
+            for k, item in todo.items():
+                futures[pool.submit(function, item)] = k
+        except BrokenExecutor:
+            pass  # it broke while it was given work: what it has finished by then still counts
+        try:
+            for future in as_completed(futures):
+                try:
+                    result = future.result()
+                except BrokenExecutor:
+                    continue
+                k = futures[future]
+                del todo[k]
+                yield k, result
+        finally:
+            for future in futures:
+                future.cancel()
+        if not todo:
+            return
+        if renewed is None:  # a broken executor stays broken
+            for k, item in list(todo.items()):
+                yield k, function(item)
+            return
+        idle = 0 if len(todo) < before else idle + 1
+        if idle == MOST_KILLED:
+            raise SolverError(
+                f"`workers`: processes were killed {MOST_KILLED} times before they finished anything, with {len(todo)} "
+                "jobs left. Is the memory too small for so many? Fewer workers need less."
+            )
+
+
+def cluster(address: str) -> Client:
+    """Return a Dask client of a scheduler.
+
+    Raises
+    ------
+    ArgumentError
+        If none answers at that address.
+    MissingExtraError
+        If distributed is not installed.
+    """
+    try:
+        from distributed import Client as DaskClient
+    except ImportError:
+        raise MissingExtraError("distributed", "distributed") from None
+    try:
+        found: Client = DaskClient(address, timeout=PATIENCE)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ArgumentError(
+            f"`scheduler` must be the address of a running Dask scheduler such as tcp://10.0.0.5:8786, got {address!r} "
+            f"({str(error) or type(error).__name__:.80})."
+        ) from None
+    return found

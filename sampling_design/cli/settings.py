@@ -20,6 +20,7 @@ import sampling_design
 from sampling_design._checks import positive, whole
 from sampling_design._files import Growing, json_pieces
 from sampling_design._record import Record
+from sampling_design._workers import Workers, check_workers, cluster
 from sampling_design.errors import ArgumentError
 
 ProgressCall = Callable[[float, str], None]
@@ -198,3 +199,25 @@ def save_picture(record: object, path: Path, **beside: Any) -> Path:
     from sampling_design import plotting
 
     return plotting.save(record, path, **beside)
+
+
+Hands = Annotated[int, typer.Option(help="Processes that share the work (-1: one per core).")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose machines share the work (tcp://host:8786).")
+]
+
+
+@contextmanager
+def workforce(workers: int, scheduler: str | None) -> Iterator[Workers]:
+    """Yield who does the work of a command: this process, several, or the machines of a scheduler."""
+    if scheduler is None:
+        check_workers(workers)
+        yield None if workers == 1 else workers
+        return
+    if workers != 1:
+        raise ArgumentError("`--workers` and `--scheduler` exclude each other: a scheduler knows its own workers.")
+    client = cluster(scheduler)
+    try:
+        yield client
+    finally:
+        client.close()

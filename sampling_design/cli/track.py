@@ -21,7 +21,7 @@ from sampling_design.cli import reading
 from sampling_design.cli.following import CLOSELY, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
-from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.cli.settings import Hands, Scheduler, Settings, record_table, save_picture, table, workforce
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
 from sampling_design.schedules.family import AnySchedule
@@ -231,11 +231,13 @@ def validate(
     v_bound: VBound = None,
     initial_error: InitialError = None,
     eta: Eta = None,
-    workers: Annotated[int, typer.Option(help="Processes that share the trials.")] = 1,
+    workers: Hands = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
 
-    Exit code 1 if a promise is broken. With -o DIR: report.md, report.json and validation.png.
+    Exit code 1 if a promise is broken. With -o DIR: report.md, report.json and validation.png; an interrupted one is
+    taken up again where it was.
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
@@ -243,7 +245,9 @@ def validate(
     schedule = schedule_for(settings, plant, schedule_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     certificate = _certified(settings, plant, schedule, certificate_file, eta, bounds)
-    with settings.progress("validate") as progress:
+    folder = settings.folder()
+    journal = None if folder is None else folder / "validation.journal"
+    with settings.progress("validate") as progress, workforce(workers, scheduler) as hands:
         report = sd.validate(
             plant,
             schedule,
@@ -251,11 +255,14 @@ def validate(
             runs=runs,
             duration=duration,
             rng=np.random.default_rng(settings.seed),
-            workers=None if workers == 1 else workers,
+            workers=hands,
+            resume=journal,
             progress=progress,
             **bounds,
         )
     _report(settings, report)
+    if journal is not None:
+        journal.unlink(missing_ok=True)
     if not report.passed:
         raise typer.Exit(1)
 

@@ -13,7 +13,7 @@ import sampling_design as sd
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
-from sampling_design.cli.settings import Settings, record_table, save_picture
+from sampling_design.cli.settings import Hands, Scheduler, Settings, record_table, save_picture, workforce
 from sampling_design.errors import ArgumentError
 
 
@@ -57,7 +57,8 @@ def pareto(
         Path | None, typer.Argument(metavar="REQUIREMENT", help="Requirement file (.toml); without it, defaults.")
     ] = None,
     counts: Annotated[str, typer.Option(help="Samples per period: 8,10,12 or 8-16.")] = "",
-    workers: Annotated[int, typer.Option(help="Processes that design at the same time.")] = 1,
+    workers: Hands = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     """Design for several counts: what more samples buy. With -o DIR it can be interrupted and resumed.
 
@@ -69,13 +70,12 @@ def pareto(
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     folder = settings.folder()
     resume = None if folder is None else folder / "pareto.json"
-    processes = None if workers == 1 else workers
-    with settings.progress("pareto") as progress:
+    with settings.progress("pareto") as progress, workforce(workers, scheduler) as hands:
         front = sd.pareto(
             plant,
             requirement,
             _counts(counts),
-            workers=processes,
+            workers=hands,
             resume=resume,
             progress=progress,
             budget=settings.budget,

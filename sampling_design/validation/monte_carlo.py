@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,7 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._workers import Workers, mapped
+from sampling_design._journal import Journal
+from sampling_design._workers import Workers, numbered
+from sampling_design.checkers.strict import Tree
+from sampling_design.errors import FileFormatError
 from sampling_design.validation.error_map import ErrorMap, Inputs
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
@@ -75,6 +79,8 @@ def monte_carlo(
     seeds: Sequence[np.random.SeedSequence],
     workers: Workers = None,
     progress: Callable[[float, str], None] | None = None,
+    journal: Journal | None = None,
+    name: str = "",
 ) -> Trials:
     """Return the trials of one run per seed, in the order of the seeds.
 
@@ -87,6 +93,8 @@ def monte_carlo(
     workers : Executor, Client, int or str, optional
         See `Workers`.
     progress : callable, optional
+    journal : Journal, optional
+        Where blocks are written down under `name` as they are finished; what it holds is not computed again.
 
     Returns
     -------
@@ -100,9 +108,42 @@ def monte_carlo(
     blocks = [
         RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
     ]
-    parts = []
-    for part in mapped(run_block, blocks, workers):
-        parts.append(part)
+    parts: dict[int, Trials] = {}
+    if journal is not None:
+        labels = [f"{name} {k}" for k in range(len(blocks))]
+        parts = {
+            k: _from_plain(journal.known[label], str(journal.path))
+            for k, label in enumerate(labels)
+            if label in journal.known
+        }
+    todo = [k for k in range(len(blocks)) if k not in parts]
+    for place, part in numbered(run_block, [blocks[k] for k in todo], workers):
+        k = todo[place]
+        parts[k] = part
+        if journal is not None:
+            journal.add(f"{name} {k}", _plain(part))
         if progress is not None:
             progress(len(parts) / len(blocks), f"{min(len(parts) * BLOCK, len(seeds))} of {len(seeds)} runs")
-    return Trials(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    whole = [parts[k] for k in range(len(blocks))]
+    return Trials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
+
+
+def _plain(trials: Trials) -> Tree:
+    """Trials as plain data, every bit of them: shapes, and the bytes of the numbers."""
+    return {
+        key: {"shape": list(value.shape), "bytes": b64encode(np.asarray(value, dtype="<f8").tobytes()).decode()}
+        for key, value in trials._asdict().items()
+    }
+
+
+def _from_plain(data: Tree, where: str) -> Trials:
+    try:
+        arrays = {
+            key: np.frombuffer(b64decode(data[key]["bytes"], validate=True), dtype="<f8").reshape(data[key]["shape"])
+            for key in Trials._fields
+        }
+    except (KeyError, TypeError, ValueError):
+        raise FileFormatError(
+            f"{where}: holds a result that is none. Name another file to resume from.", where
+        ) from None
+    return Trials(**arrays)

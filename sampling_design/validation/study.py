@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._journal import Journal
 from sampling_design._record import short
 from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
@@ -81,6 +82,7 @@ class Study:
             raise ArgumentError(f"`{taken[0]}` is chosen by the scenarios, it cannot be given.")
         self.plant, self.schedule, self.certificate, self.bounds = plant, schedule, certificate, bounds
         self.options, self.duration = options, duration
+        self.journal: Journal | None = None
         self.skipped: list[str] = []
         self.findings: list[Finding] = []
         self.courses: list[Course] = []
@@ -201,7 +203,9 @@ class Study:
         self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
 
     def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        seen = monte_carlo(self.map, self.bounds, self.promise, self.measure, seeds, workers, tell)
+        seen = monte_carlo(
+            self.map, self.bounds, self.promise, self.measure, seeds, workers, tell, journal=self.journal, name="random"
+        )
         self._judge("random noise", seen)
 
     def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
@@ -242,7 +246,17 @@ class Study:
         line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
         promise = promise_of(self._certified, float(estimator.horizon), "paper")
-        seen = monte_carlo(found, self.bounds, promise, promise.root, seeds[:PAPER_RUNS], workers, tell)
+        seen = monte_carlo(
+            found,
+            self.bounds,
+            promise,
+            promise.root,
+            seeds[:PAPER_RUNS],
+            workers,
+            tell,
+            journal=self.journal,
+            name="paper",
+        )
         worst = float(np.max(seen.promised))
         self._find(
             "a-priori bound", "random noise, the paper's cost", 1.0, worst, source=promise.theorem, note=_spread(seen)

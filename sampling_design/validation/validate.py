@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Callable, Iterable
 
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import __version__, _checks
 from sampling_design._door import door
+from sampling_design._journal import Journal, digest
 from sampling_design._workers import Workers, check_workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -37,6 +39,7 @@ def validate(
     scenarios: Iterable[str] = SCENARIOS,
     rng: np.random.Generator | None = None,
     workers: Workers = None,
+    resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **estimator: object,
 ) -> ValidationReport:
@@ -61,7 +64,9 @@ def validate(
         Default seed 0. Every run has a seed of its own, spawned from it.
     workers : Executor, Client, int or str, optional
         Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
-        joblib backend. The report is the same for all, to the last bit.
+        joblib backend. The report is the same for all, to the last bit; a worker that is killed takes nothing with it.
+    resume : path, optional
+        A journal of the random trials, written as they are finished; what it holds already is not run again.
     progress : callable, optional
         Called with (fraction, message).
     **estimator
@@ -78,6 +83,8 @@ def validate(
     ArgumentError
         If a scenario is unknown, the schedule does not fit the plant or holds no sample, a bound is negative,
         `workers` is nobody, or there is neither certificate nor horizon.
+    FileFormatError
+        If `resume` belongs to another study.
 
     Notes
     -----
@@ -114,7 +121,10 @@ def validate(
     root = source.bit_generator.seed_seq
     assert isinstance(root, np.random.SeedSequence)
     count = _checks.whole("runs", runs, 1)
+    settled = [plant.to_dict(), schedule.to_dict(), None if certificate is None else certificate.to_dict()]
+    of = (settled, bounds.to_dict(), estimator, duration, count, _seed_of(root), __version__, np.__version__)
     study = Study(plant, schedule, certificate, bounds, estimator, duration)
+    study.journal = None if resume is None else Journal(resume, digest(*of))
     study.run(chosen, root.spawn(count), workers, progress)
     settings = {
         "runs": count,

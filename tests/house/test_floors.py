@@ -36,6 +36,8 @@ GROUND = {
     "_files",
     "_units",
     "_workers",
+    "_journal",
+    "sweeps",
     "_modal",
     "_balls",
     "_ball_flow",

@@ -1,0 +1,176 @@
+"""Work that a kill interrupts is finished, and what was done before is not done again; the result is the same bits."""
+
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import _workers
+from sampling_design._journal import Journal, digest
+from sampling_design.cli.settings import workforce
+from sampling_design.errors import ArgumentError, FileFormatError, SolverError
+from sampling_design.sweeps import sweep
+from sampling_design.validation import monte_carlo
+from tests.killing import killed, squared_unless_killed
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s")
+SCHEDULES = {f"{h}": sd.PeriodicSchedule([h, 0.7], time_unit="s") for h in (0.5, 0.9, 1.4)}
+QUESTION = partial(sd.window_sigma, PLANT, window=5.0)
+
+
+class Breaking(ThreadPoolExecutor):
+    """An executor that breaks after so many jobs, as a pool of processes does when one is killed."""
+
+    def __init__(self, whole):
+        super().__init__(1)
+        self.whole = whole
+
+    def submit(self, function, /, *args):
+        self.whole -= 1
+        if self.whole == -1:
+            raise BrokenProcessPool("killed")
+        if self.whole < 0:
+            lost = Future()
+            lost.set_exception(BrokenProcessPool("killed"))
+            return lost
+        return super().submit(function, *args)
+
+
+def test_processes_are_renewed(tmp_path):
+    mark = str(tmp_path / "killed")
+    jobs = [(k, mark) for k in range(6)]
+    assert list(_workers.mapped(squared_unless_killed, jobs, 2)) == [k**2 for k in range(6)]
+    assert os.path.exists(mark)
+
+
+def test_jobs_that_kill_every_process_are_an_error(monkeypatch):
+    monkeypatch.setattr(_workers, "MOST_KILLED", 1)
+    with pytest.raises(
+        SolverError, match="processes were killed 1 times before they finished anything, with 2 jobs left"
+    ):
+        list(_workers.mapped(killed, [1, 2], 1))
+
+
+@pytest.mark.parametrize("whole", [0, 1, 2])
+def test_a_broken_executor_is_stood_in_for(whole):
+    alone = sweep(QUESTION, SCHEDULES)
+    with Breaking(whole) as pool:
+        assert sweep(QUESTION, SCHEDULES, workers=pool).to_dict() == alone.to_dict()
+
+
+def test_a_sweep_goes_on_where_it_was_killed(tmp_path):
+    alone, path = sweep(QUESTION, SCHEDULES), tmp_path / "sweep.journal"
+    calls = []
+
+    def interrupted(fraction, message):
+        calls.append(message)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(QUESTION, SCHEDULES, resume=path, progress=interrupted)
+    path.write_text(path.read_text() + '{"name": "1.4", "resu')  # killed in the middle of a line
+    calls.clear()
+    again = sweep(QUESTION, SCHEDULES, resume=path, progress=lambda fraction, message: calls.append(message))
+    assert calls == ["1.4: answered"]
+    assert again.to_dict() == alone.to_dict()
+    with ThreadPoolExecutor(3) as pool:
+        assert sweep(QUESTION, SCHEDULES, workers=pool).to_dict() == alone.to_dict()
+    with pytest.raises(FileFormatError, match="belongs to other data or options"):
+        sweep(partial(sd.window_sigma, PLANT, window=4.0), SCHEDULES, resume=path)
+    path.write_text('{"format": "x"}\n')
+    with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/journal/1', got 'x'"):
+        sweep(QUESTION, SCHEDULES, resume=path)
+
+
+def test_requirements_families_and_schedules_are_swept():
+    asked = {str(k): sd.Requirement(samples=k, period=6.0, window=6.0, spacing=0.5) for k in (1, 3, 40)}
+    designs = sweep(partial(sd.design_schedule, PLANT, budget=0.3), asked)
+    assert designs["3"]["sigma"] > 0
+    assert designs.obstacles[2]
+    with pytest.raises(ArgumentError, match="`name` = '40' has no answer: "):
+        designs["40"]
+    with pytest.raises(ArgumentError, match="`name` must be one of 1, 3, 40, got '5'"):
+        designs["5"]
+    families = {"calm": sd.GapRange(0.8, 1.0, time_unit="s"), "blind": sd.GapRange(3.0, 3.3, time_unit="s")}
+    found = sweep(partial(sd.certify, PLANT, eta=0.3), families)
+    assert found.answers[0] is not None
+    assert found.answers[1] is None
+    assert found.explain() == "1 of 2 were answered."
+    accuracy = sweep(partial(sd.accuracy, PLANT, w_bound=0.01, v_bound=0.1), {"0.9": SCHEDULES["0.9"]})
+    assert accuracy.answers[0] is not None
+
+
+def test_what_is_no_sweep_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="`items` must hold at least one thing"):
+        sweep(QUESTION, [])
+    with pytest.raises(ArgumentError, match="`question` must be a function of 1 argument"):
+        sweep("sigma", [1])
+    with pytest.raises(ArgumentError, match="`question` must return a record with to_dict"):
+        sweep(abs, [1])
+    with pytest.raises(FileFormatError, match="cannot be written"):
+        Journal(tmp_path, "k").add("a", {})
+    path = tmp_path / "j"
+    journal = Journal(path, digest(QUESTION, SCHEDULES))
+    journal.add("0.5", {"answer": None})
+    with pytest.raises(FileFormatError, match="holds an answer that is none"):
+        sweep(QUESTION, SCHEDULES, resume=path)
+
+
+def test_a_validation_goes_on_where_it_was_killed(tmp_path, monkeypatch):
+    schedule = sd.PeriodicSchedule([1.0], time_unit="s")
+    certificate = sd.certify(PLANT, schedule, eta=0.4, P2=np.eye(2))
+    path, ran = tmp_path / "validation.journal", []
+    monkeypatch.setattr(monte_carlo, "BLOCK", 4)
+    asked = {"runs": 12, "duration": 8.0, "scenarios": ["random", "paper"]}
+
+    def report(**more):
+        found = sd.validate(PLANT, schedule, certificate, rng=np.random.default_rng(5), **asked, **more)
+        return found.to_dict()
+
+    alone = report()
+
+    def interrupted(fraction, message):
+        if message.endswith("8 of 12 runs"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        report(resume=path, progress=interrupted)
+    block = monte_carlo.run_block
+    monkeypatch.setattr(monte_carlo, "run_block", lambda job: ran.append(1) or block(job))
+    assert report(resume=path) == alone
+    assert len(ran) == 1 + 3
+    assert report(resume=path) == alone
+    assert len(ran) == 1 + 3
+    lines = path.read_text().splitlines()
+    path.write_text(lines[0] + "\n" + '{"name": "random 0", "result": {"size": 1}}\n')
+    with pytest.raises(FileFormatError, match="holds a result that is none"):
+        report(resume=path)
+    asked["runs"] = 13
+    with pytest.raises(FileFormatError, match="belongs to other data or options"):
+        report(resume=path)
+
+
+def test_the_command_line_says_who_works():
+    with workforce(1, None) as hands:
+        assert hands is None
+    with workforce(2, None) as hands:
+        assert hands == 2
+    with (
+        pytest.raises(ArgumentError, match="`--workers` and `--scheduler` exclude each other"),
+        workforce(2, "tcp://x"),
+    ):
+        pass
+
+
+def test_where_no_scheduler_answers_is_said(monkeypatch):
+    monkeypatch.setattr(_workers, "PATIENCE", 0.2)
+    with (
+        pytest.raises(ArgumentError, match="`scheduler` must be the address of a running Dask scheduler"),
+        workforce(1, "tcp://127.0.0.1:9"),
+    ):
+        pass

@@ -112,8 +112,11 @@ def test_what_is_no_sweep_is_refused(tmp_path):
         sweep("sigma", [1])
     with pytest.raises(ArgumentError, match="`question` must return a record with to_dict"):
         sweep(abs, [1])
+    gone = Journal(tmp_path / "gone", "k")
+    gone.path.unlink()
+    gone.path.mkdir()
     with pytest.raises(FileFormatError, match="cannot be written"):
-        Journal(tmp_path, "k").add("a", {})
+        gone.add("a", {})
     path = tmp_path / "j"
     journal = Journal(path, digest(QUESTION, SCHEDULES))
     journal.add("0.5", {"answer": None})

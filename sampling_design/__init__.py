@@ -142,6 +142,7 @@ _ROOMS = (
     "plotting",
     "recovery",
     "schedules",
+    "sweeps",
     "validation",
 )
 _HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 from sampling_design import _files
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import FileFormatError
 
 FORMAT = "sampling-design/journal/1"
@@ -51,7 +50,7 @@ class Journal:
 
     def __init__(self, path: str | os.PathLike[str], key: str):
         self.path = Path(path)
-        self.known: dict[str, Tree] = {}
+        self.known: dict[str, Mapping[str, object]] = {}
         head = {"format": FORMAT, "key": key}
         where = os.fspath(path)
         lines = _files.read_text(path).split("\n") if self.path.exists() else []
@@ -74,7 +73,7 @@ class Journal:
                 f"{where}: belongs to other data or options. Name another file to resume from.", where
             )
 
-    def add(self, name: str, result: Tree) -> None:
+    def add(self, name: str, result: Mapping[str, object]) -> None:
         """Write down a result; it is on disk when this returns."""
         line = json.dumps({"name": name, "result": result}, allow_nan=False) + "\n"
         try:

@@ -133,7 +133,9 @@ def sweep(
     journal = None
     if resume is not None:
         journal = Journal(resume, digest(question, {name: named[name] for name in names}))
-    known = {} if journal is None else {name: journal.known[name] for name in names if name in journal.known}
+    known: dict[str, Mapping[str, object]] = {}
+    if journal is not None:
+        known = {name: journal.known[name] for name in names if name in journal.known}
     if journal is not None and any(set(each) != {"answer", "obstacle"} for each in known.values()):
         raise FileFormatError(f"{journal.path}: holds an answer that is none. Name another file.", str(journal.path))
     todo = [name for name in names if name not in known]
@@ -146,7 +148,7 @@ def sweep(
             progress(len(known) / len(names), f"{name}: {answer['obstacle'] or 'answered'}")
     return Sweep(
         names,
-        tuple(known[name]["answer"] for name in names),
+        tuple(_plain(known[name]["answer"]) for name in names),
         tuple(str(known[name]["obstacle"]) for name in names),
     )
 
@@ -161,3 +163,7 @@ def _answered(job: tuple[Callable[[Item], Tells], Item]) -> dict[str, Plain]:
     if not isinstance(found, Tells):
         raise ArgumentError(f"`question` must return a record with to_dict, got {_checks.described(found)}.")
     return {"answer": from_json(to_json(found.to_dict()), "the answer"), "obstacle": ""}
+
+
+def _plain(answer: object) -> dict[str, Plain] | None:
+    return answer if isinstance(answer, dict) else None

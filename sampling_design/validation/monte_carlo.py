@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64decode, b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from sampling_design._journal import Journal
 from sampling_design._workers import Workers, numbered
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import FileFormatError
 from sampling_design.validation.error_map import ErrorMap, Inputs
 from sampling_design.validation.promise import Promise
@@ -128,7 +127,7 @@ def monte_carlo(
     return Trials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
 
 
-def _plain(trials: Trials) -> Tree:
+def _plain(trials: Trials) -> dict[str, object]:
     """Trials as plain data, every bit of them: shapes, and the bytes of the numbers."""
     return {
         key: {"shape": list(value.shape), "bytes": b64encode(np.asarray(value, dtype="<f8").tobytes()).decode()}
@@ -136,14 +135,18 @@ def _plain(trials: Trials) -> Tree:
     }
 
 
-def _from_plain(data: Tree, where: str) -> Trials:
+def _from_plain(data: Mapping[str, object], where: str) -> Trials:
     try:
-        arrays = {
-            key: np.frombuffer(b64decode(data[key]["bytes"], validate=True), dtype="<f8").reshape(data[key]["shape"])
-            for key in Trials._fields
-        }
+        arrays = {key: _array(data[key]) for key in Trials._fields}
     except (KeyError, TypeError, ValueError):
         raise FileFormatError(
             f"{where}: holds a result that is none. Name another file to resume from.", where
         ) from None
     return Trials(**arrays)
+
+
+def _array(held: object) -> Array:
+    if not isinstance(held, Mapping):
+        raise TypeError(held)
+    shape = [int(n) for n in held["shape"]]
+    return np.frombuffer(b64decode(held["bytes"], validate=True), dtype="<f8").reshape(shape)

@@ -1,6 +1,7 @@
 """Work that a kill interrupts is finished, and what was done before is not done again; the result is the same bits."""
 
 import os
+import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -12,7 +13,7 @@ import sampling_design as sd
 from sampling_design import _workers
 from sampling_design._journal import Journal, digest
 from sampling_design.cli.settings import workforce
-from sampling_design.errors import ArgumentError, FileFormatError, SolverError
+from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
 from sampling_design.sweeps import sweep
 from sampling_design.validation import monte_carlo
 from tests.killing import killed, squared_unless_killed
@@ -171,6 +172,10 @@ def test_the_command_line_says_who_works():
 
 
 def test_where_no_scheduler_answers_is_said(monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setitem(sys.modules, "distributed", None)
+        with pytest.raises(MissingExtraError, match="distributed"):
+            _workers.cluster("tcp://127.0.0.1:9")
     monkeypatch.setattr(_workers, "PATIENCE", 0.2)
     with (
         pytest.raises(ArgumentError, match="`scheduler` must be the address of a running Dask scheduler"),

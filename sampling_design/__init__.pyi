@@ -14,6 +14,7 @@ from sampling_design import plants as plants
 from sampling_design import plotting as plotting
 from sampling_design import recovery as recovery
 from sampling_design import schedules as schedules
+from sampling_design import sweeps as sweeps
 from sampling_design import validation as validation
 from sampling_design.certificates.certify import certify as certify
 from sampling_design.certificates.compare.four_horizons import four_horizons as four_horizons

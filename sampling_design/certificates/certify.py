@@ -278,7 +278,8 @@ def certify(
         A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
         design that needs no samples, is refused.
     eta : float, optional [1/time]
-        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon.
+        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon; slower where
+        nothing in this range can be followed in doubles, or proven.
     P2 : (n, n) array, optional
         Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
     Qw : (q, q) array, optional
@@ -304,10 +305,10 @@ def certify(
         If a weight is not symmetric positive definite, eta or the budget is out of range, or plant and schedule do
         not fit.
     CertificateError
-        If no certificate exists (details: eigenvalue, partners it is aliased with, period, repair), or the proof
-        does not close.
-    SolverError
-        If the schedule is so near the edge that the information does not settle.
+        If no certificate exists (details: eigenvalue, partners it is aliased with, period, repair); for a family, if
+        some schedule of it has none.
+    UndecidedError
+        If no proof closes, or the information cannot be followed in doubles; the reason says which.
 
     Notes
     -----

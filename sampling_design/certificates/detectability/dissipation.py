@@ -124,18 +124,20 @@ class DetectabilityCertificate(Record):
 
             [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
 
+        What its floats can neither prove nor disprove is handed to ball arithmetic, if that is installed.
+
         Parameters
         ----------
         rigorous : bool
-            Decide in ball arithmetic instead (extra `rigorous`).
+            Decide in ball arithmetic at once (extra `rigorous`): "proven" is then a theorem about the stated doubles.
         budget : float [seconds]
             For the rigorous verdict, "undecided" when it runs out.
 
         Returns
         -------
         Verification
-            Its `amount` is the least eigenvalue relative to the size of the terms; `direction` where it fails. With
-            `rigorous` a `RigorousVerification`, whose `verdict` is "proven", "refuted" or "undecided".
+            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it. Its
+            `amount` is the least eigenvalue relative to the size of the terms; `direction` where it fails.
 
         Raises
         ------

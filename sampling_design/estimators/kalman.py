@@ -54,6 +54,11 @@ class KalmanFilter(OpenLoopEstimator):
     ArgumentError
         If an argument has the wrong shape or sign, or the cost is the paper's.
 
+    Notes
+    -----
+    Limits of detection and composite samples are no Gaussian readings: state and ellipsoid leave them out; `interval`,
+    `radii` and `centred` use them.
+
     Examples
     --------
     >>> cost = CostFunction(P2=[[1.0]], Qw=[[1e9]], R=[[2.0]], Qv=[[2.0]])

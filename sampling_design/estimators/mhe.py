@@ -92,6 +92,9 @@ class MovingHorizonEstimator(WindowedEstimator):
     checked by a dual bound, which also enters the radius. *Numerical aspects.* Unknown is the deviation from the
     online estimates; singular or ill-conditioned noise Gramians are used in factor form.
 
+    Limits of detection (`Below`, `Above`) are constraints on C x at their sample, the noise bound added, which the
+    truth keeps; composite samples enter `interval`, `radii` and `centred` only.
+
     References
     ----------
     The paper, Section IV and Theorem 9; the window and its arrival cost: Rao, Rawlings and Lee 2001; Rao, Rawlings and

@@ -5,6 +5,7 @@ irregular, the start is known, half known or not at all, some outputs are missin
 sample or well after it. RUNS can be raised: in 1008 runs of other seeds every interval held as well.
 """
 
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import library
 from sampling_design.recovery.interval import interval
+from sampling_design.recovery.readings import Above, Below, Mean
 from tests.oracles.estimators import transition
 
 RUNS = 12
@@ -79,6 +81,56 @@ def test_interval_of_the_data_always_holds_the_truth(name):
         assert found.verify(), seed
 
 
+def told_run(name, seed):
+    """A run through a filter with limits of detection and means among its readings, and the tube after its end.
+
+    Return the last estimate, the truth there, and the tube with the truth on its times.
+    """
+    rng = np.random.default_rng(seed)
+    plant, unit = library.named_plant(name), CASES[name]
+    n, p = plant.n_states, plant.n_outputs
+    joined = np.zeros((n + p, n + p))
+    joined[:n, :n], joined[n:, :n] = plant.A, plant.C
+    summed = sd.Plant(joined, np.eye(n + p), G=np.vstack([plant.G, np.zeros((p, plant.n_disturbances))]))
+    w_size, v_size = plant.disturbances.scales / 10, plant.outputs.scales / 5
+    error = plant.states.scales
+    kalman = sd.KalmanFilter(plant, w_bound=w_size, v_bound=v_size, initial_error=error)
+    x, now = np.concatenate([rng.uniform(-1, 1, n) * error, np.zeros(p)]), 0.0
+    for t in np.cumsum(rng.uniform(0.3, 2.0, int(rng.integers(4, 9)))) * unit:
+        began, x[n:] = now, 0.0
+        for a, b in pairwise([now, *np.sort(rng.uniform(now, t, 2)), t]):
+            x = flown(summed, x, b - a, rng.choice([-1.0, 1.0], w_size.size) * w_size)
+        y = plant.C @ x[:n] + rng.choice([-1.0, 1.0, 0.2], p) * v_size
+        mean = x[n:] / (t - began) + rng.choice([-1.0, 1.0, 0.2], p) * v_size
+        row = []
+        for i in range(p):
+            limit = float(y[i] + rng.normal() * v_size[i])
+            told = [float(y[i]), Below(limit) if y[i] < limit else Above(limit), Mean(float(mean[i]), since=began)]
+            row.append(told[int(rng.integers(3))] if began else told[0])
+        estimate, now = kalman.update(float(t), row), float(t)
+    reached, ahead = x[:n].copy(), np.linspace(0.0, unit, 9)
+    times, push = now + ahead, rng.choice([-1.0, 1.0], w_size.size) * w_size
+    path = np.array([flown(plant, reached, h, push) if h else reached for h in ahead])
+    flow = np.array([kalman.predict(float(t)).x for t in times])
+    return estimate, reached, estimate.proof.tube(times, flow), path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_limits_means_and_the_tube_hold_the_truth_too(name):
+    for seed in range(2):
+        held(name, seed)
+
+
+def held(name, seed):
+    """Check one such run."""
+    estimate, truth, tube, path = told_run(name, seed)
+    found = estimate.interval()
+    assert not found.contradiction, (name, seed)
+    assert found.holds(truth), (name, seed)
+    assert np.all(np.abs(truth - estimate.centred().x) <= found.radii * (1 + 1e-9)), (name, seed)
+    assert np.all((tube.lower <= path) & (path <= tube.upper)), (name, seed)
+
+
 def test_more_samples_never_widen_it():
     plant, rng = library.oscillator(), np.random.default_rng(3)
     record = [(float(t), [np.sin(t) + rng.uniform(-0.1, 0.1)], None) for t in np.cumsum(rng.uniform(0.4, 1.5, 9))]
@@ -105,3 +157,10 @@ def test_it_is_never_wider_than_the_ellipsoid_of_a_filter():
         assert np.all(found.radii <= estimate.radii)
         assert np.all(found.upper <= estimate.x + estimate.radii + 1e-6)
         assert np.all(found.lower >= estimate.x - estimate.radii - 1e-6)
+
+
+if __name__ == "__main__":
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    for run in range(runs):
+        held(list(CASES)[run % len(CASES)], 10_000 + run)
+    print(f"{runs} runs with limits, means and tubes: every one held")

@@ -117,18 +117,16 @@ def told_run(name, seed):
 
 @pytest.mark.parametrize("name", CASES)
 def test_limits_means_and_the_tube_hold_the_truth_too(name):
-    for seed in range(2):
-        held(name, seed)
+    assert all(held(name, seed) for seed in range(2))
 
 
 def held(name, seed):
-    """Check one such run."""
+    """Whether one such run is held by the interval, by its middle with the half-widths, and by the tube."""
     estimate, truth, tube, path = told_run(name, seed)
     found = estimate.interval()
-    assert not found.contradiction, (name, seed)
-    assert found.holds(truth), (name, seed)
-    assert np.all(np.abs(truth - estimate.centred().x) <= found.radii * (1 + 1e-9)), (name, seed)
-    assert np.all((tube.lower <= path) & (path <= tube.upper)), (name, seed)
+    middle = np.all(np.abs(truth - estimate.centred().x) <= found.radii * (1 + 1e-9))
+    inside = np.all((tube.lower <= path) & (path <= tube.upper))
+    return bool(not found.contradiction and found.holds(truth) and middle and inside)
 
 
 def test_more_samples_never_widen_it():
@@ -161,6 +159,5 @@ def test_it_is_never_wider_than_the_ellipsoid_of_a_filter():
 
 if __name__ == "__main__":
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    for run in range(runs):
-        held(list(CASES)[run % len(CASES)], 10_000 + run)
-    print(f"{runs} runs with limits, means and tubes: every one held")
+    broken = [run for run in range(runs) if not held(list(CASES)[run % len(CASES)], 10_000 + run)]
+    print(f"{runs} runs with limits, means and tubes: {len(broken)} not held {broken}")

@@ -125,6 +125,8 @@ class Cover:
             rows.append((np.arange(self.columns), -self.cost, -problem.most_cost))
         if self.fixed:
             rows.append((np.array([0]), np.ones(1), 1.0))
+        else:  # a plan has a sample, even where no motion asks for one
+            rows.append((np.arange(self.at.size), np.ones(self.at.size), 1.0))
         return _stacked(rows, self.columns)
 
     def _spaced(self, place: npt.NDArray[np.intp], least: int) -> list[tuple[npt.NDArray[np.intp], Array, float]]:

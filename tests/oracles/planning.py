@@ -117,3 +117,52 @@ def deviation(A, C, G, times, seen, period, c, at, W, v, laps=400):
             break
         last = now
     return now
+
+
+def remeasured(data, samples=60, looks=5):
+    """Goals of a plan file's tree: (name, reached as it says, from below, from above but for w constant on cells)."""
+    plant, asked, schedule = data["plant"], data["requirement"], data["schedule"]
+    A, C = (np.array(plant["matrices"][key], float) for key in ("A", "C"))
+    G = np.array(plant["matrices"].get("G", np.eye(len(A))), float)
+    w = np.broadcast_to(np.asarray(asked["w_bound"], float), G.shape[1])
+    assert np.ndim(asked["w_bound"]) or G.shape[1] == 1, "one number bounds a norm: no linear program"
+    bounds = [asked["sensors"].get(name, {}).get("noise_bound") for name in plant["outputs"]["names"]]
+    v = np.array([np.inf if b is None else b for b in bounds], float)
+    times, period = np.array(schedule["times"], float), float(schedule["period"])
+    masks = np.ones((len(times), len(C)), bool) if schedule["outputs"] is None else np.array(schedule["outputs"], bool)
+    laps = -(-samples // len(times)) + 1
+    every = (np.arange(laps)[:, None] * period + times).ravel()
+    seen = np.tile(masks, (laps, 1)) & np.isfinite(v)
+    names, found = [*plant["states"]["names"], *plant["outputs"]["names"]], []
+    for (name, goal), reached in zip(asked["accuracy"].items(), data["reached"], strict=True):
+        row = np.vstack([np.eye(len(A)), C])[names.index(name)] if "row" not in goal else np.array(goal["row"], float)
+        sides = np.zeros(2)
+        for k in range(len(every) - 1 - len(times), len(every) - 1):
+            ends = np.linspace(every[k], every[k + 1], looks)
+            if goal["at"] == "after each sample":
+                ends = ends[:1]
+            elif goal["at"] not in ("all times", "until the next"):
+                ends = [t for t in np.add.outer(np.arange(laps) * period, goal["at"]).ravel() if every[k] <= t]
+                ends = [t for t in ends if t <= every[k + 1]]
+            for end in ends:
+                parts = A, C, G, every[: k + 1], seen[: k + 1], row, end, w, v
+                sides = np.maximum(sides, [hidden(*parts, rest=rest)[0] for rest in (True, False)])
+        found.append((name, reached, *sides.tolist()))
+    return found
+
+
+def main(paths):
+    """Print what each plan file says, and what this program finds."""
+    import json
+    from pathlib import Path
+
+    for path in paths:
+        for name, reached, below, above in remeasured(json.loads(Path(path).read_text())):
+            print(f"{path}: {name}: {reached:.5g} in the file; {below:.5g} from rest, {above:.5g} with any past")
+            assert below <= reached * (1 + 1e-6)
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])

@@ -106,5 +106,5 @@ def draw_shadow(result: Shadow, ax: Axes | None = None) -> Axes:
         loc="left",
     )
     one.margins(0.12)
-    one.legend(loc="best", fontsize="small", frameon=True, framealpha=0.9)
+    style.legend(one, 2)
     return one

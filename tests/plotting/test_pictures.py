@@ -165,14 +165,15 @@ def test_no_legend_lies_on_a_curve():
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
     known = sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
+    shadow = known.shadow("position", "velocity", directions=4)
     seen = 0
-    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known):
+    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow):
         for ax, legend, inside in shown_legends(record.plot()):
             seen += 1
             assert legend.y0 >= inside.y1 - 2, type(record).__name__
             title = ax._left_title.get_window_extent()
             assert not ax.get_title(loc="left") or title.y0 >= legend.y1 - 4, type(record).__name__
-    assert seen == 6
+    assert seen == 7
 
 
 def test_the_axis_begins_below_the_curve_and_not_far_from_it():

@@ -165,7 +165,7 @@ def test_no_legend_lies_on_a_curve():
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
     known = sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
-    shadow = known.shadow("position", "velocity", directions=4)
+    shadow = known.shadow("x1", "x2", directions=4)
     seen = 0
     for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow):
         for ax, legend, inside in shown_legends(record.plot()):

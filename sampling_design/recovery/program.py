@@ -208,7 +208,7 @@ class ConeWindow:
 
     def _nothing(self) -> Adversary:
         chain = self.chain
-        w = tuple(np.zeros(chain.gaps[j].cells.shape[:2:2]) for j in self.nodes[:-1])
+        w = tuple(np.zeros(chain.gaps[j].cells.shape[::2]) for j in self.nodes[:-1])
         return Adversary(0.0, w, np.zeros((len(self.nodes), chain.D.size)))
 
     def _gains(self, y: Array) -> list[Array]:

@@ -157,3 +157,12 @@ def test_what_is_unseen_and_decays_is_known():
     assert found.lower[0] <= 0.2 <= found.upper[0]  # int_0^inf e^{-s/2} 0.1 ds
     assert np.all(found.upper <= 1.01 * found.lower)
     assert found.verify()
+
+
+def test_without_disturbance_a_mode_that_does_not_decay_leaves_the_bracket_open():
+    """More samples average the noise away for ever: gains prove little, an adversary that starts at rest attains 0."""
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.0, v_bound=0.1)
+    assert np.array_equal(found.lower, [0.0, 0.0])
+    assert np.all(np.isfinite(found.upper))
+    assert found.verify()

@@ -15,7 +15,7 @@ import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._record import short
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.cli.settings import Settings, end_bracket, record_table, save_picture, table
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
@@ -202,15 +202,7 @@ def sigma(
         result = sd.window_sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous
         )
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "sigma.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "sigma.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
-    if not result.closed:
-        raise typer.Exit(3)
-    if result.lower == 0:
-        raise typer.Exit(1)
+    end_bracket(settings, result, "sigma")
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (info, design, sigma)

@@ -22,6 +22,8 @@ from sampling_design._files import Growing, json_pieces
 from sampling_design._record import Record
 from sampling_design._workers import Workers, check_workers, cluster
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 
 ProgressCall = Callable[[float, str], None]
 
@@ -192,6 +194,19 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command
+
+
+def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: str) -> None:
+    """Write and show a bracket; leave with 3 where it did not close and with 1 where sigma is proven to be nothing."""
+    folder = settings.folder()
+    if folder is not None:
+        settings.write_json(folder / f"{name}.json", result.to_dict())
+        settings.wrote(save_picture(result, folder / f"{name}.png"))
+    settings.show(result.to_dict(), record_table(result), result.explain())
+    if not result.closed:
+        raise typer.Exit(3)
+    if result.lower == 0:
+        raise typer.Exit(1)
 
 
 def save_picture(record: object, path: Path, **beside: Any) -> Path:

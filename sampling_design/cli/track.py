@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,14 @@ VBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on 
 InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
 CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]
+
+
+class NoiseBounds(TypedDict):
+    """Bounds on the noise and on the first error, as the estimators take them."""
+
+    w_bound: npt.ArrayLike
+    v_bound: npt.ArrayLike
+    initial_error: npt.ArrayLike
 
 
 def estimate(
@@ -93,7 +101,7 @@ def _guarantee(
     certificate_file: Path | None,
     schedule: AnySchedule | None,
     eta: float | None,
-    bounds: Tree,
+    bounds: NoiseBounds,
 ) -> tuple[SampledCertificate | None, str]:
     """The certificate that the estimates rest on (None if there is none), and words for it."""
     if certificate_file is not None or schedule is not None:
@@ -109,7 +117,7 @@ def _certified(
     schedule: AnySchedule | None,
     path: Path | None,
     eta: float | None,
-    bounds: Tree,
+    bounds: NoiseBounds,
 ) -> SampledCertificate:
     """The certificate of a file, else one of the schedule with weights that follow the bounds."""
     if path is not None:
@@ -128,11 +136,17 @@ def _rate(settings: Settings, plant: sd.Plant, eta: float | None, longest: float
     return eta
 
 
-def _weights(plant: sd.Plant, eta: float, bounds: Tree) -> Tree:
+def _weights(plant: sd.Plant, eta: float, bounds: NoiseBounds) -> Tree:
     """Weights that follow the bounds, for narrow radii; a bound of zero is weighed by the plant's scales."""
-    signals = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
-    used = {key: value if np.all(np.asarray(value) > 0) else signals[key].scales for key, value in bounds.items()}
-    return sd.weights_from_bounds(plant, eta, **used)
+    w, v, start = (
+        given if np.all(np.asarray(given) > 0) else signals.scales
+        for given, signals in (
+            (bounds["w_bound"], plant.disturbances),
+            (bounds["v_bound"], plant.outputs),
+            (bounds["initial_error"], plant.states),
+        )
+    )
+    return sd.weights_from_bounds(plant, eta, w, v, start)
 
 
 def _numbers(name: str, text: str | None) -> float | list[float] | None:
@@ -148,20 +162,20 @@ def _numbers(name: str, text: str | None) -> float | list[float] | None:
 
 def _bounds(
     settings: Settings, plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
-) -> Tree:
+) -> NoiseBounds:
     """The bounds as given, else the plant's scales with a notice that says so."""
-    found: Tree = {}
+    found: dict[str, npt.ArrayLike] = {}
     for name, text, signals in (
         ("w_bound", w_bound, plant.disturbances),
         ("v_bound", v_bound, plant.outputs),
         ("initial_error", initial_error, plant.states),
     ):
         flag = "--" + name.replace("_", "-")
-        found[name] = _numbers(flag, text)
-        if text is None:
-            found[name] = signals.scales
+        given = _numbers(flag, text)
+        if given is None:
             settings.notice(f"{flag} not given: the plant's scales {short(signals.scales)} are used.")
-    return found
+        found[name] = signals.scales if given is None else given
+    return NoiseBounds(w_bound=found["w_bound"], v_bound=found["v_bound"], initial_error=found["initial_error"])
 
 
 def _from_gaps(
@@ -169,7 +183,7 @@ def _from_gaps(
     plant: sd.Plant,
     record: sd.Measurements,
     eta: float | None,
-    bounds: Tree,
+    bounds: NoiseBounds,
     progress: Progress,
 ) -> tuple[SampledCertificate | None, str]:
     """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it."""
@@ -206,7 +220,7 @@ def _estimator(
     record: sd.Measurements,
     horizon: float | None,
     prior: npt.ArrayLike | None,
-    bounds: Tree,
+    bounds: NoiseBounds,
 ) -> sd.MovingHorizonEstimator:
     if certificate is None and horizon is None:
         longest = float(np.max(np.diff(np.unique(record.times)), initial=0.0))

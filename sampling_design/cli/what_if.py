@@ -13,7 +13,15 @@ import sampling_design as sd
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
-from sampling_design.cli.settings import Hands, Scheduler, Settings, record_table, save_picture, workforce
+from sampling_design.cli.settings import (
+    Hands,
+    Scheduler,
+    Settings,
+    end_bracket,
+    record_table,
+    save_picture,
+    workforce,
+)
 from sampling_design.errors import ArgumentError
 
 
@@ -39,15 +47,7 @@ def worst_case(
         result = sd.worst_case_sigma(
             retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
         )
-    folder = settings.folder()
-    if folder is not None:
-        settings.write_json(folder / "worst_case.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "worst_case.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
-    if not result.closed:
-        raise typer.Exit(3)
-    if result.lower == 0:
-        raise typer.Exit(1)
+    end_bracket(settings, result, "worst_case")
 
 
 def pareto(

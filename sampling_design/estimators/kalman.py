@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +14,10 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import ROUNDING, OpenLoopEstimator, Verdict
+from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, OpenLoopEstimator, SolveDetails
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
 from sampling_design.estimators.window.window_problem import build_window
@@ -103,7 +101,7 @@ class KalmanFilter(OpenLoopEstimator):
         self._refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
-        details: dict[str, Any] = {"engine": "filter", "window_start": state.nodes[0].t}
+        details: SolveDetails = {"engine": "filter", "window_start": state.nodes[0].t}
         own = float(self._sample_energy(mask[None])[0])
         terms = before + own
         if self._too_large(innovation):
@@ -111,7 +109,9 @@ class KalmanFilter(OpenLoopEstimator):
             found, details["note"] = self._overflowed(state, sample, residual, terms)
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta)
-            return self._node(state, (sample, y, mask, feedthrough), (x, Y, flow, drift), found, details)
+            return self._node(
+                state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details
+            )
         terms += self._rounded(y, x)
         spread, step, half = absorb(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
@@ -121,45 +121,7 @@ class KalmanFilter(OpenLoopEstimator):
         if found.status == "bounds disproved" and last.sound:
             found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
         details["cost"] = past + cost
-        return self._node(state, (sample, y, mask, feedthrough), (x, Y, flow, drift), found, details)
-
-    def _node(
-        self,
-        state: State,
-        measured: tuple[Taken, Array, Array, Array],
-        held: tuple[Array, Array, GapFlow, Array],
-        found: Verdict,
-        details: dict[str, Any],
-    ) -> Node:
-        (sample, y, mask, feedthrough), (x, Y, flow, drift) = measured, held
-        sound, number = found.sound, state.last.number + 1
-        estimate = self._estimate(
-            sample.t,
-            x,
-            Y,
-            found.beta,
-            found.status,
-            sound=sound,
-            scheduled=False,
-            contradiction=found.contradiction,
-            **details,
-        )
-        return Node(
-            t=sample.t,
-            y=y,
-            mask=mask,
-            feedthrough=feedthrough,
-            x=x,
-            Y=Y,
-            beta=found.beta,
-            flow=flow,
-            drift=drift,
-            scheduled=False,
-            sound=sound,
-            estimate=estimate,
-            sample=sample,
-            number=number,
-        )
+        return self._node(state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details)
 
     def _blame(
         self, sample: Taken, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
@@ -212,11 +174,18 @@ class KalmanFilter(OpenLoopEstimator):
         last, estimates = nodes[-1].estimate, []
         for node, x, Y in zip(rows, found.nodes, covariance[::-1], strict=True):
             if node.sample.y is not None:
-                details = {"cost": last.cost, "engine": found.engine, "window_start": nodes[0].t}
-                estimates.append(self._smoothed(node.t, x, Y, last, details))
+                estimates.append(
+                    Estimate(
+                        node.t,
+                        freeze(x),
+                        freeze(Y),
+                        last.radius,
+                        last.status,
+                        certified=last.certified,
+                        note=last.note,
+                        cost=last.cost,
+                        engine=found.engine,
+                        window_start=nodes[0].t,
+                    )
+                )
         return EstimateRecord.collect(self.plant, estimates)
-
-    def _smoothed(self, t: float, x: Array, Y: Array, last: Estimate, details: dict[str, Any]) -> Estimate:
-        return Estimate(
-            t, freeze(x), freeze(Y), last.radius, last.status, certified=last.certified, note=last.note, **details
-        )

@@ -21,7 +21,7 @@ from sampling_design.estimators.online.estimator import Contradiction, Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import CONTRADICTION, Verdict
+from sampling_design.estimators.online.open_loop import CONTRADICTION, Held, MeasuredSample, SolveDetails, Verdict
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
@@ -193,37 +193,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         solved = slid or self._solved(state, start, sample, *held, limits)
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
-        estimate = self._estimate(
-            sample.t,
-            x,
-            Y,
-            found.beta,
-            found.status,
-            sound=found.sound,
-            scheduled=scheduled,
-            contradiction=found.contradiction,
-            window_start=start.s,
-            engine=solved.engine,
-            note=solved.note,
-            cost=solved.cost,
-        )
-        return Node(
-            t=sample.t,
-            y=y,
-            mask=mask,
-            feedthrough=feedthrough,
-            x=x,
-            Y=Y,
-            beta=found.beta,
-            flow=flow,
-            drift=drift,
-            scheduled=scheduled,
-            sound=found.sound,
-            estimate=estimate,
-            sample=sample,
-            number=state.last.number + 1,
-            limits=limits,
-        )
+        details = SolveDetails(window_start=start.s, engine=solved.engine, note=solved.note, cost=solved.cost)
+        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift)
+        return self._node(state, taken, after, found, details, scheduled=scheduled)
 
     def _solved(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -103,7 +103,9 @@ class Plant(Record):
 
     Parameters
     ----------
-    A : (n, n) array [1/time_unit]
+    A : (n, n) array [1/time_unit], or a system
+        A continuous-time state-space system of `control` or `scipy.signal`, given alone, brings A, B, C and D, and the
+        names that it knows.
     C : (p, n) array
     B : (n, m) array, optional
         Default: no inputs.
@@ -122,13 +124,14 @@ class Plant(Record):
     Raises
     ------
     ArgumentError
-        If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C has no row.
+        If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C is missing or has no row; if a
+        system is a discrete-time one, or comes with matrices beside it.
 
     Notes
     -----
-    *Assumptions.* Continuous time; a discrete-time model is refused by the constructors `from_control`
-    and `from_scipy`. *Numerical aspects.* Arrays are copied, float64 and read-only. Matrices are
-    physical; scales say how large each entry typically is (x~ = x/s_x) and are never applied silently.
+    *Assumptions.* Continuous time; a discrete-time model is refused. *Numerical aspects.* Arrays are copied, float64
+    and read-only. Matrices are physical; scales say how large each entry typically is (x~ = x/s_x) and are never
+    applied silently.
 
     References
     ----------
@@ -146,7 +149,7 @@ class Plant(Record):
 
     _reader: ClassVar[str] = "read_plant"
     A: Array
-    C: Array
+    C: Array = None  # type: ignore[assignment]
     B: Array = None  # type: ignore[assignment]
     D: Array = None  # type: ignore[assignment]
     G: Array = None  # type: ignore[assignment]
@@ -162,8 +165,8 @@ class Plant(Record):
 
         def __init__(
             self,
-            A: npt.ArrayLike,
-            C: npt.ArrayLike,
+            A: npt.ArrayLike | StateSpace,
+            C: npt.ArrayLike | None = None,
             B: npt.ArrayLike | None = None,
             D: npt.ArrayLike | None = None,
             G: npt.ArrayLike | None = None,
@@ -178,6 +181,7 @@ class Plant(Record):
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        self._take_system()
         A = _checks.matrix("A", self.A)
         n = A.shape[0]
         if A.shape[1] != n:
@@ -201,6 +205,20 @@ class Plant(Record):
             owned[key] = _signals(key, getattr(self, key), size)
         for key, value in owned.items():
             object.__setattr__(self, key, value)
+
+    def _take_system(self) -> None:
+        """Put the parts of a system in the place of A, where one came."""
+        system: object = self.A
+        if self._foreign(system) is None and not all(hasattr(system, key) for key in "ABCD"):
+            if self.C is None:
+                raise ArgumentError("`C` is missing: which states, or sums of states, are measured?")
+            return
+        for key in ("C", "B", "D"):
+            if getattr(self, key) is not None:
+                raise ArgumentError(f"`{key}` must come with the system, got one beside it.")
+        for key, value in _parts(cast("StateSpace", system)).items():
+            if key == "A" or not getattr(self, key):
+                object.__setattr__(self, key, value)
 
     @property
     def n_states(self) -> int:
@@ -279,12 +297,7 @@ class Plant(Record):
             If it is a discrete-time system or has no matrices A, B, C, D.
         """
         _refuse_discrete(system)
-        for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
-            labels = getattr(system, theirs, None)
-            if labels:
-                details.setdefault(mine, list(labels))
-        details.setdefault("name", str(getattr(system, "name", "") or ""))
-        return cls(system.A, system.C, system.B, system.D, **details)
+        return cls(system, **details)
 
     @classmethod
     def _foreign(cls, system: object) -> Callable[[StateSpace, str], Plant] | None:
@@ -304,7 +317,7 @@ class Plant(Record):
             If it is a discrete-time system or has no matrices A, B, C, D.
         """
         _refuse_discrete(system)
-        return cls(system.A, system.C, system.B, system.D, **details)
+        return cls(system, **details)
 
     def to_control(self) -> control.StateSpace:
         """Return this plant as a `control.StateSpace` (inputs u only; G, units and scales are left behind)."""
@@ -383,6 +396,17 @@ def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Sign
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
         return value
     return Signals(_checks.names(key, value, size, _PREFIX[key]))
+
+
+def _parts(system: StateSpace) -> dict[str, object]:
+    """The matrices of a system, and the names that it knows."""
+    _refuse_discrete(system)
+    parts: dict[str, object] = {key: getattr(system, key) for key in "ACBD"}
+    for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
+        labels = getattr(system, theirs, None)
+        if labels:
+            parts[mine] = list(labels)
+    return parts | {"name": str(getattr(system, "name", "") or "")}
 
 
 def _refuse_discrete(system: StateSpace) -> None:

@@ -58,12 +58,14 @@ def ratio(rounds=21, count=400):
 
 def test_update_with_a_radius(benchmark):
     step = settled_gains()
-    benchmark(step, np.array([0.1]))
+    found = benchmark(step, np.array([0.1]))
+    assert np.isfinite(found.radii).all()
+    assert (found.radii > 0).all()
 
 
 def test_plain_kalman_step(benchmark):
     step = kalman_steps()
-    benchmark(step, np.array([0.1]))
+    assert np.isfinite(benchmark(step, np.array([0.1]))).all()
 
 
 if __name__ == "__main__":

@@ -87,7 +87,8 @@ def test_problem_rebuilt_in_the_modelling_library(benchmark, options):
     mhe, window = last_window(SETS[options])
     free = smooth(window)
     once = (1.0,)  # solved, not refined
-    benchmark.pedantic(solve_reference, (window, mhe.constraints, free, once), rounds=5, warmup_rounds=1)
+    found = benchmark.pedantic(solve_reference, (window, mhe.constraints, free, once), rounds=5, warmup_rounds=1)
+    assert found.status == "ok"
 
 
 def test_first_update(benchmark):
@@ -100,7 +101,7 @@ def test_first_update(benchmark):
 def test_filter_update(benchmark):
     kalman = KalmanFilter(PLANT, cost=CostFunction(eta=0.2), **BOUNDS)
     source = warm(kalman)
-    benchmark(lambda: kalman.update(*next(source)))
+    assert benchmark(lambda: kalman.update(*next(source))).engine == "filter"
 
 
 def test_late_sample_is_replayed(benchmark):

@@ -24,7 +24,8 @@ def loop(plant, times):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_rows_by_a_loop_over_scipy(benchmark, name):
-    benchmark(loop, PLANTS[name], TIMES[name])
+    rows = benchmark(loop, PLANTS[name], TIMES[name])
+    np.testing.assert_array_equal(rows[: PLANTS[name].n_outputs], PLANTS[name].C)
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -36,13 +37,15 @@ def test_rows_through_modal_blocks(benchmark, name):
 @pytest.mark.parametrize("name", PLANTS)
 def test_rows_through_modal_blocks_first_call(benchmark, name):
     plant = PLANTS[name]
-    benchmark(lambda: ModalFlow(plant.A).rows(plant.C, TIMES[name]))
+    rows = benchmark(lambda: ModalFlow(plant.A).rows(plant.C, TIMES[name]))
+    np.testing.assert_allclose(np.reshape(rows, (-1, plant.n_states)), loop(plant, TIMES[name]), rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_rows_by_scaling_and_squaring(benchmark, name):
     plant, flow = PLANTS[name], ModalFlow(PLANTS[name].A)
-    benchmark(lambda: flow._dense(plant.C, TIMES[name]))
+    rows = benchmark(lambda: flow._dense(plant.C, TIMES[name]))
+    np.testing.assert_allclose(np.reshape(rows, (-1, plant.n_states)), loop(plant, TIMES[name]), rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", PLANTS)

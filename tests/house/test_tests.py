@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parents[1]
-FILES = sorted(TESTS.rglob("test_*.py"))
+FILES = sorted((*TESTS.rglob("test_*.py"), *TESTS.rglob("bench_*.py")))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(TESTS)))

@@ -135,6 +135,25 @@ def test_scipy_system_is_accepted():
     assert plant.time_unit == "min"
 
 
+def test_a_system_given_alone_is_a_plant():
+    known = control.ss(A, [[0.0], [1.0]], C, [[2.0]], states=["a", "b"], outputs=["level"], name="tank")
+    plain = scipy.signal.StateSpace(A, [[0.0], [1.0]], C, [[2.0]])
+    for system in (known, plain):
+        plant = Plant(system, time_unit="min", G=[[0.0], [1.0]])
+        for key in "ABCD":
+            np.testing.assert_array_equal(getattr(plant, key), getattr(system, key))
+        assert (plant.time_unit, plant.n_disturbances) == ("min", 1)
+    named = Plant(known, outputs=["depth"])
+    assert (named.name, named.states.names, named.outputs.names) == ("tank", ("a", "b"), ("depth",))
+
+
+def test_a_matrix_alone_or_beside_a_system_is_refused():
+    with pytest.raises(ArgumentError, match="`C` is missing: which states"):
+        Plant(A)
+    with pytest.raises(ArgumentError, match=r"`C` must come with the system, got one beside it\."):
+        Plant(scipy.signal.StateSpace(A, [[0.0], [1.0]], C, [[2.0]]), C)
+
+
 @pytest.mark.parametrize(
     "system",
     [
@@ -144,9 +163,9 @@ def test_scipy_system_is_accepted():
     ],
 )
 def test_discrete_systems_are_refused(system):
-    make = Plant.from_control if isinstance(system, control.StateSpace) else Plant.from_scipy
-    with pytest.raises(ArgumentError, match="`system` must be continuous-time, got a discrete one with dt"):
-        make(system)
+    for make in (Plant.from_control if isinstance(system, control.StateSpace) else Plant.from_scipy, Plant):
+        with pytest.raises(ArgumentError, match="`system` must be continuous-time, got a discrete one with dt"):
+            make(system)
 
 
 def test_other_systems_are_refused():

@@ -303,8 +303,6 @@ class Certificate(SampledCertificate):
         eta: float,
         lam: float | None = None,
         lam_samples: float | None = None,
-        margin: float = 0.0,
-        solver: SolverRecord | None = None,
     ) -> Certificate:
         """Return a certificate made by hand; nothing is proven before `verify()` passes.
 
@@ -316,9 +314,6 @@ class Certificate(SampledCertificate):
         eta : float [1/time]
         lam, lam_samples : float, optional
             Default lambda_max(P2, P1), which is what the matrices claim.
-        margin : float
-        solver : SolverRecord, optional
-            Where the matrices come from.
 
         Returns
         -------
@@ -352,8 +347,7 @@ class Certificate(SampledCertificate):
             eta=eta,
             lam=top,
             lam_samples=top if lam_samples is None else lam_samples,
-            margin=margin,
-            solver=solver or SolverRecord("by hand"),
+            solver=SolverRecord("by hand"),
         )
 
     @property

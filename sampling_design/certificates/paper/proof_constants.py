@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -97,17 +97,9 @@ class ProofConstants(Record):
 
     def certificate(self) -> Certificate:
         """Return the certificate with these weights, to be verified and saved like any other."""
-        return Certificate.from_matrices(
-            self.plant,
-            self.schedule,
-            P1=self.P1,
-            P2=self.P2,
-            Qw=self.Qw,
-            R=self.R,
-            Qv=self.Qv,
-            eta=self.eta,
-            solver=SolverRecord("constants of the proof", details={"variant": self.variant}),
-        )
+        weights = {key: getattr(self, key) for key in ("P1", "P2", "Qw", "R", "Qv")}
+        made = Certificate.from_matrices(self.plant, self.schedule, **weights, eta=self.eta)
+        return replace(made, solver=SolverRecord("constants of the proof", details={"variant": self.variant}))
 
     def to_markdown(self) -> str:
         """Return the constants as a markdown table."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,34 @@ class Verdict(NamedTuple):
     status: Status
     sound: bool
     contradiction: Contradiction | None
+
+
+class SolveDetails(TypedDict, total=False):
+    """What an estimate says of its solve."""
+
+    engine: str
+    window_start: float
+    cost: float
+    note: str
+
+
+class MeasuredSample(NamedTuple):
+    """A sample as the equations take it: y with 0 where it is missing, the mask of 0 and 1, D u, and its limits."""
+
+    sample: Taken
+    y: Array
+    mask: Array
+    feedthrough: Array
+    limits: Array | None = None
+
+
+class Held(NamedTuple):
+    """What is held after a sample: state and covariance, and the flow and drift that led to it."""
+
+    x: Array
+    Y: Array
+    flow: GapFlow
+    drift: Array
 
 
 class OpenLoopEstimator(OnlineEstimator):
@@ -205,6 +233,45 @@ class OpenLoopEstimator(OnlineEstimator):
             notes.append(self.claim_note or "No a-priori claim: off the certificate's schedule.")
         note = " ".join(filter(None, notes))
         return Estimate(t, x, Y, beta, status, certified=certified, on_schedule=scheduled, note=note, **details)
+
+    def _node(
+        self,
+        state: State,
+        measured: MeasuredSample,
+        held: Held,
+        found: Verdict,
+        details: SolveDetails,
+        scheduled: bool = False,
+    ) -> Node:
+        """Return the node of a sample, with the estimate that is handed out."""
+        estimate = self._estimate(
+            measured.sample.t,
+            held.x,
+            held.Y,
+            found.beta,
+            found.status,
+            sound=found.sound,
+            scheduled=scheduled,
+            contradiction=found.contradiction,
+            **details,
+        )
+        return Node(
+            t=measured.sample.t,
+            y=measured.y,
+            mask=measured.mask,
+            feedthrough=measured.feedthrough,
+            x=held.x,
+            Y=held.Y,
+            beta=found.beta,
+            flow=held.flow,
+            drift=held.drift,
+            scheduled=scheduled,
+            sound=found.sound,
+            estimate=estimate,
+            sample=measured.sample,
+            number=state.last.number + 1,
+            limits=measured.limits,
+        )
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""

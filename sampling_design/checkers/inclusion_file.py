@@ -177,7 +177,10 @@ def model_of(value: object, plant: Plant) -> Box | Vertices | Region:
     read = MODELS[kind](value, "model")
     if kind == "box":
         listed = enumerate(read["parameters"])
-        return Box(tuple(parameter(item, f"model.parameters[{k}]", plant) for k, item in listed))
+        found = tuple(parameter(item, f"model.parameters[{k}]", plant) for k, item in listed)
+        if not found or len({each.name for each in found}) < len(found):
+            raise refuse("model.parameters", "must hold at least one parameter, each with a name of its own")
+        return Box(found)
     shapes = {"A": plant.A.shape, "C": plant.C.shape, "G": plant.G.shape}
     count = len(read["A"])
     if not count or any(len(read[key]) != count for key in shapes):
@@ -205,6 +208,8 @@ def parameter(value: object, place: str, plant: Plant) -> Parameter:
         key: shaped(read[key], f"{place}.{key}", size) if key in read else np.zeros(size)
         for key, size in shapes.items()
     }
+    if not read["name"] or not any(M.any() for M in parts.values()):
+        raise refuse(place, "must have a name, and move an entry of A, C or G")
     return Parameter(read["name"], read["low"], read["nominal"], read["high"], **parts)
 
 

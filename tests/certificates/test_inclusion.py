@@ -378,3 +378,23 @@ def test_linear_coordinates_change_nothing_that_is_proven():
         certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.2, 2.4), eta=0.02, pieces=8)
     with pytest.raises(UndecidedError):
         certify_inclusion(UNCERTAIN, GapRange(0.2, 2.4), eta=0.02, pieces=8)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"name": ""}, "must have a name, and move"),
+        ({"A": [[0.0, 0.0], [0.0, 0.0]]}, "must have a name, and move"),
+        (None, "must hold at least one parameter, each with a name of its own"),
+    ],
+)
+def test_a_checker_reads_no_box_that_a_record_would_not_hold(change, match, certificate, tmp_path):
+    data = json.loads(json.dumps(certificate.to_dict()))
+    listed = data["model"]["parameters"]
+    data["model"]["parameters"] = [*listed, *listed] if change is None else [{**listed[0], **change}]
+    data["digest"] = digest(data)
+    assert check(data)["verdict"] == "bad file"
+    path = tmp_path / "changed.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=match):
+        load_certificate(path)

@@ -12,6 +12,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
+from sampling_design.nonlinear.examples import stirred_reactor
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.outliers import Outliers
@@ -317,3 +318,22 @@ def test_weights_from_deviations_are_the_most_likely_trajectory():
     )
     with pytest.raises(ArgumentError, match="`plant` must have one noise for each output"):
         cost_from_deviations(mixed, prior=[1.0], v=[1.0, 1.0])
+
+
+def test_a_filtered_arrival_weight_makes_up_for_a_short_horizon():
+    # two samples in a window: P2 forgets what was learned, the filtered weight does not
+    plant, times = stirred_reactor(), np.arange(0.0, 2.6, 0.25)
+    rng = np.random.default_rng(1)
+    truth = simulate(plant, [0.55, 351.0], times, w=rng.standard_normal((times.size, 2)) * [0.02, 0.5])
+    y = truth[:, 1:] + 0.5 * rng.standard_normal((times.size, 1))
+    errors = []
+    for arrival in ("fixed", "filtered"):
+        cost = cost_from_deviations(
+            plant, prior=[0.1, 3.0], v=[0.5], w=[0.02, 0.5], w_time=0.25, form="certificate", arrival=arrival
+        )
+        scheme = NonlinearMovingHorizonEstimator(
+            plant, horizon=0.5, cost=cost, prior=[0.5, 350.0], collocation=Collocation(0.25, 3, accuracy=None)
+        )
+        found = scheme.run(zip(times, y, strict=True))
+        errors.append(np.sqrt(np.mean((found.x - truth)[4:, 0] ** 2)))
+    assert errors[1] < 0.5 * errors[0]

@@ -18,6 +18,7 @@ from sampling_design.evidence import Claim
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
+from sampling_design.observability.worst_case.periodicity import within_periods
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, Attained, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
@@ -288,13 +289,15 @@ def worst_case_sigma(
     require_moderate(plant)
     _require_memory(plant, family)
     parts = [plant.scaled(), plant] if plant.has_scales else [plant]
+    judged = within_periods(plant, family)
     result = None
     for part in parts:
-        result = _bracketed(part, family, tolerance, seconds / len(parts), generator, progress, result)
+        result = _bracketed(part, judged, tolerance, seconds / len(parts), generator, progress, result)
         if rigorous:
             result = _in_balls(result, part, seconds / len(parts))
     assert result is not None
-    return result
+    scaled = None if result.scaled is None else replace(result.scaled, family=family)
+    return replace(result, family=family, scaled=scaled)
 
 
 def _over_box(plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float) -> WorstCaseOverBox:

@@ -89,7 +89,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     start = 0.125
 
     def estimator():
-        return sd.MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.1, **BOUNDS)
+        return sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
 
     whole = estimator().run(record)
     moved = sd.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
@@ -129,7 +129,7 @@ def test_memory_does_not_grow_with_the_record():
         record = sd.Measurements(PLANT, times, np.stack([np.cos(times), -np.sin(times)], axis=1))
         settings = Settings("estimate", quiet=True)
         tracemalloc.start()
-        estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, eta=0.1, **BOUNDS)
+        estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
         following.followed(settings, estimator, record, 0.0, "", "ellipsoids", "words")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -113,12 +115,31 @@ def _with_number(function: Callable[[Item], Result], k: int, item: Item) -> tupl
     return k, function(item)
 
 
+def _ready() -> None:
+    """Let an interrupt end this process without a word: the one that hands out the work says so once."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes that begin inside hear no interrupt before they are ready: they inherit that from here."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _processes(count: int) -> Executor:
     """Processes of our own, new ones where the last were killed."""
     from joblib import cpu_count
     from joblib.externals.loky import get_reusable_executor
 
-    found: Executor = get_reusable_executor(max_workers=cpu_count() if count < 0 else count)
+    many = cpu_count() if count < 0 else count
+    found: Executor = get_reusable_executor(max_workers=many, initializer=_ready)
+    with _deaf(), suppress(BrokenExecutor):
+        found.submit(_ready)  # starts them all
     return found
 
 

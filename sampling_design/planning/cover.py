@@ -8,6 +8,7 @@ Whatever a solver says, y >= 0 prove  cost >= b'y + sum over k of min((c - A'y)_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -155,10 +156,15 @@ class Cover:
             return np.append(mine, own), np.append(np.ones(mine.size), -1.0), 0.0
         return mine, np.ones(mine.size), 1.0
 
-    def model(self, attacks: list[HiddenMotion], keys: list[Key], level: float) -> CoverModel:
-        """The program of these attacks at a level."""
+    def model(
+        self, attacks: list[HiddenMotion], keys: list[Key], level: float, blind: Sequence[Mask] = ()
+    ) -> CoverModel:
+        """The program of these attacks at a level, and of what must be measured once wherever it shows."""
         A, b = self.frame
-        more, right = _stacked([self.row(attacks[a], end, level) for a, end in keys], self.columns)
+        rows = [self.row(attacks[a], end, level) for a, end in keys]
+        places = [self.place[where] for where in blind]
+        rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
+        more, right = _stacked(rows, self.columns)
         return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
 
     def choice(self, x: Array) -> Mask:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import schur
 
 from sampling_design._linalg import expm_batch
 from sampling_design.planning.problem import PlanProblem
@@ -19,8 +20,15 @@ Mask = npt.NDArray[np.bool_]
 CELLS = 6
 """Cells of constant disturbance in a gap, at most."""
 
-SPREAD = 24
-"""Samples of the even schedule that chooses the coordinates, at most."""
+SPREAD = (7, 24)
+"""Samples of the even schedule that chooses the coordinates, at least and at most."""
+
+
+HIDDEN = 1e-9
+"""A direction is hidden from rows of norm one that show less than this share of it."""
+
+STAYS = 1e-6
+"""A mode that loses no more than this share in a period never fades."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +104,45 @@ class Motion:
         return F, np.hstack(blocks[::-1]) if blocks else np.zeros((n, 0)), cells
 
 
+def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array) -> Mask | None:
+    """Return where a choice would have to measure, too, to see a motion that does not fade and that it never sees.
+
+    Any choice that measures nowhere on the mask hides the same motion. None if every such motion is seen, or hidden
+    wherever measuring is allowed and of no account to the rows of z.
+    """
+    steps, p = chosen.shape
+    seen = np.empty((steps, p, motion.n))
+    moved = np.empty((steps, len(rows), motion.n))
+    power = np.eye(motion.n)
+    for i in range(steps):
+        seen[i], moved[i] = _even(motion.H @ power), _even(rows @ power)
+        power = motion.F @ power
+    later = [seen[chosen]]
+    for _ in range(motion.n - 1):
+        later.append(_even(later[-1] @ power))
+    _, sizes, right = np.linalg.svd(np.vstack([np.zeros((motion.n, motion.n)), *later]))
+    N = right[sizes <= HIDDEN * max(float(sizes[0]), 1.0)].T
+    if not N.shape[1]:
+        return None
+    _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= 1 - STAYS))
+    N = N @ Z[:, :stay]
+    where = np.asarray(np.linalg.norm(seen @ N, axis=2) > HIDDEN)
+    matters = bool(np.any(where & allowed)) or float(np.abs(moved @ N).max(initial=0.0)) > HIDDEN
+    return where if stay and matters else None
+
+
+def _even(rows: Array) -> Array:
+    """Rows of norm one, or zero."""
+    size = np.linalg.norm(rows, axis=-1, keepdims=True)
+    return np.asarray(rows / np.where(size > 0, size, 1.0))
+
+
 def motion_of(problem: PlanProblem) -> Motion:
     """Return the plant of a problem on its raster; coordinates from an even schedule with every sensor."""
     plant = problem.plant
     w_bound = problem.requirement.w_bound
     q, p = plant.n_disturbances, plant.n_outputs
-    count = int(min(SPREAD, problem.steps))
+    count = int(np.clip(problem.steps, *SPREAD))
     bounded = np.where(np.isfinite(problem.v_bound), problem.v_bound, np.inf)
     bounds = SignalBounds.of(plant, count, np.tile(np.isfinite(bounded), (count, 1)), w_bound, _finite(bounded))
     chain = endless_chain(plant, np.full(count, problem.period / count), bounds)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from sampling_design.planning.adversary import Flight, RasterWindow, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
-from sampling_design.planning.motion import Motion
+from sampling_design.planning.motion import Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,12 @@ class Oracle:
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
-        """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`."""
+        """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`.
+
+        Infinite, without an attack, where the choice hides a motion that never fades.
+        """
+        if self.hidden(chosen) is not None:
+            return np.inf, []
         goals = list(range(len(self.problem.goals)))
         worst, found = 0.0, []
         at = np.flatnonzero(chosen.any(axis=1))
@@ -51,6 +56,10 @@ class Oracle:
             if worst > above:
                 break
         return worst, found
+
+    def hidden(self, chosen: Mask) -> Mask | None:
+        """Where a choice would have to measure, too, to see all that never fades; None if it does."""
+        return hidden_at(self.motion, chosen, self.problem.allowed, self.rows)
 
     def _gap(self, chosen: Mask, last: int, length: int, goals: list[int]) -> list[HiddenMotion]:
         """The strongest attacks that end in the gap after a sample."""

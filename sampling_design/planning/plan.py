@@ -16,7 +16,7 @@ from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
 from sampling_design.planning.bounds import out_of_reach, prove_cost
-from sampling_design.planning.cover import Cover
+from sampling_design.planning.cover import Cover, cheapest
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
@@ -47,6 +47,9 @@ RTOL = 0.005
 """Width of the brackets that prove a plan."""
 
 CERTIFICATE_SECONDS = 2.0
+
+SPREAD = (np.sqrt(5.0) - 1) / 2
+"""Multiples of it, less their whole part, are spread evenly."""
 
 WIDTH = 0.002
 """Relative width to which the level out of reach is found."""
@@ -147,6 +150,7 @@ class _Planning:
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance."""
         search, best, chosen = self.search, None, None
+        self._require_seen()
         worst, attacks = self.oracle.judge(self.problem.allowed)
         search.add(attacks, 1.0)
         if worst > 1:
@@ -170,6 +174,9 @@ class _Planning:
         proof, ratios = best
         if search.found.chosen is None and float(ratios.max(initial=0.0)) > 1:
             return self._nearest(chosen, proof, ratios)
+        sure = float(ratios.max(initial=0.0)) <= 1
+        if not sure:
+            chosen, (proof, ratios) = self._mended(chosen, everything)
         cost = self.problem.cost(chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost)
@@ -180,7 +187,40 @@ class _Planning:
                 chosen, (proof, ratios) = rival.found.chosen, other
         known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
         ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys)
-        return self._record(chosen, proof, gathered(search.pool, ratio, least))
+        return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
+
+    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[Accuracy, Array]]:
+        """More of what is allowed, spread out, until the tolerances are proven: the search judged too well.
+
+        It does where a motion that no disturbance drives neither fades nor is seen well.
+
+        Raises
+        ------
+        UndecidedError
+            If not even as much as spacings allow is proven to keep them.
+        """
+        more = np.argwhere(everything & ~chosen)
+        more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
+        low, high = 0, len(more)
+        best: tuple[Mask, tuple[Accuracy, Array]] | None = None
+        while best is None or low < high:
+            count = high if best is None else (low + high) // 2
+            trial = chosen.copy()
+            for i, j in more[:count].tolist():
+                trial[i, j] = True
+                if not self.problem.is_admissible(trial):
+                    trial[i, j] = False
+            found = self._ratios(trial)
+            if float(found[1].max(initial=0.0)) <= 1:
+                best, high = (trial, found), count
+            elif best is None:
+                raise UndecidedError(
+                    f"No plan was proven to keep the tolerances: the densest one is proven to keep "
+                    f"{float(found[1].max()):.4g} times them. Ask for less, or allow other hours."
+                )
+            else:
+                low = count + 1
+        return best
 
     def _farther(self, chosen: Mask, proven: float) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
@@ -220,7 +260,7 @@ class _Planning:
         problem = self.problem
         limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
         search = PlanSearch(limited, self.oracle, self.search.deadline, self.progress)
-        search.pool = self.search.pool
+        search.pool, search.blind = self.search.pool, self.search.blind
         search.keep(chosen, worst)
         search.seed(worst * 0.9)
         search.improve(ROUNDS // 3)
@@ -229,7 +269,8 @@ class _Planning:
     def most_accurate(self) -> Plan:
         """The least ratio of accuracy to tolerance that the limits allow."""
         search = self.search
-        chosen = self._sparse()
+        self._require_seen()
+        chosen = self._seeing(self._sparse())
         worst, attacks = self.oracle.judge(chosen)
         search.add(attacks, 0.0)
         search.keep(chosen, worst)
@@ -298,6 +339,43 @@ class _Planning:
                 chosen[i, j] = False
         return done
 
+    def _require_seen(self) -> None:
+        """Refuse goals that not even all that is allowed shows.
+
+        Raises
+        ------
+        InfeasibleRequirementError
+            If a motion that never fades moves a goal and is hidden at every allowed time.
+        """
+        if self.oracle.hidden(self.problem.allowed) is not None:
+            raise InfeasibleRequirementError(
+                "Not even measuring at every allowed time shows all that `accuracy` asks for: a motion that never "
+                "fades stays hidden. Allow other hours, a finer raster or another sensor.",
+                "accuracy",
+            )
+
+    def _seeing(self, chosen: Mask) -> Mask:
+        """The choice, or one within the limits that hides no motion that never fades.
+
+        Raises
+        ------
+        InfeasibleRequirementError
+            If the limits leave none.
+        """
+        search = self.search
+        while (where := self.oracle.hidden(chosen)) is not None:
+            search.blind.append(where)
+            model = search.cover.model([], [], 0.0, search.blind)
+            other, _ = cheapest(search.cover, model, np.zeros(model.c.size))
+            if other is None:
+                raise InfeasibleRequirementError(
+                    "No choice within the limits shows all that `accuracy` asks for: a motion that never fades stays "
+                    "hidden. Allow more samples or other hours.",
+                    "cost_limit",
+                )
+            chosen = other
+        return chosen
+
     def _refuse(self, worst: float) -> None:
         goal = max(self.problem.goals, key=lambda g: g.tolerance)
         raise InfeasibleRequirementError(
@@ -307,8 +385,9 @@ class _Planning:
             {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
         )
 
-    def _record(self, chosen: Mask, proof: Accuracy | None, bound: PlanBound) -> Plan:
-        return _plan(self.problem, chosen, proof, bound, "complete" if self.search.found.complete else "budget")
+    def _record(self, chosen: Mask, proof: Accuracy | None, bound: PlanBound, sure: bool = True) -> Plan:
+        complete = sure and self.search.found.complete
+        return _plan(self.problem, chosen, proof, bound, "complete" if complete else "budget")
 
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy:

@@ -60,6 +60,8 @@ class PlanSearch:
         self.cover = Cover(problem, fixed=self.free)
         self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
         self.found = Found()
+        self.blind: list[Mask] = []
+        """Where a choice must measure once at least, or it hides a motion that never fades."""
 
     @property
     def late(self) -> bool:
@@ -122,13 +124,16 @@ class PlanSearch:
     def _candidate(self, keys: list[Key], level: float) -> tuple[Mask | None, bool]:
         """The cheapest choice that sees every attack of the pool."""
         while True:
-            model = self.cover.model(self.pool.attacks, keys, level)
+            model = self.cover.model(self.pool.attacks, keys, level, self.blind)
             more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
             least = self.cover.grain or float(np.max(model.c, initial=1.0))
             tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
             chosen, none = cheapest(self.cover, model, tie)
             if chosen is None:
                 return None, none
+            if (where := self.oracle.hidden(chosen)) is not None:
+                self.blind.append(where)
+                continue
             fresh = self._unseen(chosen, level, keys)
             if not fresh or self.late:
                 return chosen, False
@@ -156,8 +161,9 @@ class PlanSearch:
                 self.keep(trial, worst)
             if worst <= level:
                 return True
-        attack = max(attacks, key=lambda a: a.reach)
-        self.faint(attack.goal, attack.end + self.problem.steps, level, trial)
+        if attacks:
+            attack = max(attacks, key=lambda a: a.reach)
+            self.faint(attack.goal, attack.end + self.problem.steps, level, trial)
         return False
 
     def keep(self, chosen: Mask, worst: float) -> None:

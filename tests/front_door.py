@@ -115,7 +115,7 @@ def _stiffness() -> sd.UncertainParameter:
 
 @functools.cache
 def _small_plan() -> Any:
-    return sd.plan(things()["plant"], things()["wanted"], search_seconds=5.0)
+    return sd.plan(things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False)
 
 
 @functools.cache
@@ -284,7 +284,8 @@ OWNERS = {
     "DetectabilityEvidence": "evidence",
     "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
     "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
-    "SparsePlant": "sparse", "UncertainPlant": "uncertain", "Horizon": None, "Finding": None,
+    "SparsePlant": "sparse", "UncertainPlant": "uncertain", "UncertainParameter": None,
+    "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
     "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,
@@ -304,6 +305,7 @@ def owner(name: str) -> Any:
         "Finding": lambda: t["report"].findings[0],
         "Verification": certificate.verify,
         "UpperBound": lambda: t["design"].bound,
+        "UncertainParameter": _stiffness,
         "WindowWitness": lambda: t["sigma"].witness,
         "EigenvalueCluster": lambda: public()["eigenvalue_clusters"](plant.A)[0],
         "ConstantList": lambda: certificate.constants,
@@ -361,16 +363,17 @@ def doors() -> tuple[Door, ...]:
                 for key in dir(thing)
                 if not key.startswith("_") and key not in INHERITED and callable(getattr(thing, key))
             ]
-    return tuple(Door(name, arguments(name)) for name in names)
+    own = special()
+    return tuple(Door(name, arguments(name, own.get(name, {}))) for name in names)
 
 
-def arguments(name: str) -> dict[str, Any]:
+def arguments(name: str, own: dict[str, Any]) -> dict[str, Any]:
     """Valid arguments of a public callable: its required parameters, and the optional ones with a known name."""
     head, _, method = name.partition(".")
     thing = getattr(public()[head], method) if method else public()[head]
     if inspect.isclass(thing) and issubclass(thing, (Exception, tuple)):
         return {}
-    usual, own = named(), special().get(name, {})
+    usual = named()
     given = {}
     for key, parameter in inspect.signature(thing).parameters.items():
         if key == "self" or parameter.kind is inspect.Parameter.VAR_POSITIONAL:

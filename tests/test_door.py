@@ -208,6 +208,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: sd.Plant([[1.0]], [[1.0]], time_unit=[]), r"`time_unit` must be one of ms, .* got list \[\]"),
         (lambda: sd.Plant([[1.0]], [[1.0]], source=[1]), r"`source` must be a string, got list \[1\]"),
         (lambda: OSCILLATOR.transition(np.ones((2, 2))), "`t` must be a number or a vector of times, got shape"),
+        (lambda: OSCILLATOR.transition(np.inf), "`t` must be finite, got"),
         (lambda: sd.ConvexSet.box([0.0], [1.0]).excess([[1.0, 2.0]]), "`values` must have 1 columns, got shape"),
         (lambda: sd.ConvexSet([0.0], [1.0], None, None, [3]), r"`balls` must be a tuple of balls, got list \[3\]"),
         (lambda: estimator().run(3), r"`record` must be Measurements, a DataFrame or a list of \(t, y, u\), got int 3"),

@@ -22,12 +22,21 @@ def estimates():
     return mhe.run([(0.7, [0.3], None), (2.3, [-0.5], None), (3.2, [0.1], None)])
 
 
+def smoothed():
+    mhe = sd.NonlinearMovingHorizonEstimator(
+        sd.from_linear(OSCILLATOR), horizon=5.0, cost=sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
+    )
+    mhe.run([(0.7, [0.3], [0.0]), (2.3, [-0.5], [0.0])])
+    return mhe.smoothed()
+
+
 MAKERS = {
     "EstimateRecord": estimates,
     "ParetoFront": lambda: sd.pareto(OSCILLATOR, REQUIREMENT, [2, 3]),
     "SampleLosses": lambda: sd.sample_losses(sd.design_schedule(OSCILLATOR, REQUIREMENT)),
     "FourHorizons": lambda: sd.four_horizons(OSCILLATOR, SCHEDULE),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
+    "SmoothedWindow": smoothed,
 }
 
 
@@ -46,6 +55,7 @@ def test_a_frame_has_the_columns_of_its_record(kind):
 
 
 def test_every_table_is_in_this_list():
+    assert callable(sd.NonlinearMovingHorizonEstimator)  # a room opens on first use
     assert {c.__name__ for c in Table.__subclasses__()} == set(MAKERS)
 
 
@@ -116,6 +126,7 @@ def test_without_pandas_the_extra_is_named(monkeypatch):
 CURVES = {
     "EstimateRecord": estimates,
     "WindowSigma": MAKERS["WindowSigma"],
+    "SmoothedWindow": smoothed,
     "Accuracy": lambda: sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.2),
 }
 

@@ -45,14 +45,15 @@ class EstimateTable:
 
     Examples
     --------
-    >>> import os, tempfile
-    >>> from sampling_design import KalmanFilter, Plant
+    >>> import pathlib, tempfile
+    >>> from sampling_design import CostFunction, KalmanFilter, Plant
     >>> plant = Plant([[0.0]], [[1.0]])
-    >>> path = os.path.join(tempfile.mkdtemp(), "estimates.csv")
+    >>> cost = CostFunction(eta=0.1)
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "estimates.csv"
     >>> with EstimateTable(plant, path) as table:
-    ...     for estimate in KalmanFilter(plant, eta=0.1).stream([(1.0, [2.0]), (2.0, [2.1])]):
+    ...     for estimate in KalmanFilter(plant, cost=cost).stream([(1.0, [2.0]), (2.0, [2.1])]):
     ...         table.add(estimate)
-    >>> len(open(path).readlines())
+    >>> len(path.read_text().splitlines())
     3
     """
 
@@ -185,7 +186,7 @@ def check_radii(radii: str) -> str:
     ArgumentError
         If there are none of that name.
     """
-    if radii not in RADII:
+    if not isinstance(radii, str) or radii not in RADII:
         raise ArgumentError(f"`radii` must be one of {', '.join(RADII)}, got {radii!r}.")
     return radii
 

@@ -62,7 +62,7 @@ class Collocation(Record):
         object.__setattr__(self, "degree", _checks.whole("degree", self.degree, 1))
         if self.accuracy is not None:
             object.__setattr__(self, "accuracy", _checks.positive("accuracy", self.accuracy))
-        if self.inputs not in BETWEEN:
+        if not isinstance(self.inputs, str) or self.inputs not in BETWEEN:
             raise ArgumentError(f'`inputs` must be "held" or "linear", got {self.inputs!r}.')
 
     def _rows(self) -> list[tuple[str, str]]:

@@ -237,7 +237,7 @@ def _line(job: tuple[str, int, Tree]) -> Tree:
 
 
 def _known_case(case: str) -> None:
-    if case not in CASES:
+    if not isinstance(case, str) or case not in CASES:
         raise ArgumentError(f"`cases` must be among {', '.join(CASES)}, got {case!r}.")
 
 

@@ -245,6 +245,8 @@ class Plant(Record):
         times = _checks.floats("t", t)
         if times.ndim > 1:
             raise ArgumentError(f"`t` must be a number or a vector of times, got shape {times.shape}.")
+        if not np.isfinite(times).all():
+            raise ArgumentError(f"`t` must be finite, got {_checks.described(t)}.")
         result = exponential(self.A)(times)
         return result[0] if times.ndim == 0 else result
 

@@ -159,7 +159,7 @@ def bounds_from_record(
     >>> round(found.factor, 6), found.verify()
     (0.5, True)
     """
-    if grow not in GROWS:
+    if not isinstance(grow, str) or grow not in GROWS:
         raise ArgumentError(f"`grow` must be one of {', '.join(map(repr, GROWS))}, got {grow!r}.")
     readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
     program = RecordProgram(readings)

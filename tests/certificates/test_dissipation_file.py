@@ -122,11 +122,11 @@ def test_a_file_about_another_plant_is_refused(k, tmp_path):
     [
         (
             lambda d: d.update(claim="observability"),
-            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here",
+            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion', 'interval' here",
         ),
         (
             lambda d: d.update(claim=["detectability"]),
-            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here",
+            "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion', 'interval' here",
         ),
         (lambda d: d.update(claim="family"), "unknown key 'P' in the certificate"),
         (lambda d: d.update(format="sampling-design/plant/1"), "Is this a certificate file"),

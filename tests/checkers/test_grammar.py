@@ -56,7 +56,7 @@ CASES = [
     (lambda d: d["times"].update(gap=1.0), "unknown key 'gap' in `times`. Did you mean 'gaps'?"),
     (
         lambda d: d.update(claim="guess"),
-        "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion' here, got 'guess'",
+        "`claim` must be 'assumption-7', 'family', 'detectability', 'inclusion', 'interval' here, got 'guess'",
     ),
     (lambda d: d.update(format="sampling-design/plant/1"), "`format` must be 'sampling-design/certificate/1'"),
     (lambda d: d["plant"].update(format="x"), "`plant.format` must be 'sampling-design/plant/1', got 'x'"),

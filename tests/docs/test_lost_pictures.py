@@ -35,7 +35,7 @@ def test_a_page_that_draws_and_shows_nothing_is_found(room, tmp_path):
 
 def test_the_lecture_notebooks_draw(room):
     drawn = {p.stem: room.drawing_cells(p) for p in (ROOT / "examples" / "notebooks").glob("*.ipynb")}
-    assert len(drawn) == 6
+    assert len(drawn) == 8
     assert min(drawn.values()) >= 1
 
 

@@ -36,6 +36,7 @@ def chain(oscillators: int) -> sd.Plant:
 HARD = chain(3)
 OSCILLATOR = chain(1)
 EASY = sd.PeriodicSchedule(np.linspace(0.35, 1.1, 24))
+MANY = sd.UncertainPlant(chain(2), [sd.UncertainParameter(f"k{i}", -0.2, 0.2, A=np.eye(4, k=-i)) for i in (1, 2, 3)])
 LARGE = sd.Requirement(window=24.0, period=24.0, spacing=0.05, samples=16)
 
 
@@ -78,6 +79,7 @@ VERBS = {
     "find_counterexample": lambda b: sd.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
+    "largest_box": lambda b: sd.largest_box(MANY, EASY, window=40.0, rtol=1e-9, budget=b),
     "robustness": lambda b: sd.robustness(OSCILLATOR, certificate(), longest=8, budget=b),
     "Certificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
     "FamilyCertificate.verify": lambda b: family().verify(rigorous=True, budget=b),

@@ -6,7 +6,7 @@ import pytest
 import sampling_design as sd
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-BY_HAND = {"horizon": 12.0, "eta": 0.1, "P2": np.eye(2)}
+BY_HAND = {"horizon": 12.0, "cost": sd.CostFunction(eta=0.1, P2=np.eye(2))}
 
 
 def judged(period):

@@ -36,7 +36,7 @@ def test_every_drawn_schedule_keeps_the_family_certificate(plant, family):
 @pytest.mark.parametrize(("plant", "family"), CASES, ids=lambda x: type(x).__name__)
 def test_the_family_certificate_is_a_certificate_of_every_drawn_schedule(plant, family):
     whole = sd.certify(plant, family, eta=0.3, P2=[[0.3, 0.05], [0.05, 0.2]])
-    weights = {key: getattr(whole, key) for key in ("P2", "Qw", "R", "Qv", "eta", "lam", "lam_samples", "margin")}
+    weights = {key: getattr(whole, key) for key in ("P2", "Qw", "R", "Qv", "eta", "lam", "lam_samples")}
     rng = np.random.default_rng(9)
     drawn = [family.draw(rng, duration=5 * family.d_max) for _ in range(100)]
     for k, schedule in enumerate(drawn):

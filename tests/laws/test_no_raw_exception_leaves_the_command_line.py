@@ -11,7 +11,7 @@ from tests import command_lines
 
 @pytest.mark.parametrize("seed", range(3))
 def test_random_command_lines_end_in_order(seed, tmp_path, monkeypatch):
-    lines = command_lines.drawn(14, seed)
+    lines = command_lines.drawn(10, seed)
     monkeypatch.chdir(tmp_path)
     raw = {" ".join(line): found for line in lines if (found := command_lines.run(line).raw())}
     assert raw == {}

@@ -110,7 +110,7 @@ def edited(tmp_path, change):
         (lambda t: t.update(name=3), "`name` must be a string, got 3"),
         (lambda t: t.update(matrices=[1]), r"`matrices` must be a table of keys and values, got \[1\]"),
         (lambda t: t["matrices"].pop("C"), r"`C` is missing in \[matrices\]. Was the file cut off"),
-        (lambda t: t["matrices"].update(A=[[0.0, 1.0]]), r"`A` must have shape"),
+        (lambda t: t["matrices"].update(A=[[0.0, 1.0]]), "`A` must be square, got shape"),
         (lambda t: t["matrices"].update(A="x"), "`matrices.A` must be a list, got a text"),
         (lambda t: t["states"].pop("names"), r"`names` is missing in \[states\]"),
         (
@@ -144,7 +144,7 @@ def test_a_file_cut_off_is_refused(suffix, tmp_path):
     content = path.read_bytes()
     for part in (0.0, 0.3, 0.6, 0.9):
         path.write_bytes(content[: int(part * len(content))])
-        with pytest.raises(FileFormatError, match=r"cut off|format"):
+        with pytest.raises(FileFormatError, match=r"cut off|format|empty"):
             read_plant(path)
 
 

@@ -47,6 +47,9 @@ WRITTEN |= {
     "gallery",
     "exercises",
     "glossary",
+    "opening_hours",
+    "pole",
+    "blood",
 }  # every other page beside these was written by a command
 GROUPS = {
     "definition": "Definitions",

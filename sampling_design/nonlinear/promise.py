@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -17,7 +16,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import noise_bound
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.estimators.online.guarantee import own_horizon, too_short
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
@@ -228,15 +227,9 @@ def horizon_for(
         If the horizon is not longer than the certificate allows.
     """
     if certificate is None:
-        if horizon is None:
-            raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-        return _checks.positive("horizon", horizon), ""
+        return own_horizon(horizon), ""
     own = certificate.horizon("arrival")
     length = own.length if horizon is None else _checks.positive("horizon", horizon)
     if not all(np.array_equal(getattr(cost, key), getattr(certificate, key)) for key in (*MATRICES, "eta")):
         return length, "No a-priori claim: the weights differ from the certificate's."
-    if length <= own.minimum:
-        note = f"No a-priori claim: the horizon {length:.6g} must exceed {own.minimum:.6g} for this certificate."
-        warnings.warn(note, GuaranteeWarning, stacklevel=4)
-        return length, note
-    return length, ""
+    return length, too_short(length, own.minimum) if length <= own.minimum else ""

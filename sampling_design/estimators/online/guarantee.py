@@ -41,9 +41,7 @@ def choose_horizon(
         If the horizon is not longer than the certificate allows.
     """
     if certificate is None:
-        if horizon is None:
-            raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-        return _checks.positive("horizon", horizon), "No a-priori claim: the weights were given by hand."
+        return own_horizon(horizon), "No a-priori claim: the weights were given by hand."
     if horizon is None:
         length = certificate.horizon("paper" if cost.form == "paper" else "sharp").length
     else:
@@ -51,8 +49,24 @@ def choose_horizon(
     if cost.given:
         return length, f"No a-priori claim: {', '.join(cost.given)} differ from the certificate's."
     least = least_horizon(certificate, cost.form or "certificate")
-    if cost.arrival == "fixed" and length <= least:
-        note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
-        warnings.warn(note, GuaranteeWarning, stacklevel=4)
-        return length, note
-    return length, ""
+    return length, too_short(length, least) if cost.arrival == "fixed" and length <= least else ""
+
+
+def own_horizon(horizon: float | None) -> float:
+    """Return the horizon that was given.
+
+    Raises
+    ------
+    ArgumentError
+        If none was.
+    """
+    if horizon is None:
+        raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
+    return _checks.positive("horizon", horizon)
+
+
+def too_short(length: float, least: float) -> str:
+    """Warn that a horizon is not longer than a certificate allows; return the warning's words."""
+    note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
+    warnings.warn(note, GuaranteeWarning, stacklevel=5)
+    return note

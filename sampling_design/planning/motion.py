@@ -113,10 +113,13 @@ def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array) -> Mask 
     steps, p = chosen.shape
     seen = np.empty((steps, p, motion.n))
     moved = np.empty((steps, len(rows), motion.n))
-    power = np.eye(motion.n)
+    power, log = np.eye(motion.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
     for i in range(steps):
         seen[i], moved[i] = _even(motion.H @ power), _even(rows @ power)
         power = motion.F @ power
+        size = max(float(np.abs(power).max()), np.finfo(float).tiny)
+        power, log = power / size, log + float(np.log(size))
+    stays = (1 - STAYS) * np.exp(-max(log, -700.0))
     later = [seen[chosen]]
     for _ in range(motion.n - 1):
         later.append(_even(later[-1] @ power))
@@ -124,7 +127,7 @@ def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array) -> Mask 
     N = right[sizes <= HIDDEN * max(float(sizes[0]), 1.0)].T
     if not N.shape[1]:
         return None
-    _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= 1 - STAYS))
+    _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= stays))
     N = N @ Z[:, :stay]
     where = np.asarray(np.linalg.norm(seen @ N, axis=2) > HIDDEN)
     matters = bool(np.any(where & allowed)) or float(np.abs(moved @ N).max(initial=0.0)) > HIDDEN

@@ -10,9 +10,13 @@ import numpy.typing as npt
 from scipy.linalg import schur
 
 from sampling_design._linalg import expm_batch
-from sampling_design.planning.problem import PlanProblem
+from sampling_design._record import short
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.problem import MOST_STEPS, PlanProblem
+from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import endless_chain
+from sampling_design.recovery.unknown import known_part
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -20,12 +24,17 @@ Mask = npt.NDArray[np.bool_]
 CELLS = 6
 """Cells of constant disturbance in a gap, at most."""
 
+GOLDEN = (np.sqrt(5.0) - 1) / 2
+
 SPREAD = (7, 24)
-"""Samples of the even schedule that chooses the coordinates, at least and at most."""
+"""Samples of the schedule that chooses the coordinates, at least and at most."""
 
 
 HIDDEN = 1e-9
 """A direction is hidden from rows of norm one that show less than this share of it."""
+
+GROWTH = 200.0
+"""Logarithm of the growth beyond which nothing is followed: what has grown so much broke its tolerance long before."""
 
 STAYS = 1e-6
 """A mode that loses no more than this share in a period never fades."""
@@ -33,11 +42,12 @@ STAYS = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """z = T^-1 x on the raster: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
+    """x = T z on the raster: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
 
     Attributes
     ----------
-    T : (n, n) array
+    T : (n, r) array
+        Fewer columns than states where the plant has parts that no sensor ever shows.
     A, G : arrays
         Per unit of time, G in units of the bound on w.
     H : (p, n) array
@@ -59,6 +69,12 @@ class Motion:
     def n(self) -> int:
         """Number of states."""
         return len(self.A)
+
+    @cached_property
+    def longest(self) -> int:
+        """Steps without a sample that are followed: e^GROWTH at most."""
+        rate = float(np.max(np.linalg.eigvals(self.A).real, initial=0.0)) * self.step
+        return max(1, int(min(GROWTH / rate, MOST_STEPS))) if rate > 0 else MOST_STEPS
 
     def rows(self, rows: Array) -> Array:
         """Rows of x as rows of z."""
@@ -104,11 +120,27 @@ class Motion:
         return F, np.hstack(blocks[::-1]) if blocks else np.zeros((n, 0)), cells
 
 
-def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array) -> Mask | None:
-    """Return where a choice would have to measure, too, to see a motion that does not fade and that it never sees.
+@dataclass(frozen=True, eq=False)
+class Blindness:
+    """Motions that do not fade and that a choice never sees.
 
-    Any choice that measures nowhere on the mask hides the same motion. None if every such motion is seen, or hidden
-    wherever measuring is allowed and of no account to the rows of z.
+    Attributes
+    ----------
+    where : (M, p) array of bool
+        Where they show: any choice that measures nowhere on the mask hides them, too.
+    states : (n, k) array
+        z at step 0 of such motions, orthonormal.
+    """
+
+    where: Mask
+    states: Array
+
+
+def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array, always: Mask) -> Blindness | None:
+    """Return the motions that do not fade and that a choice never sees.
+
+    None if there are none, or if they are hidden at all times, not only at those of the raster, and of no account to
+    the rows of z, at any time to those that are `always` wanted.
     """
     steps, p = chosen.shape
     seen = np.empty((steps, p, motion.n))
@@ -130,8 +162,19 @@ def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array) -> Mask 
     _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= stays))
     N = N @ Z[:, :stay]
     where = np.asarray(np.linalg.norm(seen @ N, axis=2) > HIDDEN)
-    matters = bool(np.any(where & allowed)) or float(np.abs(moved @ N).max(initial=0.0)) > HIDDEN
-    return where if stay and matters else None
+    reached = np.vstack([moved.reshape(-1, motion.n), *_derivatives(motion.A, rows[always])])
+    moved_on = motion.A @ N  # where it is hidden at samples only, what nobody knows differs from time to time
+    turns = float(np.linalg.norm(moved_on - N @ (N.T @ moved_on))) > HIDDEN * float(np.linalg.norm(motion.A))
+    matters = turns or bool(np.any(where & allowed)) or float(np.abs(reached @ N).max(initial=0.0)) > HIDDEN
+    return Blindness(where, N) if stay and matters else None
+
+
+def _derivatives(A: Array, rows: Array) -> list[Array]:
+    """Directions of rows A^k: what none of them sees, no row sees at any time."""
+    found = [_even(rows)]
+    for _ in range(len(A) - 1):
+        found.append(_even(found[-1] @ A))
+    return found
 
 
 def _even(rows: Array) -> Array:
@@ -141,24 +184,45 @@ def _even(rows: Array) -> Array:
 
 
 def motion_of(problem: PlanProblem) -> Motion:
-    """Return the plant of a problem on its raster; coordinates from an even schedule with every sensor."""
+    """Return the plant of a problem on its raster; coordinates from a spread-out schedule with every sensor.
+
+    Raises
+    ------
+    ArgumentError
+        If a mode grows so much in a step of the raster that no sample helps.
+    InfeasibleRequirementError
+        If a goal depends on what no sensor ever shows.
+    """
     plant = problem.plant
     w_bound = problem.requirement.w_bound
-    q, p = plant.n_disturbances, plant.n_outputs
+    fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)
+    if fastest.real * problem.step > GROWTH / 2:
+        raise ArgumentError(
+            f"`raster` is too coarse: from one of its steps to the next (here {short(problem.step)} {plant.time_unit}) "
+            f"the mode {format_eigenvalue(fastest)} grows by e^{fastest.real * problem.step:.3g}, so that a sample "
+            f"says nothing of the next step; take at most {short(GROWTH / 8 / fastest.real)} {plant.time_unit}."
+        )
     count = int(np.clip(problem.steps, *SPREAD))
+    count = int(max(count, np.ceil(max(fastest.real, 0.0) * problem.period / (GROWTH / 2))))
+    gaps = 1 + np.arange(count) * GOLDEN % 1.0  # uneven: no mode is missed by its period
+    gaps *= problem.period / gaps.sum()
+    measured = [np.flatnonzero(np.isfinite(problem.v_bound))] * count
+    known = known_part(plant, np.cumsum(gaps) - gaps[0], problem.period, measured)
+    for goal in problem.goals:
+        if known.touches(goal.row):
+            raise InfeasibleRequirementError(
+                f"No sensor ever shows {', '.join(known.modes)}, on which {goal.name} depends and which never fades: "
+                "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
+                "accuracy",
+            )
     bounded = np.where(np.isfinite(problem.v_bound), problem.v_bound, np.inf)
-    bounds = SignalBounds.of(plant, count, np.tile(np.isfinite(bounded), (count, 1)), w_bound, _finite(bounded))
-    chain = endless_chain(plant, np.full(count, problem.period / count), bounds)
-    T = chain.D[:, None] * chain.L[0]
-    H = plant.C @ T / np.where(np.isfinite(bounded) & (bounded > 0), bounded, 1.0)[:, None]
-    stand_in = np.zeros(p)
-    for sample in chain.samples:
-        stand_in[sample.outputs] = sample.size
-    exact = (bounded == 0) & (stand_in > 0)
-    H[exact] = plant.C[exact] @ T / stand_in[exact, None]
-    A = np.linalg.solve(T, plant.A @ T)
-    G = np.linalg.solve(T, plant.G * bounds.w)
-    assert G.shape[1] == q
+    bounds = SignalBounds.of(known.plant, count, np.tile(np.isfinite(bounded), (count, 1)), w_bound, _finite(bounded))
+    chain = endless_chain(known.plant, gaps, bounds)
+    own = chain.D[:, None] * chain.L[0]
+    H = known.plant.C @ own / np.where(np.isfinite(bounded), bounded, 1.0)[:, None]
+    A = np.linalg.solve(own, known.plant.A @ own)
+    G = np.linalg.solve(own, known.plant.G * bounds.w)
+    T = known.lift @ own
     return Motion(T, np.asarray(A), np.asarray(G), np.asarray(H), problem.step, bool(bounds.w_ball))
 
 

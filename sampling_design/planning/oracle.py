@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from sampling_design.planning.adversary import Flight, RasterWindow, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
-from sampling_design.planning.motion import Motion, hidden_at
+from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ class Oracle:
         self.problem, self.motion = problem, motion
         self.back = 0
         self.solves = 0
-        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, motion.n))
+        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
@@ -46,10 +46,16 @@ class Oracle:
         if self.hidden(chosen) is not None:
             return np.inf, []
         goals = list(range(len(self.problem.goals)))
-        worst, found = 0.0, []
+        turns = all(goal.at != "given times" for goal in self.problem.goals)
+        worst, found, known = 0.0, [], set()
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
         for k in np.argsort(-gaps, kind="stable").tolist():
+            if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
+                like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
+                if like in known:
+                    continue
+                known.add(like)
             for attack in self._gap(chosen, int(at[k]), int(gaps[k]), goals):
                 found.append(attack)
                 worst = max(worst, attack.reach)
@@ -57,9 +63,10 @@ class Oracle:
                 break
         return worst, found
 
-    def hidden(self, chosen: Mask) -> Mask | None:
-        """Where a choice would have to measure, too, to see all that never fades; None if it does."""
-        return hidden_at(self.motion, chosen, self.problem.allowed, self.rows)
+    def hidden(self, chosen: Mask) -> Blindness | None:
+        """What a choice does not see and what never fades; None if it sees all of that."""
+        always = np.array([goal.at == "all times" for goal in self.problem.goals], dtype=bool)
+        return hidden_at(self.motion, chosen, self.problem.allowed, self.rows, always)
 
     def _gap(self, chosen: Mask, last: int, length: int, goals: list[int]) -> list[HiddenMotion]:
         """The strongest attacks that end in the gap after a sample."""
@@ -79,7 +86,8 @@ class Oracle:
             return [0]
         if goal.at == "given times":
             within = (goal.steps - last) % self.problem.steps
-            return sorted({int(o) for o in within if o <= length})
+            return sorted({int(o) for o in within if o <= min(length, self.motion.longest)})
+        length = min(length, self.motion.longest)
         return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
 
     def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
@@ -89,6 +97,8 @@ class Oracle:
         periods = back // steps + 1
         knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
+        long = np.flatnonzero(np.diff(knots) > self.motion.longest)
+        knots = knots[long[-1] + 1 :] if long.size else knots
         return RasterWindow(self.motion, knots, chosen[knots % steps])
 
     def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:

@@ -12,9 +12,11 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
+from sampling_design._record import short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
+from sampling_design.planning.blind import finer_raster, modes_of
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover, cheapest
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
@@ -45,8 +47,6 @@ ROUNDS = 60
 
 RTOL = 0.005
 """Width of the brackets that prove a plan."""
-
-CERTIFICATE_SECONDS = 2.0
 
 SPREAD = (np.sqrt(5.0) - 1) / 2
 """Multiples of it, less their whole part, are spread evenly."""
@@ -133,7 +133,7 @@ def plan(
 def plan_certificate(found: Plan) -> Certificate | None:
     """That the samples show the whole state, or None."""
     try:
-        return certify(found.plant, found.schedule, budget=CERTIFICATE_SECONDS)
+        return certify(found.plant, found.schedule)
     except (CertificateError, UndecidedError, NotDetectableError):
         return None
 
@@ -347,11 +347,17 @@ class _Planning:
         InfeasibleRequirementError
             If a motion that never fades moves a goal and is hidden at every allowed time.
         """
-        if self.oracle.hidden(self.problem.allowed) is not None:
+        blindness = self.oracle.hidden(self.problem.allowed)
+        if blindness is not None:
+            unit = self.problem.plant.time_unit
+            finer = finer_raster(self.problem, self.motion, self.oracle.rows)
+            help_ = "Allow other hours or another sensor."
+            if finer is not None:
+                help_ = f"The raster hides it: one of {short(finer)} {unit} shows it."
             raise InfeasibleRequirementError(
-                "Not even measuring at every allowed time shows all that `accuracy` asks for: a motion that never "
-                "fades stays hidden. Allow other hours, a finer raster or another sensor.",
-                "accuracy",
+                "Not even measuring at every allowed time shows all that `accuracy` asks for: "
+                f"{modes_of(self.motion, blindness)} never fades and stays hidden. {help_}",
+                "raster" if finer is not None else "accuracy",
             )
 
     def _seeing(self, chosen: Mask) -> Mask:
@@ -363,8 +369,8 @@ class _Planning:
             If the limits leave none.
         """
         search = self.search
-        while (where := self.oracle.hidden(chosen)) is not None:
-            search.blind.append(where)
+        while (blindness := self.oracle.hidden(chosen)) is not None:
+            search.blind.append(blindness.where)
             model = search.cover.model([], [], 0.0, search.blind)
             other, _ = cheapest(search.cover, model, np.zeros(model.c.size))
             if other is None:

@@ -131,8 +131,8 @@ class PlanSearch:
             chosen, none = cheapest(self.cover, model, tie)
             if chosen is None:
                 return None, none
-            if (where := self.oracle.hidden(chosen)) is not None:
-                self.blind.append(where)
+            if (blindness := self.oracle.hidden(chosen)) is not None:
+                self.blind.append(blindness.where)
                 continue
             fresh = self._unseen(chosen, level, keys)
             if not fresh or self.late:

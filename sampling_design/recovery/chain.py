@@ -43,6 +43,9 @@ CONTRACTED = 1e-3
 
 PERIODS = 4000
 
+GROWN = 1e70
+"""Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
+
 
 @dataclass(frozen=True, eq=False)
 class GapPanels:
@@ -236,6 +239,8 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
     flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
     for H, step, reached in zip(rows, F, W, strict=True):
         seen += np.sum((H @ flow) ** 2, axis=0)
+        if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
+            break  # what has grown so far says nothing more of sizes, and would overflow
         flow = step @ flow
         spread = step @ spread @ step.T + reached
     reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)

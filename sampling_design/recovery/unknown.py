@@ -24,6 +24,9 @@ ALIAS = 1e-7
 UNSEEN = 1e-9
 """A direction counts as unseen if its samples are below this share of what the strongest direction shows."""
 
+GROWN = 200.0
+"""Logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes."""
+
 GOLDEN = 1.618
 """Exponent that spreads times so that no mode is missed by its period."""
 
@@ -77,7 +80,7 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDAr
         if group[0].real * period < -DECAYS:
             continue
         X = _invariant(A, group, values)
-        hidden = _hidden(plant, d, C, X, group[0], times, period, outputs)
+        hidden = _hidden(A, C, X, group[0], times, period, outputs)
         if hidden.shape[1]:
             found.append(X @ hidden)
             modes += [format_eigenvalue(value) for value in group]
@@ -126,7 +129,9 @@ def _scales(plant: Plant, period: float) -> Array:
     At any time, since what the samples alone hide must not look small.
     """
     balance = balanced_schur(plant.A).d
-    times = period * plant.n_states * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
+    rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
+    span = min(period * plant.n_states, GROWN / rate if rate > 0 else np.inf)
+    times = span * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
     size = np.linalg.norm(plant.C * balance, axis=1, keepdims=True)
     C = plant.C * balance / np.where(size > 0, size, 1.0)
     seen = C @ (plant.transition(times) * balance / balance[:, None])
@@ -160,8 +165,7 @@ def _invariant(A: Array, group: list[complex], others: list[complex]) -> Complex
 
 
 def _hidden(
-    plant: Plant,
-    d: Array,
+    A: Array,
     C: Array,
     X: Complex,
     value: complex,
@@ -170,10 +174,12 @@ def _hidden(
     outputs: list[npt.NDArray[np.intp]],
 ) -> Complex:
     """Combinations of the columns of X that no sample shows."""
-    flows = plant.transition(np.append(times - times[0], period)) * d / d[:, None]
-    shrunk = np.exp(-value.real * np.append(times - times[0], period))
-    cycle = np.vstack([C[seen] @ flow @ X * s for seen, flow, s in zip(outputs, flows[:-1], shrunk[:-1], strict=True)])
-    M = X.conj().T @ flows[-1] @ X * shrunk[-1]
+    from scipy.linalg import expm
+
+    within = X.conj().T @ A @ X - value.real * np.eye(X.shape[1])  # of X alone, its growth taken out: never overflows
+    flows = [expm(within * t) for t in np.append(times - times[0], period)]
+    cycle = np.vstack([C[seen] @ X @ flow for seen, flow in zip(outputs, flows[:-1], strict=True)])
+    M = flows[-1]
     rows = [cycle]
     for _ in range(X.shape[1] - 1):
         rows.append(rows[-1] @ M)

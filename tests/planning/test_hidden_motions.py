@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PlanRequirement, Plant, accuracy, plan
-from sampling_design.errors import InfeasibleRequirementError, UndecidedError
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError, UndecidedError
 from sampling_design.planning import plan as room
 from sampling_design.planning.motion import hidden_at, motion_of
 from sampling_design.planning.problem import pose_plan
@@ -45,8 +45,56 @@ def test_the_most_accurate_choice_sees_it_too():
 
 
 def test_what_no_allowed_time_shows_is_refused():
-    with pytest.raises(InfeasibleRequirementError, match=r"a motion that never fades stays hidden. Allow other hours"):
+    with pytest.raises(InfeasibleRequirementError, match=r"modes 0, 0\+0.261799i never fades.*one of 8 h shows it"):
         bare(wanted(raster=24.0))
+
+
+def test_a_raster_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it():
+    swing = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
+    asked = PlanRequirement(
+        {"place": 1.0}, period=4 * np.pi, raster=np.pi, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}
+    )
+    with pytest.raises(
+        InfeasibleRequirementError, match=r"the mode 0\+1i never fades.*raster hides it: one of 1.57\d* s"
+    ):
+        plan(swing, asked, certificate=False, robustness=False)
+    assert plan(swing, asked.replace(raster=np.pi / 2), certificate=False, robustness=False).keeps
+
+
+def test_an_output_that_no_mode_reaches_is_not_the_rasters_fault():
+    blind = Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], states=["seen", "unseen"], outputs=["y"])
+    asked = PlanRequirement({"unseen": 1.0}, period=4.0, raster=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
+    with pytest.raises(InfeasibleRequirementError, match="No sensor ever shows 0, on which unseen depends"):
+        plan(blind, asked, certificate=False, robustness=False)
+    found = plan(blind, asked.replace(accuracy={"seen": 0.14}), certificate=False, robustness=False)  # of no account
+    assert found.keeps
+    assert found.verify()
+
+
+def test_hours_that_miss_a_motion_at_every_raster_are_said():
+    daily = PlanRequirement(
+        {"rhythm": 1.0}, period="1 d", raster="1 h", w_bound=[0.01] * 3, sensors={"reading": {"noise_bound": 0.1}},
+        calendar={"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "09:00"]]}},
+    )  # fmt: skip
+    with pytest.raises(InfeasibleRequirementError, match=r"never fades and stays hidden. The raster hides it"):
+        plan(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
+
+
+def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
+    asked = PlanRequirement({"x1": 500.0}, period=84.0, raster=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
+    found = plan(Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False)
+    assert found.samples == 21  # e^20 from one look to the next, e^420 in the period
+    assert found.keeps
+    with pytest.raises(
+        InfeasibleRequirementError, match="Not even measuring at every allowed time keeps the tolerances"
+    ):
+        plan(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False)
+
+
+def test_a_mode_that_outgrows_a_step_of_the_raster_is_said_at_once():
+    asked = PlanRequirement({"x1": 1.0}, period=168.0, raster=1.0, w_bound=0.01, sensors={"y1": {"noise_bound": 0.1}})
+    with pytest.raises(ArgumentError, match=r"`raster` is too coarse: from one of its steps.*grows by e\^400"):
+        plan(Plant([[400.0]], [[1.0]]), asked)
 
 
 def test_limits_that_leave_only_blind_choices_are_refused():
@@ -69,8 +117,8 @@ def test_the_mask_is_where_the_hidden_motion_shows():
     rows = motion.rows(np.array([[1.0, 0.0, 0.0]]))
     twice = np.zeros((6, 1), dtype=bool)
     twice[[0, 3]] = True  # twelve hours apart: level, and what turns by half, but not both and the quarter
-    where = hidden_at(motion, twice, problem.allowed, rows)
-    assert where is not None
-    assert not where[twice].any()
-    assert where[~twice].all()
-    assert hidden_at(motion, problem.allowed, problem.allowed, rows) is None
+    found = hidden_at(motion, twice, problem.allowed, rows, np.array([True]))
+    assert found is not None
+    assert not found.where[twice].any()
+    assert found.where[~twice].all()
+    assert hidden_at(motion, problem.allowed, problem.allowed, rows, np.array([True])) is None

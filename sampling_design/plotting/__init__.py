@@ -13,10 +13,11 @@ from sampling_design import _files
 from sampling_design._checks import described
 from sampling_design.errors import ArgumentError
 
-# record -> (file of this room, function); a record without a picture of its own is not listed
+# record -> (file of this room, function), also for what is derived from it; one without a picture is not listed
 _PICTURES = {
     "Schedule": ("schedules", "draw_schedule"),
     "PeriodicSchedule": ("schedules", "draw_schedule"),
+    "SamplingFamily": ("schedules", "draw_family"),
     "WindowSigma": ("windows", "draw_window_sigma"),
     "ScheduleDesign": ("designs", "draw_design"),
     "Plan": ("plans", "draw_plan"),
@@ -51,9 +52,10 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
     ArgumentError
         If there is no picture for this kind of record, or `ax` is no axes.
     """
-    kind = type(record).__name__
-    if kind not in _PICTURES:
-        raise ArgumentError(f"`record` has no picture: got {kind}, expected one of {', '.join(sorted(_PICTURES))}.")
+    kind = next((base.__name__ for base in type(record).__mro__ if base.__name__ in _PICTURES), None)
+    if kind is None:
+        got = type(record).__name__
+        raise ArgumentError(f"`record` has no picture: got {got}, expected one of {', '.join(sorted(_PICTURES))}.")
     _check_axes(ax)
     room, function = _PICTURES[kind]
     return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)

@@ -1,4 +1,4 @@
-"""A schedule on a time line: one row per output, one stem per sample, gaps written between."""
+"""A schedule on a time line: one row per output, one stem per sample; a family by some of its members."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.plotting import style
+from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+MEMBERS = 6
+"""Members of a family that are drawn below its nominal one."""
+GAPS_SHOWN = 8
+"""Longest gaps that the picture of a family is wide."""
 
 
 def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None) -> Axes:
@@ -28,6 +34,24 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     gaps = schedule.gaps
     if gaps.size:
         ax.set_title(f"{len(schedule)} samples, gaps {short(gaps.min(), 4)} to {short(gaps.max(), 4)}", loc="left")
+    return ax
+
+
+def draw_family(family: SamplingFamily, ax: Axes | None = None) -> Axes:
+    """Draw the nominal member of a family and, below it, some that were drawn at random."""
+    ax, rng = style.new_axes(ax, height=2.8), np.random.default_rng(0)
+    members = [family.draw(rng) for _ in range(MEMBERS)]
+    end = min(GAPS_SHOWN * family.d_max, max(float(member.times[-1]) for member in members))
+    nominal = family.nominal
+    planned = nominal.between(0.0, end) if isinstance(nominal, PeriodicSchedule) else nominal
+    for row, member in enumerate([planned, *members]):
+        shown, colour = member.times[member.times <= end], style.TRUTH if row == 0 else style.MEASURED
+        ax.vlines(shown, -row - 0.32, -row + 0.32, color=colour, linewidth=1.8)
+    ax.set_yticks([0, -(MEMBERS + 1) / 2], ["nominal", "at random"])
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlim(0.0, 1.02 * end)
+    ax.set_xlabel(style.time_label(family.time_unit))
+    ax.set_title(family.explain(), loc="left", fontsize="medium", wrap=True)
     return ax
 
 

@@ -57,6 +57,26 @@ class Variation:
     build: Callable[[Array], PeriodicSchedule]
 
 
+@dataclass(frozen=True)
+class Leeway:
+    """How far a sample may lie from a plan, and how many may be missing: what can be judged one sample at a time.
+
+    Parameters
+    ----------
+    schedule : Schedule or PeriodicSchedule
+        The plan.
+    radius : float
+        Every sample is at most this much early or late [time].
+    most, of : int
+        At most `most` of any `of` consecutive samples are missing.
+    """
+
+    schedule: AnySchedule
+    radius: float = 0.0
+    most: int = 0
+    of: int = 1
+
+
 class SamplingFamily(Record, ABC):
     """A set of schedules.
 
@@ -141,6 +161,13 @@ class SamplingFamily(Record, ABC):
     def replanned(self, schedule: PeriodicSchedule) -> Self:
         """Return the same family around another `planned` schedule."""
         return self
+
+    # What a sample taken is held against (estimators/online/).
+
+    @property
+    def leeway(self) -> Leeway | None:
+        """The plan and how far its samples may leave it, if that says all; None: `contains` is asked."""
+        return None
 
     # The search for a member without a certificate (certificates/existence/).
 

@@ -19,6 +19,7 @@ from sampling_design.schedules.family import (
     START,
     AnySchedule,
     Array,
+    Leeway,
     SamplingFamily,
     Step,
     Steps,
@@ -185,6 +186,11 @@ class Jitter(SamplingFamily, kind="jitter"):
     def replanned(self, schedule: PeriodicSchedule) -> Self:
         """Return the same deviations around another nominal schedule."""
         return type(self)(schedule, self.radius)
+
+    @property
+    def leeway(self) -> Leeway:
+        """Every sample within the radius."""
+        return Leeway(self.schedule, radius=self.radius)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

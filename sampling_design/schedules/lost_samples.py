@@ -17,6 +17,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
     START,
     AnySchedule,
+    Leeway,
     SamplingFamily,
     Step,
     Steps,
@@ -202,6 +203,11 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     def replanned(self, schedule: PeriodicSchedule) -> Self:
         """Return the same losses from another nominal schedule."""
         return type(self)(schedule, self.most, self.of)
+
+    @property
+    def leeway(self) -> Leeway:
+        """Every sample on time or missing."""
+        return Leeway(self.schedule, most=self.most, of=self.of)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

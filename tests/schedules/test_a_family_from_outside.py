@@ -1,4 +1,4 @@
-"""Adding a family is adding a file: this one, which the package does not know, is read, drawn, graphed and searched."""
+"""Adding a family is adding a file: this one, which the package does not know, goes through every verb of families."""
 
 import json
 from dataclasses import dataclass
@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design.certificates.compare.robustness import _Breaker, _tried
 from sampling_design.certificates.families.graphs import graph_of
 from sampling_design.checkers import check, cover, grammar, strict
+from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.family import OUTWARD, START, SamplingFamily, Step, generator
+from sampling_design.estimators.online.schedule_watch import ScheduleWatch
+from sampling_design.schedules.family import OUTWARD, START, Leeway, SamplingFamily, Step, generator
 from sampling_design.schedules.family_files import family_from_dict
 
 
@@ -39,12 +43,12 @@ class DayAndNight(SamplingFamily, kind="day-and-night"):
         return PeriodicSchedule([self.day, self.night])
 
     def contains(self, schedule: Any) -> bool:
-        gaps = schedule.gaps
-        if len(gaps) % 2:
+        gaps, slack = schedule.gaps, 1e-9 * self.d_max
+        if isinstance(schedule, PeriodicSchedule) and len(gaps) % 2:
             return False
-        least = np.tile([self.day, self.night], len(gaps) // 2)
-        orders = (least, least[::-1])
-        return any(bool(np.all((low <= gaps) & (gaps <= low + self.slack))) for low in orders)
+        least = np.tile([self.day, self.night], len(gaps) // 2 + 1)
+        orders = (least[: len(gaps)], least[1 : len(gaps) + 1])
+        return any(bool(np.all((low - slack <= gaps) & (gaps <= low + self.slack + slack))) for low in orders)
 
     def draw(self, rng: Any = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         late = generator(rng).uniform(0.0, self.slack, 2 * (samples or 10))
@@ -72,6 +76,49 @@ class DayAndNight(SamplingFamily, kind="day-and-night"):
 
     def explain(self) -> str:
         return f"By day every {self.day}, by night every {self.night}, at most {self.slack} late."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Shifted(SamplingFamily, kind="shifted"):
+    """A plan that a person keeps a little late, with one of any three samples missing: a leeway of its own."""
+
+    schedule: PeriodicSchedule
+    late: float
+
+    @property
+    def time_unit(self) -> str | None:
+        return self.schedule.time_unit
+
+    @property
+    def min_gap(self) -> float:
+        return float(self.schedule.gaps.min()) - self.late
+
+    @property
+    def d_max(self) -> float:
+        return 2 * float(self.schedule.gaps.max()) + self.late
+
+    @property
+    def nominal(self) -> PeriodicSchedule:
+        return self.schedule
+
+    @property
+    def leeway(self) -> Leeway:
+        return Leeway(self.schedule, self.late, most=1, of=3)
+
+    def contains(self, schedule: Any) -> bool:
+        raise AssertionError("a leeway says all")
+
+    def draw(self, rng: Any = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
+        raise AssertionError("not asked for here")
+
+    def steps(self, memory: int, outputs: int) -> Any:
+        raise AssertionError("not asked for here")
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"kind": self.kind, "schedule": self.schedule.to_dict(), "late": self.late}
+
+    def explain(self) -> str:
+        return f"At most {self.late} late, one of three missing."
 
 
 @dataclass(frozen=True)
@@ -127,15 +174,71 @@ def test_a_member_without_a_certificate_is_found():
     assert margin > 0
 
 
-def test_it_is_certified_and_its_graph_is_not_trusted():
-    certificate = sd.certify(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), eta=0.2, P2=np.eye(2))
+@pytest.fixture(scope="module")
+def certificate():
+    return sd.certify(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), eta=0.2, P2=np.eye(2))
+
+
+def test_it_is_certified_and_its_graph_is_not_trusted(certificate):
     assert certificate.verify().passed
+    assert certificate.verify(rigorous=True).passed
     data = json.loads(json.dumps(certificate.to_dict()))
     graph = data["graph"]
     graph["edges"] = [e for e in graph["edges"] if not e[0] or graph["words"][e[1]] != [1]]  # no night after a day
     data["digest"] = grammar.digest(data)
     assert check(data)["verdict"] == "refuted"
     assert "gap 1" in check(data)["reason"]
+
+
+def test_its_certificate_is_a_file_that_the_command_checks(certificate, tmp_path):
+    path = certificate.save(tmp_path / "day_and_night.json")
+    again = sd.load_certificate(path)
+    assert again.family.to_dict() == certificate.family.to_dict()
+    assert again.to_dict() == certificate.to_dict()
+    told = CliRunner().invoke(app, ["verify", str(path)])
+    assert told.exit_code == 0, told.output
+
+
+def test_estimators_know_whether_samples_are_on_its_schedules(certificate):
+    mhe = sd.MovingHorizonEstimator(OSCILLATOR, certificate)
+    times = certificate.family.draw(samples=4).times
+    assert all(mhe.update(t, [0.0]).on_schedule for t in times)
+    assert not mhe.update(times[-1] + 1.2, [0.0]).on_schedule  # neither a day nor a night
+
+
+def test_a_leeway_from_outside_is_what_samples_are_held_against():
+    watch, one = ScheduleWatch(Shifted(PeriodicSchedule([1.0]), 0.1), "s"), np.ones(1)
+    assert watch.sample_fits(np.array([3.0, 4.09, 6.05]), one, first=False)
+    assert not watch.sample_fits(np.array([3.0, 4.2]), one, first=False)
+    assert not watch.sample_fits(np.array([3.0, 5.0, 7.0]), one, first=False)
+
+
+def test_it_has_pictures(certificate):
+    for record in (certificate, certificate.family):
+        axes = record.plot()
+        assert axes.get_title(loc="left") == certificate.family.explain()
+        assert axes.lines or axes.collections
+
+
+def test_a_planned_certificate_is_asked_whether_it_survives_on_it():
+    plant = Plant([[0.1]], [[1.0]])
+    planned = sd.certify(plant, PeriodicSchedule([0.7, 1.6]), eta=0.2, P2=np.eye(1))
+    near, far = DayAndNight(0.7, 1.6, 0.05), DayAndNight(30.0, 30.0, 0.1)
+    found = sd.robustness(plant, planned, longest=2, families=[near, far])
+    assert [trial.survives for trial in found.others] == [True, False]
+    assert found.others[0].certificate.verify().passed
+    assert found.others[0].certificate.lam_proven < found.limit
+    assert [entry["survives"] for entry in found.to_dict()["families"]] == [True, False]
+    assert "day-and-night family" in found.explain()
+    with pytest.raises(ArgumentError, match="`families` must hold families of schedules, got float 0"):
+        sd.robustness(plant, planned, families=[0.1])
+
+
+def test_no_planned_certificate_survives_where_the_nominal_member_is_blind():
+    # half turns: the oscillator's schedule shows one combination of its states for ever
+    planned = sd.certify(OSCILLATOR, PeriodicSchedule([0.7, 1.6]), eta=0.2, P2=np.eye(2))
+    breaker = _Breaker(planned, 1e9, np.inf)
+    assert not _tried(breaker, DayAndNight(np.pi, np.pi, 0.2)).survives
 
 
 def test_a_kind_is_taken_once():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -14,6 +14,7 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
+from sampling_design.certificates.existence.periodic import certificate_exists
 from sampling_design.certificates.families.certify_family import FamilySearch, Proposal, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
@@ -60,6 +61,20 @@ class Losses:
     survives: bool
 
 
+@dataclass(frozen=True)
+class FamilyTrial:
+    """A family that was asked about: its lambda as for `TimingTrial`, and its certificate where it survives."""
+
+    family: SamplingFamily
+    lam: float
+    certificate: FamilyCertificate | None
+
+    @property
+    def survives(self) -> bool:
+        """Whether the certificate survives on every schedule of the family."""
+        return self.certificate is not None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Robustness(Record):
     """Timing errors and losses under which a certificate survives.
@@ -87,6 +102,8 @@ class Robustness(Record):
         The certificate at `radius`, `verify()` passed; None if radius = 0.
     thinned : tuple of FamilyCertificate
         One for each entry of `tolerated`, `verify()` passed.
+    others : tuple of FamilyTrial
+        The families that were asked about.
     closed : bool
         False if the budget ran out: what is proven stays proven, but more may survive.
     """
@@ -100,20 +117,23 @@ class Robustness(Record):
     losses: tuple[Losses, ...]
     jittered: FamilyCertificate | None
     thinned: tuple[FamilyCertificate, ...]
+    others: tuple[FamilyTrial, ...]
     closed: bool
 
     @property
     def tolerated(self) -> tuple[tuple[int, int], ...]:
         """(d, w): at most d of any w consecutive samples may be lost, w the least for each d."""
-        families = [c.family for c in self.thinned]
-        return tuple((f.most, f.of) for f in families if isinstance(f, LostSamples))
+        leeways = [c.family.leeway for c in self.thinned]
+        return tuple((leeway.most, leeway.of) for leeway in leeways if leeway is not None)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, without the certificates; a lambda that does not exist is None."""
 
+        def known(lam: float) -> float | None:
+            return lam if np.isfinite(lam) else None
+
         def plain(entry: TimingTrial | Losses) -> dict[str, Plain]:
-            data = asdict(entry)
-            return {**data, "lam": data["lam"] if np.isfinite(data["lam"]) else None}
+            return {**asdict(entry), "lam": known(entry.lam)}
 
         return {
             "horizon": self.length,
@@ -123,6 +143,10 @@ class Robustness(Record):
             "tolerated": [list(pair) for pair in self.tolerated],
             "trials": [plain(trial) for trial in self.trials],
             "losses": [plain(loss) for loss in self.losses],
+            "families": [
+                {"family": trial.family.to_dict(), "lam": known(trial.lam), "survives": trial.survives}
+                for trial in self.others
+            ],
             "closed": self.closed,
         }
 
@@ -135,6 +159,7 @@ class Robustness(Record):
         return [
             ("timing error up to", f"{short(self.radius)} {unit} proven, {beyond}"),
             ("losses up to", lost),
+            *((trial.family.kind, "survives" if trial.survives else "not proven") for trial in self.others),
             ("horizon kept", f"{short(self.length)} {unit}"),
             ("lambda, planned", short(self.certificate.lam)),
             ("lambda, limit", short(self.limit)),
@@ -147,11 +172,12 @@ class Robustness(Record):
         lost = " or ".join(f"{d} of any {w}" for d, w in self.tolerated)
         late = f"every sample is up to {short(self.radius)} {unit} early or late" if self.radius else ""
         thin = f"samples are on time and up to {lost} are lost" if lost else ""
-        if not late and not thin:
+        other = [f"samples are those of the {trial.family.kind} family" for trial in self.others if trial.survives]
+        if not (late or thin or other):
             return "With weights and horizon unchanged, no timing error and no loss was found that is harmless."
         return (
             f"With weights and horizon ({short(self.length)} {unit}) unchanged, the guarantee still holds if "
-            f"{', or if '.join(part for part in (late, thin) if part)}."
+            f"{', or if '.join(part for part in (late, thin, *other) if part)}."
         )
 
 
@@ -214,6 +240,7 @@ def robustness(
     *,
     length: float | None = None,
     longest: int = 8,
+    families: Sequence[SamplingFamily] = (),
     budget: float = 60.0,
     progress: Progress | None = None,
 ) -> Robustness:
@@ -231,6 +258,8 @@ def robustness(
         The horizon M that is to be kept. Default: `certificate.horizon().length`.
     longest : int
         Losses are counted among at most this many consecutive samples.
+    families : sequence of SamplingFamily
+        Others, of any kind, on whose schedules the certificate might survive; each is answered as it stands.
     budget : float [seconds]
         The searches stop there; `closed` says so.
     progress : callable, optional
@@ -279,6 +308,7 @@ def robustness(
         )
     most = _checks.whole("longest", longest, 2)
     breaker = _Breaker(planned, limit, time.perf_counter() + _checks.positive("budget", budget))
+    others = tuple(_tried(breaker, family) for family in families)
     radius, broken, trials, best = _largest_radius(breaker, schedule, report)
     losses, thinned = _most_losses(breaker, schedule, most, report)
     jittered = None if best is None else _proven(breaker, Jitter(schedule, radius), best)
@@ -292,6 +322,7 @@ def robustness(
         losses=tuple(losses),
         jittered=jittered,
         thinned=tuple(thinned),
+        others=others,
         closed=not breaker.late,
     )
 
@@ -299,6 +330,17 @@ def robustness(
 def _proven(breaker: _Breaker, family: SamplingFamily, found: Proposal) -> FamilyCertificate:
     family = in_plant_terms(breaker.plant, family)
     return certified(breaker.plant, family, breaker.weights, breaker.certificate.P2, found)
+
+
+def _tried(breaker: _Breaker, family: SamplingFamily) -> FamilyTrial:
+    """One family, with as much memory as is tried for timing errors."""
+    if not isinstance(family, SamplingFamily):
+        raise ArgumentError(f"`families` must hold families of schedules, got {_checks.described(family)}.")
+    member = in_plant_terms(breaker.plant, family).nominal
+    if not certificate_exists(breaker.plant, member, breaker.certificate.eta).exists:
+        return FamilyTrial(family, np.inf, None)
+    lam, found = breaker.judge(family, list(range(min(JITTER_MEMORY, family.levels_of_memory))))
+    return FamilyTrial(family, lam, None if found is None else _proven(breaker, family, found))
 
 
 def _largest_radius(

@@ -145,8 +145,6 @@ def gaps_of(schedule: object, **others: object) -> GapRange:
     for name, value in others.items():
         if value is not None:
             raise ArgumentError(f"`{name}` must be left out for a plant that is not exactly known: P(tau) is chosen.")
-    if isinstance(schedule, GapRange):
-        return schedule
     if not isinstance(schedule, (PeriodicSchedule, SamplingFamily)):
         raise ArgumentError(
             "`schedule` must be a GapRange, another family or a periodic schedule for a plant that is not exactly "

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.schedules.family import AnySchedule, SamplingFamily
-from sampling_design.schedules.jitter import Jitter
-from sampling_design.schedules.lost_samples import LostSamples
+from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -22,27 +20,27 @@ SHARE_OF_GAP = 1e-6
 class ScheduleWatch:
     """Answers for a finite or periodic schedule, or a family of schedules, in the plant's time unit.
 
-    A sample is on schedule within `tolerance` of its planned time (of a `Jitter`: beyond its radius), and within what
+    A sample is on schedule within `tolerance` of its planned time (beyond the family's own leeway), and within what
     rounding can do to the times given: differences count, whatever the clock's zero is.
     """
 
     def __init__(self, schedule: AnySchedule | SamplingFamily | None, time_unit: str, tolerance: float = 0.0):
-        unit = getattr(schedule, "time_unit", None)
-        if isinstance(schedule, (Schedule, PeriodicSchedule)) and unit not in (None, time_unit):
+        if isinstance(schedule, (Schedule, PeriodicSchedule)) and schedule.time_unit not in (None, time_unit):
             schedule = schedule.in_unit(time_unit)
-        self.family, self.tolerance, self.losses = schedule, tolerance, (0, 1)
-        self.nominal: Schedule | PeriodicSchedule | None = None
-        if isinstance(schedule, (Schedule, PeriodicSchedule)):
-            self.nominal = schedule
-        elif isinstance(schedule, Jitter):
-            self.nominal, self.tolerance = schedule.schedule, tolerance + schedule.radius
-        elif isinstance(schedule, LostSamples):
-            self.nominal, self.losses = schedule.schedule, (schedule.most, schedule.of)
-        gap = getattr(schedule, "min_gap", 0.0)
-        if self.nominal is not None:
-            gaps = self.nominal.gaps
-            gap = float(gaps.min()) if gaps.size else 0.0
-        self._grain = SHARE_OF_GAP * float(gap)
+        if schedule is None or isinstance(schedule, SamplingFamily):
+            family, plan = schedule, None if schedule is None else schedule.leeway
+        else:
+            family, plan = None, Leeway(schedule)
+        self.family = family if plan is None else None
+        self.nominal: AnySchedule | None = None
+        self.tolerance, self.losses, gap = tolerance, (0, 1), 0.0
+        if plan is not None:
+            self.nominal = plan.schedule
+            self.tolerance, self.losses = tolerance + plan.radius, (plan.most, plan.of)
+            gap = float(plan.schedule.gaps.min()) if plan.schedule.gaps.size else 0.0
+        elif family is not None:
+            gap = family.min_gap
+        self._grain = SHARE_OF_GAP * gap
 
     def sample_fits(self, times: Array, mask: Array, first: bool) -> bool:
         """Whether the last of `times` (those kept so far) is as planned; `first` if only the prior lies before it.
@@ -64,7 +62,7 @@ class ScheduleWatch:
     def nothing_missed(self, before: float, t: float, first: bool) -> bool:
         """Whether no sample was due after the one at `before` and ahead of t."""
         if self.nominal is None:
-            longest = float(getattr(self.family, "d_max", np.inf))
+            longest = np.inf if self.family is None else self.family.d_max
             return t - before <= longest + self._room(t)
         last = self._due(before, first) + self.losses[0]
         if isinstance(self.nominal, Schedule) and last >= len(self.nominal):
@@ -119,13 +117,14 @@ class ScheduleWatch:
 
     def _family_fits(self, times: Array, first: bool) -> bool:
         family = self.family
-        assert isinstance(family, SamplingFamily)  # of a schedule there is a nominal one
+        if family is None:
+            return True
         gap, room = float(times[-1] - times[-2]), self._room(float(times[-1]))
-        if gap > float(getattr(family, "d_max", np.inf)) + room:
+        if gap > family.d_max + room:
             return False
         if first:
             return True
-        if gap < float(getattr(family, "min_gap", 0.0)) - room:
+        if gap < family.min_gap - room:
             return False
         samples = times[1:] - times[0]
-        return self.tolerance > 0 or samples.size < 2 or bool(family.contains(Schedule(samples)))
+        return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))

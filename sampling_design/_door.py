@@ -22,7 +22,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union
 import numpy as np
 
 from sampling_design._checks import described
-from sampling_design._renamed import ARGUMENTS
+from sampling_design._renamed import ARGUMENTS, MOVED_ARGUMENTS
 from sampling_design.errors import ArgumentError, SolverError
 
 P = ParamSpec("P")
@@ -65,6 +65,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
             former.update(
                 {old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints and old not in hints}
             )
+            former.update({old: new for (of, old), new in MOVED_ARGUMENTS.items() if of == function.__qualname__})
             for parameter in inspect.signature(function).parameters.values():
                 if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
                     order.append(parameter.name)

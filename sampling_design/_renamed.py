@@ -14,6 +14,7 @@ ARGUMENTS = {
     "eta": "cost=CostFunction(eta=...)",
     "every_lap": "every_period",
     "feedthrough": "input_side",
+    "lap": "period",
     "lateness": "maximum_delay",
     "max_iterations": "solver=WindowSolver(max_iterations=...)",
     "tolerance": "solver=WindowSolver(tolerance=...)",
@@ -25,6 +26,16 @@ ARGUMENTS = {
     "y_set": "constraints=Constraints(y=...)",
 }
 """Old keyword -> new one, with the value that means the same where the kind changed."""
+
+MOVED_ARGUMENTS = {
+    ("Certificate.from_matrices", "margin"): "dataclasses.replace(certificate, margin=...)",
+    ("Certificate.from_matrices", "solver"): "dataclasses.replace(certificate, solver=...)",
+    ("plan", "budget"): "search_seconds",
+}
+"""(Function, keyword that it no longer takes) -> what does it now."""
+
+ATTRIBUTES = {("FamilyCertificate", "schedule"): "family", ("SampleLosses", "every_lap"): "every_period"}
+"""(Record, attribute that it no longer has) -> the attribute that has it now."""
 
 NAMES = {"survival": "robustness", "Survival": "Robustness"}
 """Old name at the front door -> new one."""

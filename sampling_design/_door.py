@@ -56,34 +56,38 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
         If a number leaves the range of double precision, or an array does not fit into memory, inside.
     """
     checks: dict[str, Check] = {}
-    order: list[str] = []
+    places: list[tuple[int, Check]] = []
     former: dict[str, str] = {}
+    ready: list[bool] = []
 
     def prepare() -> None:
-        if not order:
-            hints = hints_of(function)
-            former.update(
-                {old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints and old not in hints}
-            )
-            former.update({old: new for (of, old), new in MOVED_ARGUMENTS.items() if of == function.__qualname__})
-            for parameter in inspect.signature(function).parameters.values():
-                if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
-                    order.append(parameter.name)
-                if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
-                    check = _check(parameter, hints.get(parameter.name, Any))
-                    if check is not None:
-                        checks[parameter.name] = check
+        hints = hints_of(function)
+        former.update({old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints and old not in hints})
+        former.update({old: new for (of, old), new in MOVED_ARGUMENTS.items() if of == function.__qualname__})
+        for place, parameter in enumerate(inspect.signature(function).parameters.values()):
+            if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+                check = _check(parameter, hints.get(parameter.name, Any))
+                if check is not None:
+                    checks[parameter.name] = check
+                    if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                        places.append((place, check))
+        ready.append(True)
 
     def enter(arguments: tuple[object, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-        prepare()
-        for old in former.keys() & options.keys():
+        if not ready:
+            prepare()
+        given, named, foreign, count = list(arguments), options, False, len(arguments)
+        for old in former.keys() & options.keys() if options else ():
             raise ArgumentError(f"`{old}` is now `{former[old]}`.")
-        given = [*arguments]
-        for i, name in enumerate(order[: len(given)]):
-            if name in checks:
-                given[i] = checks[name](given[i])
-        named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
-        if any(isinstance(value, _Foreign) for value in (*given, *named.values())):
+        for place, check in places:
+            if place >= count:
+                break
+            given[place] = value = check(given[place])
+            foreign = foreign or type(value) is _Foreign
+        if options:
+            named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
+            foreign = foreign or any(type(value) is _Foreign for value in named.values())
+        if foreign:
             unit = _unit_of((*given, *named.values()))
             given = [value.taken(unit) if isinstance(value, _Foreign) else value for value in given]
             named = {k: value.taken(unit) if isinstance(value, _Foreign) else value for k, value in named.items()}
@@ -301,6 +305,8 @@ def _truth(_: str, value: object) -> object:
 
 
 def _number(name: str, value: object) -> Any:
+    if type(value) is float and value == value:
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):

@@ -95,6 +95,8 @@ class SamplingFamily(Record, ABC):
 
     KINDS: ClassVar[dict[str, type[SamplingFamily]]] = {}
     kind: ClassVar[str]
+    remembers: ClassVar[bool] = True
+    """Whether more than the last gap decides what may come next."""
 
     def __init_subclass__(cls, kind: str, **others: object) -> None:
         super().__init_subclass__(**others)

@@ -51,6 +51,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
     shortest: float
     longest: float
     time_unit: str | None = field(default=None, kw_only=True)
+    remembers = False
 
     def __post_init__(self) -> None:
         shortest, longest = _checks.positive("shortest", self.shortest), _checks.positive("longest", self.longest)

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from sampling_design import Jitter, LostSamples, MovingHorizonEstimator, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design import (
+    GapRange,
+    Jitter,
+    LostSamples,
+    MovingHorizonEstimator,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    certify,
+)
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -89,3 +98,15 @@ def test_past_the_end_of_a_finite_schedule_nothing_is_on_it():
     assert not watch.sample_fits(np.array([2.0, 3.0]), one, first=False)
     assert not watch.nothing_missed(2.0, 2.5, first=False)
     assert not ScheduleWatch(Schedule([]), "s").sample_fits(np.array([0.0, 1.0]), one, first=True)
+
+
+def test_a_family_that_remembers_no_gap_is_asked_for_the_last_one_alone():
+    """The answers along a record are those of the whole record so far."""
+    family, rng = GapRange(0.5, 1.5), np.random.default_rng(1)
+    watch = ScheduleWatch(family, "s")
+    assert not family.remembers
+    for _ in range(40):
+        times = np.cumsum(np.concatenate([[0.0], rng.uniform(0.45, 1.55, 6)])).tolist()
+        fits = [watch.sample_fits(times[: k + 1], np.ones(1), k == 1) for k in range(1, 7)]
+        whole = [times[1] <= 1.5 and family.contains(Schedule(times[1 : k + 1])) for k in range(1, 7)]
+        assert np.logical_and.accumulate(fits).tolist() == whole

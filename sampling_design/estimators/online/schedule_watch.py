@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
+from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +45,7 @@ class ScheduleWatch:
             gap = family.min_gap
         self._grain = SHARE_OF_GAP * gap
 
-    def sample_fits(self, times: Array, mask: Array, first: bool) -> bool:
+    def sample_fits(self, times: Sequence[float], mask: Array, first: bool) -> bool:
         """Whether the last of `times` (those kept so far) is as planned; `first` if only the prior lies before it.
 
         `mask` says which outputs it measured; more than planned is as good.
@@ -106,7 +109,7 @@ class ScheduleWatch:
         near = self._nearest(before)
         return 0 if near is None else near + 1
 
-    def _few_lost(self, times: Array, k: int, first: bool) -> bool:
+    def _few_lost(self, times: Sequence[float], k: int, first: bool) -> bool:
         """Whether few enough of the samples planned up to number k were lost, among those still remembered."""
         most, of = self.losses
         taken = {self._nearest(float(t)) for t in times[1 if first else 0 :]}
@@ -115,7 +118,7 @@ class ScheduleWatch:
         total = np.concatenate([[0], np.cumsum(lost)])
         return bool(np.all(total[of:] - total[:-of] <= most)) if lost.size >= of else bool(total[-1] <= most)
 
-    def _family_fits(self, times: Array, first: bool) -> bool:
+    def _family_fits(self, times: Sequence[float], first: bool) -> bool:
         family = self.family
         if family is None:
             return True
@@ -126,5 +129,8 @@ class ScheduleWatch:
             return True
         if gap < family.min_gap - room:
             return False
-        samples = times[1:] - times[0]
+        if not family.remembers:  # the gaps before were looked at when they came
+            slack = ROUNDING * max(float(times[-1] - times[0]), family.d_max)
+            return self.tolerance > 0 or family.min_gap - slack <= gap <= family.d_max + slack
+        samples = np.asarray(times[1:]) - times[0]
         return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))

@@ -106,11 +106,11 @@ class KalmanFilter(OpenLoopEstimator):
         terms = before + own
         if self._too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
-            found, details["note"] = self._overflowed(state, sample, residual, terms)
+            found, note = self._overflowed(state, sample, residual, terms)
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta)
             return self._node(
-                state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details
+                state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details, note
             )
         terms += self._rounded(y, x)
         spread, step, half = absorb(covariance_root(Y), H, innovation)

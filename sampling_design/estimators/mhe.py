@@ -188,14 +188,16 @@ class MovingHorizonEstimator(WindowedEstimator):
         scheduled = self._fits_schedule(state, sample.t, mask)
         held = (y, mask, feedthrough), (flow, drift)
         limits = self._limited(sample, feedthrough)
-        free = limits is None and all(node.limits is None for node in start.inside)
+        free = limits is None and not (start.inside and state.last.limited >= start.inside[0].t)
         slid = self._slid(state, start, sample.t, *held) if free else None
         solved = slid or self._solved(state, start, sample, *held, limits)
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
-        details = SolveDetails(window_start=start.s, engine=solved.engine, note=solved.note, cost=solved.cost)
+        details = SolveDetails(window_start=start.s, engine=solved.engine, cost=solved.cost)
         taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift)
-        return self._node(state, taken, after, found, details, scheduled=scheduled)
+        node = self._node(state, taken, after, found, details, solved.note, scheduled)
+        self._histories.keep(node)
+        return node
 
     def _solved(
         self,

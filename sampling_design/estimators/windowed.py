@@ -11,13 +11,13 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
-from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
+from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict, rounding
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.square_root import covariance_root
-from sampling_design.estimators.window.window_problem import Window, build_window, information_root
+from sampling_design.estimators.window.window_problem import Window, build_window
 
 Array = npt.NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class WindowedEstimator(OpenLoopEstimator):
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
         self._histories = Histories(self.weights, self._sample_energy)
-        self._fixed_prior: Array = lower_band(self.weights.prior[None])[0]
+        self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
 
     def _prepare(self, state: State, t: float) -> None:
         """Put the three gaps of a new window that may be unknown into the table, in one batch."""
@@ -66,14 +66,13 @@ class WindowedEstimator(OpenLoopEstimator):
         if s > nodes[0].t:
             at = state.node_before(s)
             gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
-        self.table.get([gap for gap in gaps if gap > 0])
+        self.table.known([gap for gap in gaps if gap > 0])
 
     def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
-        last = state.last
-        return self.table.get([t - last.t])[0], self._drift.between(state, last.t, t)
+        return self._between(state, state.last.t, t)
 
     def _between(self, state: State, a: float, b: float) -> tuple[GapFlow, Array]:
-        return self.table.get([b - a])[0], self._drift.between(state, a, b)
+        return self.table.one(b - a), self._drift.between(state, a, b)
 
     def _start(self, state: State, t: float) -> Start:
         """Return where the window of a solve at t begins, with the online estimate there."""
@@ -93,29 +92,25 @@ class WindowedEstimator(OpenLoopEstimator):
         inside = nodes[anchor if closed else anchor + 1 :]
         if self.arrival_cost == "filtered":
             return Start(s, x, beta, covariance_root(Y), inside)
+        if not math.isfinite(beta):
+            return Start(s, x, beta, None, inside)
         factor = self.weights.prior_factor
-        worst = float(lapack.dsyev(factor.T @ Y @ factor, compute_v=0)[0][-1])
+        worst = float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
         return Start(s, x, worst * beta, None, inside)
 
     def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
-        (flow,) = self.table.get([s - node.t])
-        drift = self._drift.between(state, node.t, s)
-        self._refuse_overflow(flow, self._moved(node, flow, drift), s)
+        flow, drift = self._between(state, node.t, s)
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, beta = self._flown(node, flow, drift)
+            if math.isfinite(x.dot(x) + np.vdot(Y, Y)):
+                return x, Y, beta
+        self._refuse_overflow(flow, x, s)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
             x, Y, beta = self._ahead(node, flow, drift)
         if not np.isfinite(Y).all():
             self._refuse_overflow(flow, np.array([np.inf]), s)
         return x, Y, beta
-
-    def _prior_band(self, start: Start) -> Array | None:
-        """Return the lower band of the prior's information; None where it is not to be had from a covariance."""
-        if start.root is None:
-            return self._fixed_prior
-        half = information_root(start.root)
-        return None if half is None else np.asarray(lower_band((half.T @ half)[None])[0])
 
     def _slid(
         self,
@@ -128,35 +123,37 @@ class WindowedEstimator(OpenLoopEstimator):
         """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
         if self.constraints.active or t <= start.s:
             return None
-        opening = None
-        nodes, first = state.nodes, len(state.nodes) - len(start.inside)
-        while first < len(nodes) and nodes[first].t <= start.s:
+        opening, nodes, s = None, state.nodes, start.s
+        first = len(nodes) - len(start.inside)
+        while first < len(nodes) and nodes[first].t <= s:
             opening, first = nodes[first], first + 1
-        band = self._prior_band(start)
-        with np.errstate(over="ignore", invalid="ignore"):
-            held = None if band is None else self._histories.of(nodes, first)
-        if band is None or held is None:
-            return None
-        sliding, at = held
-        (flow, drift), last, s = last_gap, state.last, start.s
-        reference = last.x if first < len(nodes) else start.x
-        if first == len(nodes):
-            gap = self._between(state, s, t)
-            flow, drift = gap
-        else:
-            node = nodes[first]
-            own = first > 0 and nodes[first - 1].t == s
-            gap = self._between(state, s, node.t) if not own or node.flow is None else (node.flow, node.drift)
-        new = Arriving(t, flow.F @ reference + drift, *measured, flow)
         sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
-        with np.errstate(over="ignore", invalid="ignore"):
-            optimum = sliding.solve(at, Opening(s, start.x, band, sample), gap, new)
+        prior = self._fixed_prior if start.root is None else start.root @ start.root.T
+        flow, drift = last_gap
+        new = Arriving(t, *measured, flow, drift)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            held = self._histories.of(nodes, first)
+            if held is None:
+                return None
+            sliding, at = held
+            if first == len(nodes):
+                gap = self._between(state, s, t)
+                reference = gap[0].F.dot(start.x) + gap[1]
+            else:
+                node = nodes[first]
+                own = node.flow if first > 0 and nodes[first - 1].t == s else None
+                gap = self._between(state, s, node.t) if own is None else (own, node.drift)
+                reference = flow.F.dot(nodes[-1].x) + drift
+            if not sliding.append(new, reference):
+                return None
+            self._histories.begun(sliding)
+            optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
         if optimum is None:
             return None
         terms = math.exp(self.weights.eta * (s - t)) * start.energy + self._lost(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
-        found = self._judged(terms, optimum.dual, last)
-        if found.status == "bounds disproved" and last.sound:
+        found = self._judged(terms, optimum.dual, nodes[-1])
+        if found.status == "bounds disproved" and nodes[-1].sound:
             return None
         return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
 

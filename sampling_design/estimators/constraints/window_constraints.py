@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 
@@ -31,7 +33,7 @@ class WindowConstraints:
         self._omega_names = tuple(f"omega{i + 1}" for i in range(plant.n_states))
         self.reach = None if self.w is None else DisturbanceReach(table, self.w)
 
-    @property
+    @cached_property
     def active(self) -> bool:
         """Whether there is any constraint."""
         return any(s is not None for s in (self.x, self.y, self.v, self.w))

@@ -8,13 +8,14 @@ F_h = e^{Ah}, E_h = int_0^h e^{As} ds, W_h = int_0^h e^{eta s} e^{As} N e^{A's} 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
-from sampling_design._linalg import SHORT, expm_batch, exponential_terms, gramian_terms, symmetrise
+from sampling_design._linalg import SHORT, expm_batch, exponential_terms, gramian_terms
 
 Array = npt.NDArray[np.float64]
 
@@ -44,8 +45,9 @@ class ComposedFlow:
     def __init__(self, A: Array, noise: Array, eta: float, units: Array | None = None):
         n = A.shape[0]
         s = state_units(A, units)
-        self._moved, self._spread = s[:, None] / s, s[:, None] * s
-        A, noise = A / self._moved, noise / self._spread
+        moved, spread = s[:, None] / s, s[:, None] * s
+        self._moved = np.concatenate([moved, moved, spread], axis=1)
+        A, noise = A / moved, noise / spread
         shifted = A + (eta / 2) * np.eye(n)
         self._norm = max(float(np.linalg.norm(M, 1)) for M in (A, shifted, np.full((1, 1), 1e-300)))
         self._A, self._n, self._eta = A, n, eta
@@ -54,38 +56,42 @@ class ComposedFlow:
         order = np.arange(1, len(powers) + 1)[:, None, None]
         # side by side, here and in every piece: [F, E, W]
         terms = np.concatenate([powers, powers / order, gramian_terms(shifted, noise, self._norm)], axis=2)
-        self._powers, self._terms = np.arange(len(terms)), terms.reshape(len(terms), -1)
+        self._powers, self._terms = np.arange(float(len(terms))), terms.reshape(len(terms), -1)
         self._levels: list[Array] = []
 
     def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
         """Return F, E and W for every gap, each (N, n, n)."""
-        h, n = np.asarray(gaps, dtype=np.float64), self._n
+        h, n = np.array(gaps, dtype=np.float64), self._n
         count = np.floor(h / self._unit)
-        if not np.isfinite(count).all():
+        longest = max(count.tolist(), default=0.0)
+        if not math.isfinite(longest):
             raise OverflowError("a gap is too long to be counted in the plant's fastest units")
         passed = h - count * self._unit
         flow, level, unit = self._short(passed), 0, self._unit
-        while count.any():
-            count, digits = np.divmod(count, BASE)
-            flow = self._composed(flow, self._pieces(level, digits.astype(int)), passed)
-            passed = passed + digits * unit
-            level, unit = level + 1, unit * BASE
-        F, E, W = flow[:, :, :n], flow[:, :, n : 2 * n], symmetrise(flow[:, :, 2 * n :])
-        return F * self._moved, E * self._moved, W * self._spread
+        while longest:
+            longest //= BASE
+            count, digits = np.divmod(count, BASE) if longest else (count, count)
+            flow = self._composed(flow, self._pieces(level, digits.astype(np.intp)), passed)
+            if longest:
+                passed = passed + digits * unit
+                level, unit = level + 1, unit * BASE
+        flow *= self._moved
+        W = flow[:, :, 2 * n :]
+        return flow[:, :, :n], flow[:, :, n : 2 * n], (W + W.transpose(0, 2, 1)) / 2
 
     def _short(self, h: Array) -> Array:
         """Flows over gaps up to a unit."""
         factors = (h * self._norm)[:, None] ** self._powers
-        flow = (factors @ self._terms).reshape(h.size, self._n, -1)
+        flow: Array = factors.dot(self._terms).reshape(h.size, self._n, -1)
         flow[:, :, self._n :] *= h[:, None, None]
-        return np.asarray(flow)
+        return flow
 
     def _composed(self, late: Array, early: Array, length: Array | float) -> Array:
         """Flows over `early` (one or more) and then over `late` (one, or as many), which lasts `length`."""
         n = self._n
         flow, F = np.empty_like(early), late[..., :n]
         np.matmul(F, early[..., : 2 * n], out=flow[..., : 2 * n])
-        grown = F * np.exp(self._eta / 2 * np.asarray(length))[..., None, None]
+        grown = F * np.exp(self._eta / 2 * np.asarray(length))[..., None, None] if self._eta else F
         np.matmul(grown @ early[..., 2 * n :], grown.swapaxes(-1, -2), out=flow[..., 2 * n :])
         flow[..., n:] += late[..., n:]
         return flow
@@ -94,9 +100,10 @@ class ComposedFlow:
         """Flows over `digits` units of 64^level h_0; the table grows until it holds them all."""
         if level == len(self._levels):
             self._levels.append(self._first(level))
-        if len(self._levels[level]) <= digits.max():
-            self._grow(level, int(digits.max()) + 1)
-        return np.asarray(self._levels[level][digits])
+        largest = max(digits.tolist(), default=0)
+        if len(self._levels[level]) <= largest:
+            self._grow(level, largest + 1)
+        return self._levels[level][digits]
 
     def _first(self, level: int) -> Array:
         """Flows over no and over one unit of a level."""

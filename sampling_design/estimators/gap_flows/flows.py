@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +23,15 @@ CONDITION_LIMIT = 1e6
 CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
 
-
 LONGEST = 700.0
 """Exponents from here on count as overflows: e^709 is the largest double."""
+
+
+class Arrival(NamedTuple):
+    """What a prior before a gap is worth after it: information, and its lower band as that of a node without others."""
+
+    information: Array
+    band: Array
 
 
 class GapFlow:
@@ -48,7 +56,7 @@ class GapFlow:
         Its lower triangle, column after column, from the diagonal down.
     """
 
-    __slots__ = ("F", "W", "_band", "_joint", "_roots", "gap", "growth", "inputs", "integral")
+    __slots__ = ("F", "W", "_arrival", "_band", "_joint", "_roots", "gap", "growth", "inputs", "integral")
 
     def __init__(
         self,
@@ -63,6 +71,7 @@ class GapFlow:
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self._roots = roots
         self._band: Array | None = None
+        self._arrival: tuple[Array, Arrival | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
 
     @property
@@ -91,29 +100,48 @@ class GapFlow:
     def band(self) -> Array:
         """Return its lower triangle, where it is known."""
         if self._band is None:
-            assert self.joint is not None
-            n = len(self.F)
-            blocks = np.zeros((2, 2 * n, n))
-            blocks[0], blocks[1, :n] = self.joint[:, :n], self.joint[n:, n:]
-            self._band = lower_band(blocks)
+            joint = self.joint
+            assert joint is not None
+            self._band = lower_band(joint, len(self.F))
         return self._band
+
+    def arrival(self, Y: Array) -> Arrival | None:
+        """Return what a prior of covariance Y is worth after the gap, the inverse of growth F Y F' + W.
+
+        None where that would lose digits. What was asked for last is kept.
+        """
+        if self._arrival is None or self._arrival[0] is not Y:
+            self._arrival = Y, _arrival(self._carried(Y))
+        return self._arrival[1]
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
-        moved = self.growth * (self.F @ Y @ self.F.T) + self.W
+        moved = self._carried(Y)
         return (moved + moved.T) / 2
 
+    def _carried(self, Y: Array) -> Array:
+        moved: Array = self.F.dot(Y).dot(self.F.T)
+        moved *= self.growth
+        moved += self.W
+        return moved
 
-def lower_band(blocks: Array) -> Array:
-    """Return (N, n, 2n) the lower bands of (N, m n, n) block columns, m <= 2, from the diagonal down; a copy.
 
-    Band row r of column i is row i + r of its block column: a view with strides of its own.
+@lru_cache(maxsize=64)
+def _band_places(width: int, n: int) -> npt.NDArray[np.intp]:
+    """Where the entries of a lower band stand in a symmetric matrix with a zero after its end."""
+    column, below = np.meshgrid(np.arange(width), np.arange(2 * n), indexing="ij")
+    row = column + below
+    return np.where(row < width, column * width + np.minimum(row, width - 1), width * width).reshape(-1, n, 2 * n)
+
+
+def lower_band(matrix: Array, n: int) -> Array:
+    """Return (m, n, 2n) the lower band of a symmetric (m n, m n) matrix, column after column, from the diagonal down.
+
+    m is 1 or 2: what stands in it is a block of its column and the one below.
     """
-    count, rows, n = blocks.shape
-    whole = np.zeros((count, 3 * n, n))
-    whole[:, :rows] = blocks
-    step = whole.itemsize
-    return np.ndarray((count, n, 2 * n), buffer=whole, strides=(whole.strides[0], (n + 1) * step, n * step)).copy()
+    flat = np.zeros(matrix.size + 1)
+    flat[:-1] = matrix.ravel()
+    return np.asarray(flat[_band_places(len(matrix), n)])
 
 
 class FlowTable:
@@ -144,11 +172,21 @@ class FlowTable:
             table.popitem(last=False)
         return found
 
+    def known(self, gaps: Sequence[float]) -> None:
+        """See to it that the flows of some gaps are known, in one batch."""
+        if not all(gap in self._table for gap in gaps):
+            self.get(gaps)
+
+    def one(self, gap: float) -> GapFlow:
+        """Return the flow of a gap."""
+        found = self._table.get(gap)
+        return self.get((gap,))[0] if found is None else found
+
     def _fill(self, gaps: list[float]) -> None:
         weights = self.weights
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
             F, integral, W = self._flow.over(gaps)
-        inputs = integral @ weights.plant.B
+            inputs = integral @ weights.plant.B if weights.plant.n_inputs else np.zeros((*F.shape[:2], 0))
         roots: dict[float, tuple[Array, Array]] = {}
         if self.constant_w:
             roots = dict(zip(gaps, self._constant_roots(integral, gaps), strict=True))
@@ -201,20 +239,36 @@ def _root(W: Array) -> tuple[Array, Array]:
     return root, vectors.T * np.where(kept, 1 / scale, 0.0)[:, None] / unit
 
 
-def _joint(F: Array, W: Array) -> Array | None:
-    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]]; None where that would lose six digits or more.
+def _half(M: Array) -> Array | None:
+    """Return L^-1 for Cholesky's factor L of M; None where its inverse would lose six digits or more.
 
-    By Cholesky's factor of the correlation matrix; the trace of its inverse is its condition but for a factor of n^2.
+    The trace of the inverse in units of the diagonal is its condition but for a factor of n^2; units change no digit.
     """
-    size = np.sqrt(W.diagonal())
-    if not (size.all() and np.isfinite(W).all() and np.isfinite(F).all()):
-        return None
-    factor, flag = lapack.dpotrf(W / size[:, None] / size, lower=1, clean=1)
+    factor, flag = lapack.dpotrf(M, lower=1, clean=1)
     if flag:
         return None
     half = lapack.dtrtri(factor, lower=1)[0]
-    if np.vdot(half, half) > CONDITION_LIMIT:
+    unit = half * np.sqrt(M.diagonal())
+    return half if np.vdot(unit, unit) <= CONDITION_LIMIT else None  # neither where something overflowed
+
+
+def _joint(F: Array, W: Array) -> Array | None:
+    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]]; None where that would lose six digits or more."""
+    half = _half(W)
+    if half is None:
         return None
-    half = half / size
-    both = np.concatenate([-half @ F, half], axis=1)
-    return np.asarray(both.T @ both)
+    n = len(W)
+    both = np.empty((n, 2 * n))
+    both[:, :n] = half.dot(F)
+    np.negative(half, out=both[:, n:])
+    found = both.T.dot(both)
+    return found if math.isfinite(np.vdot(both, both)) else None  # its trace
+
+
+def _arrival(M: Array) -> Arrival | None:
+    """Return the inverse of a covariance, in both forms."""
+    half = _half(M)
+    if half is None:
+        return None
+    information = half.T.dot(half)
+    return Arrival(information, lower_band(information, len(M))[0])

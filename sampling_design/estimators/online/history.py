@@ -6,11 +6,13 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter, itemgetter
 from typing import NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._checks import freeze
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimator import Estimate, Taken
 
@@ -22,7 +24,8 @@ class Node(NamedTuple):
 
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
     on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
-    the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator.
+    the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
+    `limited` when one last had limits.
     """
 
     t: float
@@ -41,6 +44,7 @@ class Node(NamedTuple):
     number: int = 0
     limits: Array | None = None
     counted: float = np.nan
+    limited: float = -np.inf
 
 
 class InputHistory(Sequence[tuple[float, Array]]):
@@ -78,6 +82,14 @@ class InputHistory(Sequence[tuple[float, Array]]):
         if not -len(self) <= at < len(self):
             raise IndexError(at)
         return self._log[(self._start if at >= 0 else self._end) + at]
+
+    def until(self, t: float) -> int:
+        """How many lie at t or before."""
+        return bisect_right(self._log, t, self._start, self._end, key=_first) - self._start
+
+    def before(self, t: float) -> int:
+        """How many lie before t."""
+        return bisect_left(self._log, t, self._start, self._end, key=_first) - self._start
 
     def added(self, at: int, t: float, u: Array) -> InputHistory:
         """Return these inputs with one more, at place `at`."""
@@ -123,9 +135,7 @@ class State(NamedTuple):
 
     def input_at(self, t: float, before: bool = False) -> Array | None:
         """Return the input in force at t (just before t where `before`), None if there is none yet."""
-        k = bisect_right(self.inputs, t, key=_first) - 1
-        if before and k >= 0 and self.inputs[k][0] == t:
-            k -= 1
+        k = (self.inputs.before(t) if before else self.inputs.until(t)) - 1
         return self.inputs[k][1] if k >= 0 else None
 
     def trimmed(self, memory: float, least: int = 0) -> State:
@@ -135,16 +145,12 @@ class State(NamedTuple):
         if first <= 0:
             return self
         nodes = self.nodes[first:]
-        keep = max(0, bisect_right(self.inputs, nodes[0].t, key=_first) - 2)
+        keep = max(0, self.inputs.until(nodes[0].t) - 2)
         return State(nodes, self.inputs.since(keep) if keep else self.inputs)
 
 
-def _time(node: Node) -> float:
-    return node.t
-
-
-def _first(pair: tuple[float, Array]) -> float:
-    return pair[0]
+_time = attrgetter("t")
+_first = itemgetter(0)
 
 
 @dataclass(frozen=True)
@@ -152,25 +158,34 @@ class Drift:
     """The inputs' part of a transition: int_a^b e^{A(b - s)} B u(s) ds for the inputs of a state."""
 
     table: FlowTable
+    none: Array
+
+    @classmethod
+    def of(cls, table: FlowTable) -> Drift:
+        """Return that of the inputs of a table's plant."""
+        return cls(table, freeze(np.zeros(table.weights.plant.n_states)))
 
     def between(self, state: State, a: float, b: float) -> Array:
         """Return the integral over [a, b]; u is zero before the first input."""
-        n = self.table.weights.plant.n_states
-        total = np.zeros(n)
-        if not state.inputs or b <= a:
-            return total
-        start = a
+        inputs = state.inputs
+        if not len(inputs) or b <= a:
+            return self.none
+        total, start = self.none, a
         if state.reached is not None and state.reached[0] == a and state.reached[1] <= b:
             _, start, total = state.reached
             if start == b:
                 return total
-        first = bisect_right(state.inputs, start, key=_first)
-        last = bisect_left(state.inputs, b, key=_first)
-        edges = [start, *(t for t, _ in state.inputs[first:last]), b]
-        flows = self.table.get([right - left for left, right in pairwise(edges)])
-        for left, flow in zip(edges, flows, strict=False):
-            u = state.input_at(left)
-            total = flow.F @ total
-            if u is not None:
-                total = total + flow.inputs @ u
-        return total
+        k, last = inputs.until(start), inputs.before(b)
+        if last - k > 1:
+            edges = [start, *(t for t, _ in inputs[k:last]), b]
+            self.table.get([right - left for left, right in pairwise(edges)])  # in one batch
+        while True:
+            end = inputs[k][0] if k < last else b
+            flow = self.table.one(end - start)
+            if total is not self.none:
+                total = flow.F @ total
+            if k:
+                total = total + flow.inputs @ inputs[k - 1][1]
+            start, k = end, k + 1
+            if k > last:
+                return total

@@ -73,7 +73,10 @@ class OnlineEstimator(ABC):
         *Method.* A late sample is inserted and everything after it is replayed from the snapshot before it, so
         that the result is that of the samples in order; estimates that were handed out stay what they were.
         """
-        checked = self._check(triple(sample), state)
+        return self._taken_in(state, triple(sample))
+
+    def _taken_in(self, state: State, sample: Sample) -> tuple[State, Estimate]:
+        checked = self._check(sample, state)
         if checked.u is not None:
             state = _with_input(state, checked)
         if checked.t > state.last.t:
@@ -117,14 +120,14 @@ class OnlineEstimator(ABC):
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, sample: Sample, state: State) -> Taken:
-        t = float(sample.t) if _is_time(sample.t) else _checks.number("t", sample.t)
+        t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else _checks.number("t", sample.t)
         oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
                 f"samples (latest sample at {state.last.t!r})."
             )
-        y, limits = told(sample.y, self.plant.n_outputs)
+        y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else told(sample.y, self.plant.n_outputs)
         y = None if y is None else self._check_y(y, t, bool(limits))
         if limits:
             self._check_told(state, t, limits)
@@ -143,13 +146,13 @@ class OnlineEstimator(ABC):
 
     def _check_y(self, value: object, t: float, limited: bool) -> Array:
         try:
-            y = np.atleast_1d(np.array(value, dtype=np.float64))
+            y = np.array(value, dtype=np.float64, ndmin=1)
         except (TypeError, ValueError):
             raise ArgumentError(f"`y` must hold numbers, got {value!r:.60} at t = {t!r}.") from None
         p = self.plant.n_outputs
         if y.shape != (p,):
             raise ArgumentError(f"`y` must have {p} entr{'y' if p == 1 else 'ies'}, got shape {y.shape} at t = {t!r}.")
-        if not np.isfinite(y).all():
+        if not math.isfinite(sum(y.tolist())) and not np.isfinite(y).all():
             if np.isinf(y).any():
                 raise ArgumentError(f"`y` must be finite or NaN (not measured), got {y.tolist()} at t = {t!r}.")
             if np.isnan(y).all() and not limited:
@@ -162,7 +165,7 @@ class OnlineEstimator(ABC):
 
     def update(self, t: float, y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
-        self.state, estimate = self.step(self.state, Sample(t, y, u))
+        self.state, estimate = self._taken_in(self.state, Sample(t, y, u))
         return estimate
 
     def predict(self, t: float) -> Estimate:
@@ -239,11 +242,6 @@ def triple(item: object) -> Sample:
     if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
         raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {_checks.described(item)}.")
     return Sample(*item)
-
-
-def _is_time(value: object) -> bool:
-    """Whether a time stamp is what it mostly is, a finite float that needs no closer look."""
-    return isinstance(value, float) and math.isfinite(value)
 
 
 def _with_input(state: State, sample: Taken) -> State:

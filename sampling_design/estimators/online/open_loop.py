@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypedDict
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,15 @@ from sampling_design._linalg import symmetrise
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
-from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
-from sampling_design.estimators.online.estimator import Contradiction, Estimate, Status, Taken
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
+from sampling_design.estimators.online.estimator import (
+    Contradiction,
+    Estimate,
+    Status,
+    Taken,
+    estimate_of,
+    with_proof,
+)
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
@@ -31,6 +38,8 @@ CONTRADICTION = 1e-9
 
 ROUNDING = 1e-12
 """Share of its terms that is added to every bound, so that rounding cannot break it."""
+
+OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
 
 LARGEST = 1e150
 """Residuals beyond this, in units of their weights, have squares that overflow in sums."""
@@ -54,7 +63,6 @@ class SolveDetails(TypedDict, total=False):
     engine: str
     window_start: float
     cost: float
-    note: str
 
 
 class MeasuredSample(NamedTuple):
@@ -106,8 +114,9 @@ class OpenLoopEstimator(OnlineEstimator):
             raise ArgumentError(f'`input_side` must be "right" or "left", got {input_side!r}.')
         self.plant, self.weights, self.input_side = plant, weights, input_side
         self.table = FlowTable(weights, constant_w)
-        self._drift = Drift(self.table)
+        self._drift = Drift.of(self.table)
         self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0, weights.units)
+        self._nothing, self._everything = freeze(np.zeros(plant.n_outputs)), freeze(np.ones(plant.n_outputs))
         self._watch = None
         tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
         if schedule is not None:
@@ -172,7 +181,7 @@ class OpenLoopEstimator(OnlineEstimator):
         evidence = self._evidence
         if evidence is None or evidence.nodes is not nodes or evidence.inputs is not state.inputs:
             evidence = self._evidence = Evidence(self._assumed, nodes, state.inputs, not self.radius_note)
-        return estimate.known_by(evidence)
+        return with_proof(estimate, evidence)
 
     def _sample_energy(self, masks: Array) -> Array:
         return self.weights.sample_energy(self._v_bound, False, masks)
@@ -214,25 +223,36 @@ class OpenLoopEstimator(OnlineEstimator):
         return State((node,))
 
     def _estimate(
-        self, t: float, x: Array, Y: Array, beta: float, status: Status, *, sound: bool, scheduled: bool, **details: Any
+        self,
+        t: float,
+        x: Array,
+        Y: Array,
+        beta: float,
+        status: Status,
+        *,
+        sound: bool,
+        scheduled: bool,
+        contradiction: Contradiction | None = None,
+        note: str = "",
+        **details: Unpack[SolveDetails],
     ) -> Estimate:
         """Return an estimate with its two flags and, in words, why one is down."""
-        contradiction = details.get("contradiction")
-        notes = [details.pop("note", "")]
         if not sound:
             beta = np.nan
-        certified = sound and not self.radius_note and bool(np.isfinite(beta) and np.isfinite(Y).all())
+        certified = sound and not self.radius_note and math.isfinite(beta) and bool(np.isfinite(Y).all())
         if contradiction is not None:
-            notes.append(f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time).")
+            note = f"{note} The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
         elif self.radius_note:
-            notes.append(self.radius_note)
+            note = f"{note} {self.radius_note}"
         elif not certified:
             broken = "the data contradict the constraints. To start again: reset(prior, prior_time)."
-            notes.append("No radius: " + (broken if not sound else "it overflows."))
+            note = f"{note} No radius: {broken if not sound else 'it overflows.'}"
         if not scheduled:
-            notes.append(self.claim_note or "No a-priori claim: off the certificate's schedule.")
-        note = " ".join(filter(None, notes))
-        return Estimate(t, x, Y, beta, status, certified=certified, on_schedule=scheduled, note=note, **details)
+            note = f"{note} {self.claim_note or OFF_SCHEDULE}"
+        return estimate_of(
+            t=t, x=x, covariance=Y, radius=beta, status=status, certified=certified, on_schedule=scheduled,
+            note=note.strip(), contradiction=contradiction, **details,
+        )  # fmt: skip
 
     def _node(
         self,
@@ -241,6 +261,7 @@ class OpenLoopEstimator(OnlineEstimator):
         held: Held,
         found: Verdict,
         details: SolveDetails,
+        note: str = "",
         scheduled: bool = False,
     ) -> Node:
         """Return the node of a sample, with the estimate that is handed out."""
@@ -253,6 +274,7 @@ class OpenLoopEstimator(OnlineEstimator):
             sound=found.sound,
             scheduled=scheduled,
             contradiction=found.contradiction,
+            note=note,
             **details,
         )
         return Node(
@@ -271,16 +293,18 @@ class OpenLoopEstimator(OnlineEstimator):
             sample=measured.sample,
             number=state.last.number + 1,
             limits=measured.limits,
+            limited=state.last.limited if measured.limits is None else measured.sample.t,
         )
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
         beta = node.beta / flow.growth + self._lost(flow.gap) if flow.gap > 0 else node.beta
-        return flow.F @ node.x + drift, flow.covariance(node.Y), beta
+        return flow.F.dot(node.x) + drift, flow.covariance(node.Y), beta
 
     def _lost(self, h: float) -> float:
         """w_bound^2 (1 - e^{-eta h})/eta in the norm of Qw."""
-        return self._w_energy * float(discounted_length(self.weights.eta, h)) if h > 0 else 0.0
+        eta = self.weights.eta
+        return self._w_energy * (h if eta == 0 else -math.expm1(-eta * h) / eta) if h > 0 else 0.0
 
     def _after_input(self, state: State, t: float) -> State:
         a = state.last.t
@@ -298,9 +322,9 @@ class OpenLoopEstimator(OnlineEstimator):
         if not np.isfinite(Y).all():
             self._refuse_overflow(flow, np.array([np.inf]), t)
         scheduled = node.scheduled and self._nothing_missed(node, t)
-        details = {"contradiction": node.estimate.contradiction}
+        told = node.estimate.contradiction
         found = self._estimate(
-            t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, **details
+            t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, contradiction=told
         )
         return self._known(state, at, found)
 
@@ -361,16 +385,19 @@ class OpenLoopEstimator(OnlineEstimator):
         last = state.last
         if not last.scheduled or self._watch is None:
             return last.scheduled
-        times = np.array([*(node.t for node in state.nodes), t])
+        times = [node.t for node in state.nodes]
+        times.append(t)
         return self._watch.sample_fits(times, mask, first=last.sample.y is None)
 
     def _measured(self, state: State, sample: Taken) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
-        seen = np.isfinite(sample.y)
-        mask = seen.astype(np.float64)
-        y = sample.y if seen.all() else np.where(seen, sample.y, 0.0)
-        u = state.input_at(sample.t, before=self.input_side == "left")
-        return y, mask, self.plant.D @ u if u is not None else np.zeros(mask.size)
+        y: Array = sample.y
+        u = state.input_at(sample.t, before=self.input_side == "left") if len(state.inputs) else None
+        feedthrough = self._nothing if u is None else self.plant.D @ u
+        if math.isfinite(sum(y.tolist())):
+            return y, self._everything, feedthrough
+        seen = np.isfinite(y)
+        return np.where(seen, y, 0.0), seen.astype(np.float64), feedthrough
 
     def _rounded(self, y: Array, x: Array) -> float:
         """What the rounding of (N, p) measurements and of a state may cost."""

@@ -2,7 +2,8 @@
 
 Discounts count from a fixed time z, e^{eta(s_j - z)}, so that the columns of the banded normal equations of nodes
 inside the window stay as they are; the window's start and its newest node are added to a copy. Where digits would be
-lost, `smooth` is asked instead: this is its banded route, column by column.
+lost, `smooth` is asked instead: this is its banded route, column by column. Vectors of a few entries go through `dot`,
+whose call costs a third of that of `@`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.history import Node
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT, last_block
 from sampling_design.estimators.window.solution import DUAL_MARGIN
+from sampling_design.estimators.window.square_root import absorb, covariance_root
 
 Array = npt.NDArray[np.float64]
 
@@ -44,33 +46,34 @@ HISTORIES = 64
 
 
 class Heard(NamedTuple):
-    """What measuring some outputs means: band of C'Y C, C'U', U, |U| with U'U = Y, and a bound on the noise's cost."""
+    """What measuring some outputs means: band of C'Y C, C'U', U, |U|, U C with U'U = Y, a bound on the noise's cost."""
 
     band: Array
     back: Array
     root: Array
     size: Array
+    shown: Array
     energy: float
 
 
 class Opening(NamedTuple):
-    """The window's start: time, prior, band of the prior's information, the sample taken there (or None)."""
+    """The window's start: time, prior and its covariance, and the sample taken there (y, mask, D u), if any."""
 
     t: float
     x: Array
-    band: Array
-    sample: tuple[Array, Array, Array] | None
+    Y: Array
+    sample: tuple[Array, Array, Array] | None = None
 
 
 class Arriving(NamedTuple):
-    """The newest node: time, prediction (the reference there), y, mask, D u, and the gap that leads to it."""
+    """A node on its way in: time, y, mask, D u, the gap that leads to it, and what the inputs do over it."""
 
     t: float
-    x: Array
     y: Array
     mask: Array
     feedthrough: Array
-    flow: GapFlow
+    flow: GapFlow | None
+    drift: Array
 
 
 class Optimum(NamedTuple):
@@ -86,24 +89,28 @@ class Optimum(NamedTuple):
 
 
 class SlidingBand:
-    """The nodes of one history as columns of the normal equations, oldest first."""
+    """The nodes of one history as columns of the normal equations, oldest first.
+
+    Unknown is the deviation from a reference: what is predicted for the newest node, what was estimated for the others.
+    """
 
     def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
         self._C, self._held = weights.plant.C, np.abs(weights.prior_factor.T)
         self.nodes: list[Node] = []
-        self._owned: list[bool] = []  # whether the gap before a node is in its column
+        self._known: list[Arriving] = []
+        self._reference: list[Array] = []
         self._kinds: dict[bytes, Heard] = {}
-        self._zero = 0.0
+        self._zero, self._cut = 0.0, False  # whether there was a node before the first one
         self._columns = np.zeros((ROOM, n, 2 * n))
-        self._heard, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, 2 * n))
-        self._sums = np.zeros((ROOM, 4))  # fit, the noise's energy, |y|^2 and |x|^2, each with its weight
-        self._costs = np.zeros(ROOM)  # of the gap before
+        self._heard, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, 2 * n))  # pushed by the gap after a node
+        # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 and |x|^2
+        self._sums = np.zeros((ROOM, 5))
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._columns, self._heard, self._pushed, self._sums, self._costs
+        return self._columns, self._heard, self._pushed, self._sums
 
     def heard(self, mask: Array) -> Heard:
         """Return what a sample of some outputs means."""
@@ -112,60 +119,77 @@ class SlidingBand:
         if found is None:
             root = self._weights.at(mask).y_root
             back = self._C.T @ root.T
-            band = lower_band((back @ back.T)[None])[0]
-            found = self._kinds[key] = Heard(band, back, root, np.abs(root), float(self._energy(mask[None])[0]))
+            energy = float(self._energy(mask[None])[0])
+            band = lower_band(back @ back.T, self._n)[0]
+            found = self._kinds[key] = Heard(band, back, root, np.abs(root), root @ self._C, energy)
         return found
 
-    def append(self, node: Node) -> bool:
-        """Take in a node; False where it cannot be weighed."""
-        k, n = len(self.nodes), self._n
+    def append(self, new: Arriving, reference: Array) -> bool:
+        """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed."""
+        k = len(self._known)
         if k == len(self._columns):
-            self._columns, self._heard, self._pushed, self._sums, self._costs = (
+            self._columns, self._heard, self._pushed, self._sums = (
                 np.concatenate([part, np.zeros_like(part)]) for part in self._parts
             )
         if not k:
-            self._zero = node.t
-        elif self._eta * (node.t - self._zero) > FAR:
-            self._count_from(node.t)
-        d, x = math.exp(self._eta * (node.t - self._zero)), node.x
-        kind = self.heard(node.mask)
-        own, push = self._columns[k], 0.0
-        np.multiply(kind.band, d, out=own)
+            self._zero = new.t
+        elif self._eta * (new.t - self._zero) > FAR:
+            self._count_from(new.t)
+        d = math.exp(self._eta * (new.t - self._zero))
+        columns, kind = self._columns, self.heard(new.mask)
+        np.multiply(kind.band, d, out=columns[k])
         if k:
-            flow = node.flow
-            if flow is None or flow.joint is None:
+            if new.flow is None or new.flow.joint is None:
                 return False
-            self._columns[k - 1 : k + 1] += flow.band * d
-            moved = flow.F @ self.nodes[-1].x + node.drift - x
-            g = self._pushed[k]
-            np.matmul(flow.joint[:, n:], moved * d, out=g)
-            push = float(moved @ g[n:])
-        half = kind.root @ (node.y - node.feedthrough - self._C @ x)
-        size = math.hypot(*half.tolist())
-        if not (size < LARGEST and math.isfinite(push)):
-            return False
-        np.matmul(kind.back, half * d, out=self._heard[k])
-        read, held = _square(kind.size @ np.abs(node.y)), _square(self._held @ np.abs(x))
-        self._sums[k], self._costs[k] = (size * size * d, kind.energy * d, read, held), push
+            columns[k - 1 : k + 1] += new.flow.band * d
+        read = kind.size.dot(abs(new.y))
+        self._sums[k, 1], self._sums[k, 3] = kind.energy * d, read.dot(read)
+        self._known.append(new)
+        self._reference.append(reference)
+        return self._weighed(k, d)
+
+    def _weighed(self, k: int, d: float) -> bool:
+        """Put down what the newest node costs at its reference, and how that pulls; False where that overflows."""
+        new, reference, n, sums = self._known[k], self._reference[k], self._n, self._sums
+        kind, flow, push = self.heard(new.mask), new.flow, 0.0
+        half = kind.root.dot(new.y - new.feedthrough - self._C.dot(reference))
+        square = float(half.dot(half))
+        kind.back.dot(half * d, self._heard[k])
+        if k and flow is not None and flow.joint is not None:
+            moved = flow.F.dot(self._reference[k - 1]) + new.drift - reference
+            g = flow.joint[n:].T.dot(moved * d, self._pushed[k - 1])
+            sums[k - 1, 2] = push = float(moved.dot(g[n:]))
+        held = self._held.dot(abs(reference))
+        sums[k, 0], sums[k, 2], sums[k, 4] = square * d, 0.0, held.dot(held)
+        return square < LARGEST**2 and math.isfinite(push)
+
+    def settle(self, node: Node) -> bool:
+        """Take the estimate of the newest node for its reference; False where that cannot be weighed."""
         self.nodes.append(node)
-        self._owned.append(k > 0)
-        return True
+        self._reference[-1] = node.x
+        return self._weighed(len(self._known) - 1, math.exp(self._eta * (node.t - self._zero)))
+
+    def ends_with(self, node: Node) -> bool:
+        """Whether the last entry, of which there is no node yet, is that of a node."""
+        last = self._known[-1]
+        return last.y is node.y and last.drift is node.drift and last.feedthrough is node.feedthrough
 
     def _count_from(self, t: float) -> None:
         """Let discounts count from t."""
-        factor, k = math.exp(-self._eta * (t - self._zero)), len(self.nodes)
-        for part in (self._columns, self._heard, self._pushed, self._sums[:, :2], self._costs):
+        factor, k = math.exp(-self._eta * (t - self._zero)), len(self._known)
+        for part in (self._columns, self._heard, self._pushed, self._sums[:, :3]):
             part[:k] *= factor
         self._zero = t
 
     def forget(self, count: int) -> None:
         """Drop the oldest nodes."""
-        kept = len(self.nodes) - count
+        kept = len(self._known) - count
         for part in self._parts:
-            part[:kept] = part[count : count + kept]
-        del self.nodes[:count], self._owned[:count]
+            part[:kept] = part[count : count + kept].copy()
+        del self.nodes[:count], self._known[:count], self._reference[:count]
+        self._cut = True
 
-    def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array], new: Arriving) -> Optimum | None:
+    def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array]) -> Optimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
 
         Parameters
@@ -174,89 +198,91 @@ class SlidingBand:
         opening : Opening
         gap : (GapFlow, (n,) array)
             From the window's start to the first node, with the inputs' part.
-        new : Arriving
+
+        Notes
+        -----
+        *Method.* The window's start, where no weight is left but the prior's and a sample's, is eliminated first:
+        what is known of it arrives at the first node as one covariance.
         """
-        if not self.nodes:
-            self._zero = opening.t
-        n, eta, zero, inside = self._n, self._eta, self._zero, len(self.nodes) - first
-        if eta * max(new.t - zero, zero - opening.t) > WIDEST:
+        known, n, eta, zero = self._known, self._n, self._eta, self._zero
+        last, start = known[-1], known[first]
+        if eta * max(last.t - zero, zero - opening.t) > WIDEST:
             return None
-        begin, end = math.exp(eta * (opening.t - zero)), math.exp(eta * (new.t - zero))
-        work, right = np.empty((inside + 2, n, 2 * n)), np.zeros((inside + 2, n))
-        fit = push = energy = read = held = 0.0
-        work[0] = opening.band * begin
-        if inside:
-            rows = slice(first, first + inside)
-            work[1:-1], right[1:-1] = self._columns[rows], self._heard[rows]
-            right[2:-1] += self._pushed[first + 1 : first + inside, n:]
-            right[1:-2] += self._pushed[first + 1 : first + inside, :n]
-            flow, drift = gap
-            node, joint = self.nodes[first], flow.joint
-            if joint is None:
-                return None
-            d = math.exp(eta * (node.t - zero))
-            if self._owned[first] and node.flow is not None:
-                # the gap from the start is no longer than the whole one and costs no less: no digits are lost
-                work[0] += flow.band[0] * d
-                if flow is not node.flow:
-                    work[1] += (flow.band[1] - node.flow.band[1]) * d
-            else:
-                work[:2] += flow.band * d
-            moved = flow.F @ opening.x + drift - node.x
-            g = joint[:, n:] @ (moved * d)
-            right[:2] += g.reshape(2, n)
-            fit, energy, read, held = self._sums[rows].sum(axis=0).tolist()
-            push = float(moved @ g[n:]) + float(self._costs[first + 1 : first + inside].sum())
-        if new.flow.joint is None:
-            return None
-        kind = self.heard(new.mask)
-        np.multiply(kind.band, end, out=work[-1])
-        work[-2:] += new.flow.band * end
-        samples = [(inside + 1, kind, new.y, new.feedthrough, new.x, end)]
+        d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
+        x, Y, size, noise, heard = opening.x, opening.Y, 0.0, 0.0, 0.0
+        weighed = self._held.dot(abs(x))
         if opening.sample is not None:
-            y, mask, feedthrough = opening.sample
-            also = self.heard(mask)
-            work[0] += also.band * begin
-            samples.append((0, also, y, feedthrough, opening.x, begin))
-        for k, one, y, feedthrough, x, d in samples:
-            half = one.root @ (y - feedthrough - self._C @ x)
-            size = math.hypot(*half.tolist())
-            if not size < LARGEST:
-                return None
-            right[k] += one.back @ (half * d)
-            fit, energy = fit + size * size * d, energy + one.energy * d
-            read += _square(one.size @ np.abs(y))
-        held += _square(self._held @ np.abs(opening.x)) + _square(self._held @ np.abs(new.x))
-        found = _solved(work, right, fit + push)
+            begin = math.exp(eta * (opening.t - zero))
+            x, Y, size, noise, heard = self._opened(opening)
+            size, noise = size * begin, noise * begin
+        flow, drift = gap
+        arrival = flow.arrival(Y)
+        if arrival is None:
+            return None
+        rows = slice(first, len(known))
+        work, right, pushed = self._columns[rows].copy(), self._heard[rows].copy(), self._pushed[first : len(known) - 1]
+        right[1:] += pushed[:, n:]
+        right[:-1] += pushed[:, :n]
+        moved = flow.F.dot(x) + drift - self._reference[first]
+        g = arrival.information.dot(moved * d)
+        right[0] += g
+        if first or self._cut:  # the gap before was not the window's
+            np.multiply(self.heard(start.mask).band, d, out=work[0])
+            if len(work) > 1:
+                after, t = known[first + 1].flow, known[first + 1].t
+                assert after is not None
+                work[0] += after.band[0] * math.exp(eta * (t - zero))
+        work[0] += arrival.band * d
+        fit, energy, push, read, kept = np.add.reduce(self._sums[rows]).tolist()
+        size += fit + push + float(moved.dot(g))
+        found = _solved(work, right.ravel(), size)
         if found is None:
             return None
-        x, root, gain = found
-        cost = fit + push - gain
+        deviation, root, gain = found
+        cost = size - gain
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
-        return Optimum(new.x + x, (root.T @ root) * end, cost / end, dual / end, energy / end, read, held)
+        return Optimum(
+            self._reference[-1] + deviation,
+            (root.T * end).dot(root),
+            cost / end,
+            dual / end,
+            (energy + noise) / end,
+            read + heard,
+            kept + float(weighed.dot(weighed)),
+        )
 
-
-def _square(z: Array) -> float:
-    """|z|^2, infinite where it overflows."""
-    size = math.hypot(*z.tolist())
-    return size * size
+    def _opened(self, opening: Opening) -> tuple[Array, Array, float, float, float]:
+        """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
+        assert opening.sample is not None
+        y, mask, feedthrough = opening.sample
+        kind = self.heard(mask)
+        innovation = kind.root @ (y - feedthrough) - kind.shown @ opening.x
+        root, step, half = absorb(covariance_root(opening.Y), kind.shown, innovation)
+        read = kind.size @ np.abs(y)
+        return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
 
 
 def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, float] | None:
     """Return the last node's deviation, the root of its information inverted, and what the deviations gain."""
     count, n, width = work.shape
-    band, b = work.reshape(count * n, width).T, right.ravel()
+    band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
-    factor, solution, flag = lapack.dpbsv(band, b, lower=1, overwrite_ab=1)
-    if flag or not (factor[0] ** 2 > PIVOT_LIMIT * diagonal).all():
+    factor, solution, flag = lapack.dpbsv(band, right, lower=1, overwrite_ab=1)
+    if flag:
         return None
-    gain = float(b @ solution)
-    if not (math.isfinite(gain) and math.isfinite(size)):
+    pivots = factor[0]
+    if not np.minimum.reduce(pivots * pivots / diagonal) > PIVOT_LIMIT:
+        return None
+    gain = float(right.dot(solution))
+    if not math.isfinite(gain + size):
         return None
     last = lapack.dtrtri(last_block(factor, n), lower=1)[0]
     return solution[-n:], last, gain
+
+
+NOTHING: tuple[Node | None, SlidingBand | None] = (None, None)
 
 
 class Histories:
@@ -264,32 +290,37 @@ class Histories:
 
     def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
         self._weights, self._energy = weights, energy
-        self._known: OrderedDict[int, SlidingBand] = OrderedDict()
+        self._known: OrderedDict[int, tuple[Node, SlidingBand]] = OrderedDict()
+        self._begun: SlidingBand | None = None
 
     def of(self, nodes: tuple[Node, ...], first: int) -> tuple[SlidingBand, int] | None:
         """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
         count = len(nodes) - first
         if not count:
             return SlidingBand(self._weights, self._energy), 0
-        band = self._taken(nodes[-1], 0) or (self._taken(nodes[-2], 1) if count > 1 else None)
-        if band is not None:
-            if band.nodes[-1] is not nodes[-1] and not band.append(nodes[-1]):
-                return None
+        node, band = self._known.pop(id(nodes[-1]), NOTHING)
+        if band is not None and node is nodes[-1] and band.settle(node):
             at = len(band.nodes) - count
             if at >= 0 and band.nodes[at] is nodes[first]:
                 if at >= ROOM // 2:
                     band.forget(at)
                     at = 0
-                return self._kept(band, at)
+                return band, at
         band = SlidingBand(self._weights, self._energy)
-        return self._kept(band, 0) if all(map(band.append, nodes[first:])) else None
+        for node in nodes[first:]:
+            if not band.append(Arriving(node.t, node.y, node.mask, node.feedthrough, node.flow, node.drift), node.x):
+                return None
+            band.nodes.append(node)
+        return band, 0
 
-    def _taken(self, node: Node, missing: int) -> SlidingBand | None:
-        band = self._known.pop(id(node), None)
-        return band if band is not None and band.nodes and band.nodes[-1] is node else None
+    def begun(self, band: SlidingBand) -> None:
+        """Hold a band to whose last entry there is no node yet."""
+        self._begun = band
 
-    def _kept(self, band: SlidingBand, at: int) -> tuple[SlidingBand, int]:
-        self._known[id(band.nodes[-1])] = band
-        if len(self._known) > HISTORIES:
-            self._known.popitem(last=False)
-        return band, at
+    def keep(self, node: Node) -> None:
+        """Remember the band that was begun, if `node` is what its last entry has become."""
+        band, self._begun = self._begun, None
+        if band is not None and band.ends_with(node):
+            self._known[id(node)] = node, band
+            if len(self._known) > HISTORIES:
+                self._known.popitem(last=False)

@@ -12,6 +12,7 @@ from sampling_design._files import to_json
 from sampling_design.cli import following
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.estimators.online.estimator import with_proof
 from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.measurement_table import MeasurementTable
@@ -96,7 +97,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     object.__setattr__(moved, "times", whole.times + start)
     if radii == "ellipsoids":
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
-        moved.__dict__["estimates"] = tuple(each.known_by(None) for each in whole.estimates)
+        moved.__dict__["estimates"] = tuple(with_proof(each, None) for each in whole.estimates)
     settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
     tally = following.followed(settings, estimator(), record, start, "2026-03-01", radii, "words")
     printed = capsys.readouterr().out

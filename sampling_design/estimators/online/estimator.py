@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypedDict, Unpack, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -114,23 +114,6 @@ class HasStates(Protocol):
         """How many."""
 
 
-class _Entries(TypedDict, total=False):
-    """Entries of an estimate."""
-
-    t: float
-    x: Array
-    covariance: Array
-    radius: float
-    status: Status
-    cost: float
-    certified: bool
-    on_schedule: bool
-    window_start: float
-    engine: str
-    note: str
-    contradiction: Contradiction | None
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Record):
     """The state at one time, with the ellipsoid that holds it and the interval of each entry that the data prove.
@@ -181,10 +164,6 @@ class Estimate(Record):
     note: str = ""
     contradiction: Contradiction | None = None
     proof: ProvesIntervals | None = field(default=None, repr=False)
-
-    def known_by(self, proof: ProvesIntervals) -> Estimate:
-        """Return this estimate with what its interval is proven from."""
-        return with_proof(self, proof)
 
     def interval(self, of: Wanted = None) -> Interval:
         """Return the values that the data and the bounds leave possible, for the states or for wanted rows.
@@ -324,20 +303,18 @@ class Estimate(Record):
         }
 
 
-def estimate_of(**entries: Unpack[_Entries]) -> Estimate:
+def estimate_of(**entries: object) -> Estimate:
     """Return the estimate of entries that are right as they are; those not given have their defaults."""
     found = object.__new__(Estimate)
     found.__dict__.update(entries)  # what is missing is the class's own
     return found
 
 
-def with_proof(estimate: Estimate, proof: ProvesIntervals) -> Estimate:
+def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
     """Return an estimate with what its interval is proven from."""
-    found = object.__new__(type(estimate))
-    entries = found.__dict__
-    entries.update(estimate.__dict__)
-    entries["proof"] = proof
-    entries.pop("radii", None)
+    found = object.__new__(Estimate)
+    found.__dict__.update(estimate.__dict__, proof=proof)
+    found.__dict__.pop("radii", None)
     return found
 
 

@@ -12,20 +12,17 @@ import numpy.typing as npt
 from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design._checks import freeze
 from sampling_design._files import Growing
-from sampling_design._record import Record, short
+from sampling_design._record import short
 from sampling_design.cli.settings import Settings, rows_table, save_picture, table
 from sampling_design.estimators.estimate_file import EstimateColumns, EstimateTable, check_radii
+from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimator import Estimate, Progress
 from sampling_design.estimators.online.tally import Tally
-from sampling_design.estimators.online.tube import Tube, joined
 
 Array = npt.NDArray[np.float64]
 
-POINTS_PER_GAP = 12
-"""Points of the open-loop prediction between two samples, for the picture."""
 CLOSELY = 1000
 """Rows up to which radii are those of intervals unless told, and the picture shows every gap between samples."""
 TOLD = 1000
@@ -71,45 +68,17 @@ def followed(
         if columns is not None and settings.as_json:
             columns.write(sys.stdout, settings.named({}), after)
     if folder is not None and picture is not None:
-        drawn, beside = picture.drawn(start)
         settings.wrote(folder / "estimates.csv")
         settings.wrote(folder / "estimates.json")
         seen = replace(record, times=record.times + start, origin=origin)
-        settings.wrote(save_picture(drawn, folder / "estimates.png", measurements=seen, **beside))
+        if isinstance(picture, _Extremes):
+            settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=seen))
+        else:
+            settings.wrote(save_picture(picture.curve(seen, start), folder / "estimates.png"))
     assert last is not None
     shown = rows_table("EstimateRecord", tally.rows())
     settings.show_tables(shown, _last(plant, last, start, kind), f"{guarantee} {tally.explain()}")
     return tally
-
-
-class _Curve:
-    """The open loop between samples, with the tube that holds the truth there, of a record of few rows."""
-
-    def __init__(self, estimator: sd.MovingHorizonEstimator):
-        self.estimator = estimator
-        self.points, self.tubes, self.last = [estimator.predict(0.0)], list[Tube](), 0.0
-
-    def before(self, t: float) -> None:
-        """Draw on to t, with what is known before the sample there."""
-        if t > self.last:
-            times = np.linspace(self.last, t, POINTS_PER_GAP + 1)
-            ahead = [self.estimator.predict(s) for s in times]
-            if ahead[0].proof is not None:
-                self.tubes.append(ahead[0].proof.tube(times, np.array([each.x for each in ahead])))
-            self.points += ahead[1:]
-
-    def after(self, t: float, estimate: Estimate) -> None:
-        """Go on from the estimate at t, unless its sample was late."""
-        if t >= self.last:
-            self.points.append(estimate)
-            self.last = t
-
-    def drawn(self, start: float) -> tuple[Record, dict[str, Tube | None]]:
-        """The record of the picture, and what stands beside it."""
-        curve = sd.EstimateRecord.collect(self.estimator.plant, self.points)
-        tube = joined(self.tubes)
-        moved = replace(curve, times=freeze(curve.times + start))
-        return moved, {"tube": None if tube is None else replace(tube, times=tube.times + start)}
 
 
 class _Extremes:
@@ -124,20 +93,16 @@ class _Extremes:
     def after(self, t: float, estimate: Estimate) -> None:
         """Nothing: radii are taken where they are written."""
 
-    def drawn(self, start: float) -> tuple[Record, dict[str, Tube | None]]:
-        """The record of the picture, and what stands beside it: nothing."""
-        return self.envelope, {}
 
-
-def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float) -> _Curve | _Extremes:
+def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float) -> Following | _Extremes:
     if len(record) <= CLOSELY:
-        return _Curve(estimator)
+        return Following(estimator)
     first, last = float(record.times.min()) + start, float(record.times.max()) + start
     return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))
 
 
 def _each(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: _Curve | _Extremes | None
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: Following | _Extremes | None
 ) -> Iterator[Estimate]:
     """Estimates at every row."""
     for t, y, u in record:

@@ -146,7 +146,7 @@ def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, 
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None:
         _schedule_files(settings, result, result.schedule, folder, (zero, zone))
-        settings.wrote(save_picture(result, folder / "design.png"))
+        settings.wrote(save_picture(result, folder / "design.png", origin=zero))
 
 
 def _schedule_files(

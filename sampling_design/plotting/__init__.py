@@ -36,6 +36,7 @@ _PICTURES = {
     "Robustness": ("robustness", "draw_robustness"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
     "EstimateRecord": ("estimates", "draw_estimates"),
+    "EstimateCurve": ("estimates", "draw_curve"),
     "EstimateEnvelope": ("estimates", "draw_envelope"),
     "ValidationReport": ("validation", "draw_validation"),
     "ScheduleLog": ("validation", "draw_schedule_log"),

@@ -63,7 +63,8 @@ def draw_accuracy(
             )
         one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
         one.set_ylim(bottom=0.0)
-        one.set_title(f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} at the worst time", loc="left")
+        span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
+        one.set_title(f"{span} at the worst time", loc="left")
     axes[-1].set_xlabel(
         style.time_label(
             result.plant.time_unit,

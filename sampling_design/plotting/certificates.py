@@ -27,14 +27,15 @@ def draw_certificate(certificate: Certificate, ax: Axes | None = None) -> Axes:
 def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     """Draw lambda_min(Pi(t), P1) along a window; the certificate promises that it never falls below one."""
     ax = style.new_axes(ax)
-    ax.semilogy(curve.t, curve.least, color=style.MEASURED, linewidth=1.3)
+    ax.plot(curve.t, curve.least, color=style.MEASURED, linewidth=1.3)
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="promised for every window and time")
     at = int(np.argmin(curve.least))
     label = f"least: {short(curve.least[at], 5)} at {short(curve.t[at], 5)}"
     ax.plot([curve.t[at]], [curve.least[at]], "o", color=style.ATTAINED, markerfacecolor="none", label=label)
     low, high = 0.9, 1.3 * float(curve.least.max())
     ax.set_ylim(low, high)
-    ax.vlines(curve.samples, low, low * (high / low) ** 0.04, color=style.TRUTH, linewidth=0.8)
+    style.log_axis(ax)
+    ax.vlines(curve.samples, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
     ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
     ax.set_ylabel("least information relative to P1")
     style.legend(ax)
@@ -52,7 +53,8 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
         Y = np.exp(eta * s)[:, None, None] * (F @ np.linalg.solve(P, np.swapaxes(F, 1, 2))) + W
         lam = np.linalg.eigvalsh(root.T @ Y @ root)[:, -1]
         colour, width = (style.TRUTH, 1.6) if node == 0 else (style.MEASURED, 0.9)
-        ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label="window's start" if node == 0 else None)
+        label = {0: "after the window's start", 1: "after samples, one for each node"}.get(node)
+        ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label=label)
     ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {short(certificate.lam, 5)}")
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel(style.time_label(plant.time_unit, "time since the last sample"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -15,8 +17,10 @@ from sampling_design.plotting.windows import draw_window_sigma
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
-def draw_design(result: ScheduleDesign, ax: Axes | None = None) -> Axes | style.Panels:
+def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:
     """Draw the schedule (on `ax` alone if given), and below it sigma, its proven bound and the bound on all schedules.
+
+    `origin` is the date of time zero (ISO 8601), where it is known: then the axes show weekdays and dates.
 
     Raises
     ------
@@ -25,32 +29,55 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None) -> Axes | style.
     """
     if result.schedule is None or result.window is None:
         raise ArgumentError("`record` has no schedule to draw: every mode decays by itself.")
+    schedule = result.schedule if origin is None else replace(result.schedule, origin=origin)
+    if (
+        result.requirement.outputs and schedule.outputs is None
+    ):  # sensors with terms of their own have rows of their own
+        names = result.plant.outputs.names
+        schedule = replace(schedule, outputs=np.ones((len(schedule), len(names)), dtype=bool), output_names=names)
     if ax is not None:
-        return _time_line(result.schedule, result, ax)
-    figure, (top, bottom) = style.new_figure(2, ratios=(1.0, 2.2))
-    _time_line(result.schedule, result, top)
+        return _time_line(schedule, result, ax)
+    rows = 1 if schedule.outputs is None else schedule.outputs.shape[1]
+    figure, (top, bottom) = style.new_figure(2, ratios=(0.75 + 0.3 * rows, 2.4), row_height=2.6 + 0.1 * rows)
+    _time_line(schedule, result, top)
     shown = stated(result.window, result.requirement)
     draw_window_sigma(shown, bottom)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
     style.legend(bottom, 2)
     style.from_below(bottom, shown.lower, max(result.upper_bound, float(shown.profile.sigma.max())))
+    if schedule.origin is not None:
+        label = bottom.get_xlabel()
+        style.dates(bottom, schedule.time_unit, schedule.origin)
+        bottom.set_xlabel(label.replace(f" [{schedule.time_unit}]", f" {schedule.time_unit}"))
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])
 
 
 def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:
     draw_schedule(schedule, ax)
-    for cycle in (0.0, schedule.period):
-        for start, stop in result.requirement.forbidden:
-            ax.axvspan(cycle + start, cycle + stop, color=style.ALLOWED, alpha=0.3, linewidth=0, zorder=0)
-        for k, name in enumerate(result.plant.outputs.names):
-            access = result.requirement.outputs.get(name)
-            if access is not None and access.available is not None and schedule.outputs is not None:
-                for start, stop in closed(access.available, schedule.period):
-                    span = [(cycle + start, stop - start)]
-                    ax.broken_barh(span, (k - 0.4, 0.8), color=style.ALLOWED, alpha=0.3, linewidth=0, zorder=0)
+    everybody = [(float(a), float(b)) for a, b in result.requirement.forbidden]
+    grey = False
+    for k, name in enumerate(result.plant.outputs.names if schedule.outputs is not None else ("",)):
+        access = result.requirement.outputs.get(name)
+        own = [] if access is None or access.available is None else closed(access.available, schedule.period)
+        spans = _joined(everybody + own)
+        style.shut(ax, k, [(cycle + a, cycle + b) for cycle in (0.0, schedule.period) for a, b in spans])
+        grey |= bool(spans)
+    if grey:
+        ax.set_title(f"{ax.get_title(loc='left')}; grey: closed", loc="left")
     return ax
+
+
+def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Spans without overlap, in order: what is closed twice is no darker."""
+    found: list[tuple[float, float]] = []
+    for start, stop in sorted(spans):
+        if found and start <= found[-1][1]:
+            found[-1] = (found[-1][0], max(stop, found[-1][1]))
+        else:
+            found.append((start, stop))
+    return found
 
 
 def closed(available: npt.NDArray[np.float64], period: float) -> list[tuple[float, float]]:

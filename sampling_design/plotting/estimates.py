@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 
-from sampling_design._units import SECONDS
+from sampling_design.estimators.online.curve import EstimateCurve
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.estimators.online.tube import Tube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
-
-Array = npt.NDArray[np.float64]
 
 
 def draw_estimates(
@@ -29,8 +24,9 @@ def draw_estimates(
     """Draw one panel per state: the estimate, the tube that is proven to hold the truth, and what was measured.
 
     A measured output appears in the panel of the state that it reads; ticks at the bottom mark the other samples.
-    With `ax` only the first state is drawn. `tube` is what holds the truth between samples, too; without it the
-    ellipsoids are drawn. Where the measurements have dates, so has the axis.
+    With `ax` only the first state is drawn. `tube` is what holds the truth between samples, too (`estimate_curve` has
+    it); without it the ellipsoids are drawn as bars, at the times of the estimates alone. Where the measurements have
+    dates, so has the axis.
     """
     states = record.plant.states
     if ax is not None:
@@ -46,6 +42,11 @@ def draw_estimates(
     return axes
 
 
+def draw_curve(curve: EstimateCurve, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw estimates with the tube that holds the truth at all times, one panel for each state."""
+    return draw_estimates(curve.estimates, ax, curve.measurements, curve.tube)
+
+
 def draw_envelope(
     record: EstimateEnvelope, ax: Axes | None = None, measurements: Measurements | None = None
 ) -> Axes | style.Panels:
@@ -53,20 +54,21 @@ def draw_envelope(
     states = record.plant.states
     figure, axes = style.new_figure(len(states) if ax is None else 1, row_height=1.7)
     panels: Sequence[Axes] = axes if ax is None else [ax]
-    when = _AxisClock(record, measurements)
-    edges = when(record.edges)
+    edges = record.edges
     for i, panel in enumerate(panels):
         low, high = record.lower[:, i], record.upper[:, i]
         panel.stairs(high, edges, baseline=low, fill=True, color=style.PROVEN, alpha=0.2, label="proven at the samples")
         for level, label in ((record.lowest[:, i], "estimates, least and largest"), (record.highest[:, i], None)):
             panel.stairs(level, edges, baseline=None, color=style.ATTAINED, linewidth=0.9, label=label)
-        _not_ruled_by_the_start(panel, low, high)
+        style.not_ruled_by_the_start(panel, low, high)
         for edge in edges[:-1][record.failed]:
             panel.axvline(float(edge), color=style.FAILED, linewidth=0.5)
         panel.set_ylabel(states.labels()[i], fontsize="small")
         panel.margins(x=0.01)
-    when.label(panels[-1])
+    for panel in panels:
+        _clock(panel, record, measurements)
     for panel in panels[:-1]:
+        panel.set_xlabel("")
         panel.tick_params(labelbottom=False)
     if ax is not None:
         return ax
@@ -76,79 +78,52 @@ def draw_envelope(
 
 
 def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements | None, tube: Tube | None) -> Axes:
-    when = _AxisClock(record, measurements)
-    t, x, radius = when(record.times), record.x[:, i], record.ellipsoid_radii[:, i]
-    known = np.isfinite(radius) & record.certified
-    s, low, high = t, np.where(known, x - radius, np.nan), np.where(known, x + radius, np.nan)
-    if tube is not None:
-        s, low, high = when(tube.times), tube.lower[:, i], tube.upper[:, i]
+    t, x = record.times, record.x[:, i]
+    if tube is None:
+        radius = record.ellipsoid_radii[:, i]
+        known = np.isfinite(radius) & record.certified
+        low, high = x - radius, x + radius
+        # bars: a band through them would say something of the times between, which nobody has proven
+        ax.vlines(
+            t[known], low[known], high[known], color=style.PROVEN, alpha=0.4, linewidth=4, label="proven at the samples"
+        )
+        ax.plot(t, x, ".-", color=style.ATTAINED, linewidth=0.7, label="estimate")
+        low, high = np.where(known, low, np.nan), np.where(known, high, np.nan)
+    else:
+        s, low, high = tube.times, tube.lower[:, i], tube.upper[:, i]
         bounded = np.isfinite(low) & np.isfinite(high)
         low, high = np.where(bounded, low, np.nan), np.where(bounded, high, np.nan)
-    ax.fill_between(s, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the truth")
-    ax.plot(t, x, color=style.ATTAINED, linewidth=1.2, label="estimate")
-    _not_ruled_by_the_start(ax, low, high)
+        said = "proven to hold the truth at all times"
+        ax.fill_between(s, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label=said)
+        ax.plot(t, x, color=style.ATTAINED, linewidth=1.2, label="estimate")
+    style.not_ruled_by_the_start(ax, low, high)
     failed = np.array([s in FAILURES for s in record.status])
     if failed.any():
         ax.plot(t[failed], x[failed], "x", color=style.FAILED, label="failed")
     if measurements is not None:
-        _readings(ax, record, i, measurements, when)
-    when.label(ax)
+        _readings(ax, record, i, measurements)
     ax.set_ylabel(record.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
+    _clock(ax, record, measurements)
     return ax
 
 
-START = 0.25
-"""Share of the tube, the first one, that does not rule the axis: a wide start would flatten all that follows."""
-STRETCH = 1.5
+def _clock(ax: Axes, record: EstimateRecord | EstimateEnvelope, measurements: Measurements | None) -> None:
+    """Say what the axis shows: dates where the measurements have them."""
+    unit = record.plant.time_unit
+    ax.set_xlabel(style.time_label(unit))
+    style.dates(ax, unit, (measurements.origin or None) if measurements is not None else None)
 
 
-def _not_ruled_by_the_start(ax: Axes, low: Array, high: Array) -> None:
-    """Limit the y axis by what comes after the start, where the start alone would stretch it by half."""
-    known = np.isfinite(low) & np.isfinite(high)
-    low, high = low[known], high[known]
-    kept = slice(int(np.ceil(START * low.size)), None)
-    if not low[kept].size:
-        return
-    bottom, top = float(low[kept].min()), float(high[kept].max())
-    if top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom):
-        room = 0.15 * (top - bottom)
-        ax.set_ylim(bottom - room, top + room)
-
-
-class _AxisClock:
-    """Times as they stand on the axis: dates where the measurements have them."""
-
-    def __init__(self, record: EstimateRecord | EstimateEnvelope, measurements: Measurements | None):
-        self.unit = record.plant.time_unit
-        self.origin = measurements.origin if measurements is not None else ""
-
-    def __call__(self, times: Array) -> Array:
-        if not self.origin:
-            return times
-        start = float(date2num(datetime.fromisoformat(self.origin)))  # type: ignore[no-untyped-call]
-        return np.asarray(start + times * (SECONDS[self.unit] / SECONDS["d"]))
-
-    def label(self, ax: Axes) -> None:
-        """Say what the axis shows."""
-        if not self.origin:
-            ax.set_xlabel(style.time_label(self.unit))
-            return
-        locator = AutoDateLocator()  # type: ignore[no-untyped-call]
-        ax.xaxis.set_major_locator(locator)
-        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-        ax.set_xlabel("date (UTC)")
-
-
-def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements, when: _AxisClock) -> None:
+def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements) -> None:
     """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
     C = record.plant.C
     reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]
     drawn = measurements.measured.any(axis=1)
     if reads:
         y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
-        t = np.tile(when(measurements.times), len(reads))
+        t = np.tile(measurements.times, len(reads))
         ax.plot(t, y, ".", color=style.MEASURED, markersize=5, label="measured")
         return
     place = ax.get_xaxis_transform()
-    ax.vlines(when(measurements.times[drawn]), 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)
+    ax.vlines(measurements.times[drawn], 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from sampling_design._record import short
 from sampling_design.design.losses import SampleLosses
-from sampling_design.design.pareto import ParetoFront
+from sampling_design.design.pareto import ParetoFront, ParetoPoint
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plotting import style
@@ -23,14 +25,16 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="seen at the worst times")
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel(style.time_label(result.time_unit, "time in the window"))
-    ax.set_ylabel("output")
+    ax.set_ylabel("seen of a state of size 1")
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
     style.legend(ax)
     return ax
 
 
-def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes:
-    """Draw proven sigma and the bound over the number of samples per period.
+def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw proven sigma and the bound over the number of samples (on `ax` alone if given), and below what is between.
+
+    Both are often a fraction of a per cent apart, so the room between them has a panel of its own.
 
     Raises
     ------
@@ -40,7 +44,37 @@ def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes:
     points = [p for p in front.points if p.times]
     if not points:
         raise ArgumentError("`record` has no point to draw: none of the counts can be met.")
-    ax = style.new_axes(ax)
+    if ax is not None:
+        return _front(points, ax)
+    _, (top, bottom) = style.new_figure(2, row_height=2.4, ratios=(2.0, 1.0))
+    _front(points, top)
+    top.tick_params(labelbottom=False)
+    top.set_xlabel("")
+    _room(points, bottom)
+    bottom.set_xlim(top.get_xlim())
+    return style.Panels([top, bottom])
+
+
+def _room(points: Sequence[ParetoPoint], ax: Axes) -> None:
+    """How much better than each design some schedule could be, at most."""
+    room = [100 * (p.upper_bound - p.sigma) / p.sigma if p.sigma > 0 else np.inf for p in points]
+    top = max((r for r in room if np.isfinite(r)), default=0.0) or 1.0
+    ax.bar([p.samples for p in points], [min(r, top) for r in room], width=0.5, color=style.ALLOWED)
+    for p, r in zip(points, room, strict=True):
+        place = (p.samples, min(r, top))
+        said = short(r, 2) if np.isfinite(r) else "unknown"
+        ax.annotate(said, place, xytext=(0, 2), textcoords="offset points", ha="center", fontsize="small")
+    ax.set_ylim(0.0, 1.35 * top)
+    _whole_counts(ax)
+    ax.set_ylabel("at most better\nby [%]")
+
+
+def _whole_counts(ax: Axes) -> None:
+    ax.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
+    ax.set_xlabel("samples per period")
+
+
+def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     counts = [p.samples for p in points]
     sigma, bound = np.array([p.sigma for p in points]), np.array([p.upper_bound for p in points])
     ax.fill_between(counts, sigma, bound, color=style.ALLOWED, alpha=0.4, linewidth=0)
@@ -48,24 +82,28 @@ def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes:
         counts, bound, "_--", color=style.TRUTH, linewidth=1.0, markersize=14, label="no schedule exceeds", zorder=3
     )
     ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
-    ax.set_ylim(bottom=0.0)
-    ax.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
-    ax.set_xlabel("samples per period")
+    style.from_below(ax, float(sigma.min()), float(bound.max()))
+    _whole_counts(ax)
     ax.set_ylabel("sigma")
     style.legend(ax)
     return ax
 
 
 def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
-    """Draw sigma without each single sample, against sigma with all of them."""
+    """Draw sigma without each single sample, against sigma with all of them, and the share of it that is lost."""
     ax = style.new_axes(ax)
     ax.vlines(losses.times, losses.lower, losses.sigma, color=style.FAILED, linewidth=1.2)
     ax.plot(losses.times, losses.lower, "o", color=style.FAILED, label="without this sample (proven)")
     ax.plot(losses.times, losses.bound, "_", color=style.TRUTH, markersize=10, label="no schedule of one fewer exceeds")
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {short(losses.sigma, 4)}")
-    ax.set_ylim(0.0, 1.1 * max(losses.sigma, float(np.max(losses.bound))) or 1.0)
+    for t, low in zip(losses.times, losses.lower, strict=True):
+        said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
+        ax.annotate(said, (t, low), xytext=(7, 0), textcoords="offset points", va="center", fontsize="small")
+    top = max(losses.sigma, float(np.max(losses.bound)))
+    style.from_below(ax, float(min(np.min(losses.lower), losses.sigma)), top)
+    ax.margins(x=0.08)
     ax.set_xlabel(style.time_label(losses.time_unit, "time of the lost sample"))
-    ax.set_ylabel("sigma")
+    ax.set_ylabel("sigma (state at window's start)")
     ax.set_title("missing in every period" if losses.every_period else "missed once", loc="left")
     style.legend(ax)
     return ax

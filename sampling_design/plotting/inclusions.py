@@ -18,9 +18,10 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
     values = np.linalg.eigvalsh(np.linalg.solve(L, np.swapaxes(half, 1, 2)))
     for k, column in enumerate(values.T):
         label = "eigenvalues of P(tau) relative to P1" if not k else None
-        ax.semilogy(certificate.nodes, column, color=style.MEASURED, linewidth=1.3, marker=".", label=label)
+        ax.plot(certificate.nodes, column, color=style.MEASURED, linewidth=1.3, marker=".", label=label)
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
     ax.axhline(certificate.lam, color=style.ATTAINED, linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}")
+    style.log_axis(ax)
     family = certificate.family
     ax.axvspan(family.shortest, family.longest, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come")
     ax.set_xlabel(style.time_label(certificate.plant.time_unit, "time since the last sample"))

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plotting import style
-from sampling_design.plotting.plans import draw_sensors, mark_days
+from sampling_design.plotting.plans import draw_sensors, mark_days, priced, whole
 
 COLOURS = (style.PROVEN, style.ATTAINED)
 
@@ -20,18 +20,18 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
         _goal(result, shared[0], ax)
         return ax
     sensors = [p.problem.allowed.shape[1] for p in result.plans]
-    ratios = (*(0.5 + 0.28 * count for count in sensors), *(1.0 for _ in shared))
+    ratios = (*(0.3 + 0.2 * count for count in sensors), *(1.0 for _ in shared))
     figure, axes = style.new_figure(2 + len(shared), row_height=2.1, ratios=ratios)
     for one, plan, name, colour in zip(axes, result.plans, result.names, COLOURS, strict=False):
         draw_sensors(plan, one)
-        cost = f"{plan.samples} samples" if plan.problem.counts else f"cost {plan.cost:g}"
-        one.set_title(f"{name}: {cost}", loc="left", fontsize="small", color=colour)
+        shut = "; grey: closed" * (not plan.problem.allowed.all())
+        one.set_title(f"{name}: {priced(plan)}{shut}", loc="left", fontsize="small", color=colour)
     for name, one in zip(shared, axes[2:], strict=True):
         _goal(result, name, one)
     longest = max(result.plans, key=lambda p: p.schedule.period)
     for one in axes:
         mark_days(longest, one)
-        one.set_xlim(0.0, longest.schedule.period)
+        one.set_xlim(*whole(longest))
     for one in axes[:-1]:
         one.tick_params(labelbottom=False)
         one.set_xlabel("")
@@ -46,7 +46,7 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
     for plan, label, colour in zip(result.plans, result.names, COLOURS, strict=True):
         k = [goal.name for goal in plan.goals].index(name)
         edges, upper = curve(plan, k)
-        laps = np.arange(-1, int(np.ceil(longest / plan.schedule.period - 1e-9)))
+        laps = np.arange(-1, 1 + int(np.ceil(longest / plan.schedule.period - 1e-9)))
         for lap in laps.tolist():
             ax.stairs(upper, edges + lap * plan.schedule.period, baseline=None, color=colour,
                       label=label if lap == 0 else None)  # fmt: skip

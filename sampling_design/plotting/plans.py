@@ -23,44 +23,48 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     goals = result.goals if result.accuracy is not None else ()
     sensors = result.problem.allowed.shape[1]
     figure, axes = style.new_figure(
-        1 + len(goals), row_height=2.1, ratios=(0.5 + 0.28 * sensors, *(1.0 for _ in goals))
+        1 + len(goals), row_height=2.1, ratios=(0.25 + 0.2 * sensors, *(1.0 for _ in goals))
     )
     draw_sensors(result, axes[0])
     for k, one in enumerate(axes[1:]):
         _goal(result, k, one)
     for one in axes:
         mark_days(result, one)
-        one.set_xlim(0.0, result.schedule.period)
+        one.set_xlim(*whole(result))
     for one in axes[:-1]:
         one.tick_params(labelbottom=False)
         one.set_xlabel("")
-    cost = f"{result.samples} samples" if result.problem.counts else f"cost {short(result.cost)}"
-    figure.suptitle(f"{result.plant.name or 'plan'}: {cost} a period")
+    figure.suptitle(f"{result.plant.name or 'plan'}: {priced(result)} a period")
     return axes
 
 
+def whole(result: Plan) -> tuple[float, float]:
+    """Limits of an axis that shows a period, samples at its very ends included."""
+    period = result.schedule.period
+    return -0.008 * period, 1.008 * period
+
+
+def priced(result: Plan) -> str:
+    """What a period of a plan costs, in words."""
+    if not result.problem.counts:
+        return f"cost {short(result.cost)}"
+    return f"{result.samples} sample{'s' * (result.samples != 1)}"
+
+
 def draw_sensors(result: Plan, ax: Axes) -> Axes:
-    """One row for each sensor: when it may be read, and when it is."""
+    """One row for each sensor: when it may not be read, in grey, and when it is."""
     problem, names = result.problem, result.plant.outputs.names
     for j in range(len(names)):
-        for start, stop in _spans(problem.allowed[:, j]):
-            if stop - start < problem.steps:  # grey says nothing where everything is open
-                ax.broken_barh(
-                    [(start * problem.step, (stop - start) * problem.step)],
-                    (j - 0.4, 0.8),
-                    color=style.ALLOWED,
-                    alpha=0.35,
-                    linewidth=0,
-                )
+        style.shut(ax, j, [(a * problem.step, b * problem.step) for a, b in _spans(~problem.allowed[:, j])])
         at = np.flatnonzero(result.chosen[:, j]) * problem.step
-        ax.plot(at, np.full(at.size, j), "o", color=style.MEASURED, markersize=6)
+        ax.plot(at, np.full(at.size, j), "o", color=style.MEASURED, markersize=6, zorder=3)
     for t in result.schedule.times:
         ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlabel(style.time_label(result.plant.time_unit))
     if len(names) * problem.steps > int(problem.allowed.sum()):
-        ax.set_title("grey: allowed hours", loc="left", fontsize="small")
+        ax.set_title("grey: closed", loc="left", fontsize="small")
     return ax
 
 
@@ -69,7 +73,7 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     goal = result.goals[k]
     assert result.accuracy is not None
     profile, period = result.accuracy.profile, result.schedule.period
-    for cycle, label in ((-period, None), (0.0, "guaranteed")):
+    for cycle, label in ((-period, None), (0.0, "guaranteed"), (period, None)):
         ax.stairs(profile.upper[k], profile.edges + cycle, baseline=None, color=style.PROVEN, label=label)
     ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
     if result.bound.ratio is not None:
@@ -105,6 +109,6 @@ def mark_days(result: Plan, ax: Axes) -> None:
 
 
 def _spans(mask: Mask) -> list[tuple[int, int]]:
-    """Runs of steps that are allowed."""
+    """Runs of steps that are true."""
     marks = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in zip(marks[::2], marks[1::2], strict=True)]

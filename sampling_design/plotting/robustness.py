@@ -16,7 +16,8 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
     if ax is not None:
         return _radii(result, ax)
     lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated) or "none"
-    words = f"timing error up to {short(result.radius, 4)}, losses: {lost}"
+    unit = result.certificate.plant.time_unit or ""
+    words = f"survives timing errors up to {short(result.radius, 4)} {unit} and losses of {lost}"
     # a panel of losses only where some were tried with a lambda to show
     found = any(np.isfinite(loss.lam) for loss in result.losses)
     figure, panels = style.new_figure(2 if found else 1, row_height=2.8)
@@ -63,12 +64,10 @@ def _shown(result: Robustness, lams: list[float]) -> list[float]:
 
 
 def _limit(result: Robustness, ax: Axes) -> None:
-    label = f"limit of the horizon {short(result.length, 4)}"
+    unit = result.certificate.plant.time_unit or ""
+    label = f"limit of the horizon {short(result.length, 4)} {unit}".rstrip()
     ax.axhline(result.limit, color=style.TRUTH, linestyle="--", linewidth=1.0, label=label)
-    ax.set_yscale("log")
-    ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:.3g}"))
-    ax.yaxis.set_minor_formatter(ticker.NullFormatter())
+    style.log_axis(ax)
     low, high = ax.get_ylim()
     ax.set_ylim(low / 1.2, high * 1.2)
     ax.set_ylabel("lambda")

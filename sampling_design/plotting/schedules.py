@@ -33,7 +33,8 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     style.dates(ax, schedule.time_unit, schedule.origin)
     gaps = schedule.gaps
     if gaps.size:
-        ax.set_title(f"{len(schedule)} samples, gaps {short(gaps.min(), 4)} to {short(gaps.max(), 4)}", loc="left")
+        span = f"{short(gaps.min(), 4)} to {short(gaps.max(), 4)} {schedule.time_unit or ''}".rstrip()
+        ax.set_title(f"{len(schedule)} samples, gaps {span}", loc="left")
     return ax
 
 

@@ -7,11 +7,14 @@ a test simulates both.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from datetime import timedelta
 
 import matplotlib.axes
+import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from sampling_design._units import SECONDS
 from sampling_design.schedules.time_stamps import parse_date
@@ -95,32 +98,79 @@ LOW = 0.6
 """Where a curve never falls below this share of its top, its axis begins under it and not at zero."""
 
 
+def shut(ax: matplotlib.axes.Axes, row: int, spans: Iterable[tuple[float, float]]) -> None:
+    """Shade when a sensor cannot be read, in its row of a time line."""
+    bars = [(start, stop - start) for start, stop in spans]
+    if bars:
+        ax.broken_barh(bars, (row - 0.5, 1.0), color=ALLOWED, alpha=0.3, linewidth=0, zorder=0)
+
+
 def from_below(ax: matplotlib.axes.Axes, low: float, high: float) -> None:
     """Limit the y axis so that the curve, not the space under it, fills the picture; zero is shown where it is near."""
     if not high > 0:  # nothing is seen: an axis from zero to one says so
-        ax.set_ylim(0.0, 1.0)
+        ax.set_ylim(-0.04, 1.0)
         return
-    bottom = 0.0 if low < LOW * high else low - max(0.6 * (high - low), 0.04 * high)
-    ax.set_ylim(bottom, high + max(0.08 * (high - bottom), 0.03 * high))
+    bottom = 0.0 if low < LOW * high else low - max(0.3 * (high - low), 0.005 * high)
+    if low < 0.02 * high:  # a curve at zero would lie on the frame
+        bottom = -0.04 * high
+    ax.set_ylim(bottom, high + max(0.08 * (high - bottom), 0.005 * high))
+
+
+def log_axis(ax: matplotlib.axes.Axes) -> None:
+    """Make the y axis logarithmic, with plain numbers at 1, 2 and 5 where it spans few decades."""
+    ax.set_yscale("log")
+    low, high = ax.get_ylim()
+    if high < 2e3 * low:
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+START = 0.25
+"""Share of a band, the first one, that does not rule the axis: a wide start would flatten all that follows."""
+STRETCH = 1.5
+
+
+def not_ruled_by_the_start(
+    ax: matplotlib.axes.Axes, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
+) -> None:
+    """Limit the y axis by what comes after the start, where the start alone would stretch it by half."""
+    known = np.isfinite(low) & np.isfinite(high)
+    low, high = low[known], high[known]
+    kept = slice(int(np.ceil(START * low.size)), None)
+    if not low[kept].size:
+        return
+    bottom, top = float(low[kept].min()), float(high[kept].max())
+    if top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom):
+        room = 0.15 * (top - bottom)
+        ax.set_ylim(bottom - room, top + room)
+
+
+HOURS = (1 / 12, 1 / 4, 1 / 2, 1, 2, 3, 6)
+"""Hours between marks where an axis shows less than a day and a half."""
 
 
 def dates(ax: matplotlib.axes.Axes, unit: str | None, origin: str | None) -> None:
-    """Write weekdays and dates below a time axis, where the date of its zero is known and days are what it shows."""
+    """Write weekdays and dates below a time axis, where the date of its zero is known, and hours where it is short."""
     if origin is None or unit is None:
         return
     zero = parse_date("origin", origin, None)
     day = 86400.0 / SECONDS[unit]
     low, high = ax.get_xlim()
     count = (high - low) / day
-    if not 0.5 <= count <= 400:
+    if not HOURS[0] / 24 <= count <= 4000:
         return
-    # ticks at midnight, at most eight of them
+    # ticks at midnight or at whole hours, at most eight of them
     shift = (zero.hour + zero.minute / 60 + zero.second / 3600) / 24
-    every = next(k for k in (1, 2, 7, 14, 28, 56) if count / k <= 8)
+    every = next(k for k in (*(h / 24 for h in HOURS), 1, 2, 7, 14, 28, 56, 112, 560) if count / k <= 8)
+    form = "%a %H:%M" if every < 1 else "%a %d %b" if count <= 300 else "%d %b %Y"
 
     def said(t: float, _: int | None = None) -> str:
-        return f"{zero + timedelta(days=round(t / day + shift) - shift):%a %d %b}"
+        minutes = round((t / day + shift) * 1440)  # of the clock since midnight of the first day
+        return f"{zero + timedelta(minutes=minutes - round(shift * 1440)):{form}}"
 
     ax.xaxis.set_major_locator(MultipleLocator(every * day, offset=-shift * day))
     ax.xaxis.set_major_formatter(FuncFormatter(said))
+    if every >= 1 and count <= 4:
+        ax.xaxis.set_minor_locator(MultipleLocator(day / 4, offset=-shift * day))
     ax.set_xlabel(f"date, from {zero:%Y-%m-%d}")

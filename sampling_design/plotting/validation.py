@@ -64,6 +64,7 @@ def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     ax.fill_between(t, -radius, radius, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the error")
     ax.plot(t, run.errors[:, i], color=style.ATTAINED, linewidth=1.0, label="error of one run")
     ax.axhline(0.0, color=style.TRUTH, linewidth=0.6)
+    style.not_ruled_by_the_start(ax, np.minimum(-radius, run.errors[:, i]), np.maximum(radius, run.errors[:, i]))
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(report.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
@@ -85,18 +86,18 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         return _times(log, style.new_axes(height=2.0), low, high)
     _, (top, bottom) = style.new_figure(2, ratios=(1.0, 1.4))
     _times(log, top, low, high)
-    for sigma, colour, name in (
-        (log.planned_sigma, style.ALLOWED, "planned"),
-        (log.actual_sigma, style.MEASURED, "actual"),
+    for sigma, colour, width, name in (
+        (log.planned_sigma, style.ALLOWED, 3.5, "planned"),
+        (log.actual_sigma, style.MEASURED, 1.3, "actual"),
     ):
         label: str | None = f"{name}: at least {short(sigma.lower, 4)}"
         seen = (low <= sigma.profile.t) & (sigma.profile.t <= high)
         t, value, piece = sigma.profile.t[seen], sigma.profile.sigma[seen], sigma.profile.piece[seen]
         for index in np.unique(piece):
             here = piece == index
-            bottom.plot(t[here], value[here], color=colour, linewidth=1.3, label=label)
+            bottom.plot(t[here], value[here], color=colour, linewidth=width, label=label)
             label = None
-    bottom.set_ylim(bottom=0.0)
+    style.from_below(bottom, 0.0, bottom.get_ylim()[1] / 1.08)
     bottom.set_xlabel(style.time_label(log.time_unit, f"end of the window of length {short(log.planned_sigma.window)}"))
     bottom.set_ylabel("sigma (state at window's start)")
     style.legend(bottom)
@@ -128,6 +129,6 @@ def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
     ax.set_yticks([0, 1], ["actual", "planned"])
     ax.set_ylim(-0.6, 1.6)
     ax.set_xlabel(style.time_label(log.time_unit))
-    away = f"largest deviation {short(log.largest_deviation, 4)}"
+    away = f"largest deviation {short(log.largest_deviation, 4)} {log.time_unit or ''}".rstrip()
     ax.set_title(f"{log.missed.size} missed, {log.extra.size} not planned, {away}", loc="left")
     return ax

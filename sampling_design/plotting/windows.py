@@ -10,22 +10,24 @@ from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plotting import style
 
 
-def draw_window_sigma(result: WindowSigma, ax: Axes | None = None) -> Axes:
+def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 3) -> Axes:
     """Draw sigma over the window's end: attained values, proven bound, and the worst position."""
     ax = style.new_axes(ax)
     profile = result.profile
+    label: str | None = "sigma of the window"
     for index in np.unique(profile.piece):
         here = profile.piece == index
-        ax.plot(profile.t[here], profile.sigma[here], color=style.MEASURED, linewidth=1.3)
+        ax.plot(profile.t[here], profile.sigma[here], color=style.MEASURED, linewidth=2.2, label=label)
+        label = None
     ax.axhline(
         result.lower, color=style.PROVEN, linewidth=1.2, label=f"proven for every position: {short(result.lower, 4)}"
     )
     # an open ring where sigma is only a one-sided limit, a full one where it is reached
     face = style.ATTAINED if result.witness.side == "at" else "none"
-    label = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
-    ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=label)
+    worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
+    ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
     style.from_below(ax, min(result.lower, float(profile.sigma.min())), float(profile.sigma.max()))
     ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
     ax.set_ylabel("sigma (state at window's start)")
-    style.legend(ax)
+    style.legend(ax, columns)
     return ax

@@ -85,10 +85,16 @@ def test_a_worst_case_shows_the_worst_times():
 def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     requirement = sd.Requirement(window=4.0)
     front = sd.pareto(OSCILLATOR, requirement, [2, 3])
-    ax = front.plot()
-    assert list(ax.lines[1].get_ydata()) == [p.sigma for p in front.points]
+    top, room = front.plot()
+    assert list(top.lines[1].get_ydata()) == [p.sigma for p in front.points]
+    between = [100 * (p.upper_bound / p.sigma - 1) for p in front.points]
+    assert [bar.get_height() for bar in room.patches] == pytest.approx(between)
+    assert len(front.plot(Figure().subplots()).lines) == 2
     losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3)))
-    assert len(losses.plot().collections[0].get_segments()) == 3
+    drawn = losses.plot()
+    assert len(drawn.collections[0].get_segments()) == 3
+    lost = [f"{100 * (low / losses.sigma - 1):+.0f} %" for low in losses.lower]
+    assert [text.get_text() for text in drawn.texts] == lost
     with pytest.raises(ArgumentError, match="`record` has no point to draw"):
         sd.pareto(OSCILLATOR, sd.Requirement(window=4.0, spacing=3.0), [5]).plot()
 
@@ -167,13 +173,20 @@ def test_no_legend_lies_on_a_curve():
     known = sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
     shadow = known.shadow("x1", "x2", directions=4)
     seen = 0
-    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow):
+    front = sd.pareto(OSCILLATOR, sd.Requirement(window=4.0), [2, 3])
+    times = SCHEDULE.between(0.0, 12.0).times
+    log = sd.compare_schedule(OSCILLATOR, SCHEDULE, times[times != times[4]], 4.0)
+    family = sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2)
+    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "raster": 0.8}
+    plan = sd.plan(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
+    others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)
+    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow, *others):
         for ax, legend, inside in shown_legends(record.plot()):
             seen += 1
             assert legend.y0 >= inside.y1 - 2, type(record).__name__
             title = ax._left_title.get_window_extent()
             assert not ax.get_title(loc="left") or title.y0 >= legend.y1 - 4, type(record).__name__
-    assert seen == 7
+    assert seen == 12
 
 
 def test_the_axis_begins_below_the_curve_and_not_far_from_it():
@@ -196,6 +209,59 @@ def test_dates_are_written_where_the_time_of_zero_is_known():
     assert ticks["Tue 03 Mar"] == pytest.approx(16.0)  # midnight, sixteen hours after eight o'clock
     assert "2026-03-02" in ax.get_xlabel()
     assert sd.Schedule([0.0, 1.0], time_unit="h").plot().get_xlabel() == "time [h]"
+
+
+def test_dates_are_written_at_hours_where_a_day_is_shown_and_by_month_over_years():
+    day = sd.Schedule([0.0, 5.0, 10.0], time_unit="h", origin="2026-03-02T08:00:00+01:00").plot()
+    years = sd.Schedule([0.0, 700.0], time_unit="d", origin="2026-03-02T00:00:00+00:00").plot()
+    for ax, said in ((day, "Mon 12:00"), (years, "02 Mar 2026")):
+        ax.figure.canvas.draw()
+        texts = [t.get_text() for t in ax.get_xticklabels()]
+        assert said in texts
+        assert len(texts) <= 11
+    ticks = dict(zip([t.get_text() for t in day.get_xticklabels()], day.get_xticks(), strict=True))
+    assert ticks["Mon 12:00"] == pytest.approx(4.0)
+    assert "2026" not in sd.Schedule([0.0, 1.0], time_unit="s", origin="2026-03-02T08:00:00+00:00").plot().get_xlabel()
+
+
+def test_a_design_has_dates_where_its_origin_is_given():
+    day = sd.Plant([[0, 0.26], [-0.26, 0]], [[1.0, 0.0]], time_unit="h")
+    design = sd.design_schedule(day, sd.Requirement(window=24.0, period=24.0, samples=3), branches=0)
+    for ax in plotting.draw(design, origin="2026-03-02T00:00:00+01:00"):
+        ax.figure.canvas.draw()
+        assert "Tue 12:00" in [t.get_text() for t in ax.get_xticklabels()]
+
+
+def grey(ax):
+    """What is closed: (row, start, stop)."""
+    boxes = [p.get_extents() for c in ax.collections if hasattr(c, "get_paths") for p in c.get_paths()]
+    return sorted((round((b.y0 + b.y1) / 2), b.x0, b.x1) for b in boxes if round(b.y1 - b.y0, 6) == 1.0)
+
+
+def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
+    two = sd.Plant(OSCILLATOR.A, np.eye(2), outputs=["near", "far"])
+    hours = {"far": {"available": [[0.0, 2.0], [3.0, 5.0]]}}
+    wish = sd.Requirement(window=6.0, period=6.0, samples=3, forbidden=[[4.5, 5.5]], outputs=hours)
+    line = sd.design_schedule(two, wish, branches=0).plot(Figure().subplots())
+    lap = [(0, 4.5, 5.5), (1, 2.0, 3.0), (1, 4.5, 6.0)]
+    assert grey(line) == sorted(lap + [(k, a + 6.0, b + 6.0) for k, a, b in lap])
+    assert "grey: closed" in line.get_title(loc="left")
+    hours = {"Mon-Sun": [("06:00", "12:00")]}
+    slow = sd.Plant([[-0.02]], [[1.0]], time_unit="h")
+    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 24.0, "raster": 3.0}
+    calendar = {"start": "2026-03-02", "hours": hours}
+    wish = sd.PlanRequirement({"x1": 2.0}, **terms, calendar=calendar)
+    plan = sd.plan(slow, wish, search_seconds=2.0).plot(Figure().subplots())
+    assert grey(plan) == [(0, 0.0, 6.0), (0, 12.0, 24.0)]
+
+
+def test_a_short_log_axis_has_plain_numbers():
+    certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
+    ax = certificate.plot()
+    ax.figure.canvas.draw()
+    low, high = ax.get_ylim()
+    shown = [t.get_text() for t, at in zip(ax.get_yticklabels(), ax.get_yticks(), strict=True) if low <= at <= high]
+    assert {"1", "2", "5"} <= set(shown)
 
 
 def test_robustness_shows_no_empty_panel():

@@ -5,6 +5,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import plotting
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.curve import estimate_curve
 from sampling_design.plotting import style
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"])
@@ -20,7 +22,7 @@ def estimates(**bounds):
 
 def report(schedule=SCHEDULE, **options):
     certificate = sd.certify(PLANT, schedule, eta=0.4, P2=np.eye(2))
-    return sd.validate(PLANT, schedule, certificate, runs=6, duration=12.0, **{**BOUNDS, **options})
+    return sd.validate(PLANT, schedule, certificate, runs=6, **{"duration": 12.0, **BOUNDS, **options})
 
 
 def test_estimates_have_a_panel_per_state_with_tube_and_readings():
@@ -28,9 +30,10 @@ def test_estimates_have_a_panel_per_state_with_tube_and_readings():
     axes = plotting.draw(found, measurements=readings)
     assert [ax.get_ylabel() for ax in axes] == ["place", "speed"]
     assert axes[-1].get_xlabel() == "time [s]"
-    tube = axes[0].collections[0].get_paths()[0].vertices[:, 1]
-    assert tube.max() == pytest.approx(np.max(found.x[:, 0] + found.ellipsoid_radii[:, 0]))
-    assert tube.min() == pytest.approx(np.min(found.x[:, 0] - found.ellipsoid_radii[:, 0]))
+    bars = np.array(axes[0].collections[0].get_segments())  # one for each estimate, and nothing between
+    assert bars[:, 0, 0] == pytest.approx(found.times)
+    assert bars[:, 1, 1] == pytest.approx(found.x[:, 0] + found.ellipsoid_radii[:, 0])
+    assert bars[:, 0, 1] == pytest.approx(found.x[:, 0] - found.ellipsoid_radii[:, 0])
     assert list(axes[0].lines[0].get_ydata()) == list(found.x[:, 0])
     assert list(axes[0].lines[1].get_ydata()) == list(readings.y[:, 0])  # the output reads the first state
     assert len(axes[1].lines) == 1
@@ -40,7 +43,33 @@ def test_estimates_have_a_panel_per_state_with_tube_and_readings():
 def test_no_tube_is_drawn_where_none_is_proven():
     found, _ = estimates()
     ax = plotting.draw(found)[0]
-    assert ax.collections[0].get_paths() == [] or np.isnan(ax.collections[0].get_paths()[0].vertices).all()
+    assert ax.collections[0].get_segments() == []
+
+
+def test_a_curve_is_drawn_with_the_tube_that_holds_the_truth_between_samples():
+    record = sd.simulate_record(PLANT, SCHEDULE, 8.0, w_bound=0.1, v_bound=0.1)
+    mhe = sd.MovingHorizonEstimator(PLANT, horizon=4.0, cost=sd.CostFunction(eta=0.3), **BOUNDS)
+    curve = estimate_curve(mhe, record.measurements, points=4)
+    axes = plotting.draw(curve)
+    ends = axes[0].collections[0].get_paths()[0].vertices[:, 1]
+    assert ends.max() == pytest.approx(np.nanmax(curve.tube.upper[:, 0]))
+    assert list(axes[0].lines[0].get_xdata()) == list(curve.estimates.times)
+    assert "all times" in axes[0].collections[0].get_label()
+    mhe.reset()
+    nothing = sd.MovingHorizonEstimator(PLANT, horizon=4.0, cost=sd.CostFunction(eta=0.3))
+    unproven = estimate_curve(nothing, record.measurements, points=2)
+    assert unproven.tube is None or not np.isfinite(unproven.tube.upper).any()
+    with pytest.raises(ArgumentError, match="`estimator` must be an Estimator"):
+        estimate_curve(PLANT, record.measurements)
+    with pytest.raises(ArgumentError, match="`measurements` must be a Measurements"):
+        estimate_curve(mhe, [(0.0, [1.0])])
+
+
+def test_a_wide_start_does_not_rule_the_panels_of_a_validation():
+    found = report(initial_error=50.0, duration=40.0)
+    low, high = found.plot()[1].get_ylim()
+    later = found.example.radii[len(found.example.times) // 3 :, 0].max()
+    assert 2 * later < high - low < 1.4 * found.example.radii[:, 0].max()
 
 
 def test_a_validation_shows_errors_below_the_bound_and_a_run_inside_its_tubes(tmp_path):

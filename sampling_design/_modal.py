@@ -22,7 +22,7 @@ import numpy.typing as npt
 from sampling_design._linalg import expm_batch
 
 Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[Any]
+Entries = npt.NDArray[Any]  # real or complex
 
 CONDITION_LIMIT = 1e3  # of V with orthonormal columns per block: the factor by which rounding may grow
 _RADIUS = 1e-8  # eigenvalues nearer than this times |A| always share a block (a double one splits by sqrt(eps))
@@ -39,12 +39,12 @@ class _Block:
     """One cluster: mean, remainder N, its columns V and rows W (physical coordinates), weight 2 for a pair."""
 
     mean: complex
-    N: Complex
-    V: Complex
-    W: Complex
+    N: Entries
+    V: Entries
+    W: Entries
     weight: float
     reach: float
-    terms: tuple[Complex, ...]
+    terms: tuple[Entries, ...]
 
 
 class ModalFlow:
@@ -209,7 +209,7 @@ def _modal_blocks(A: Array, scale: Array) -> tuple[list[_Block], float, str]:
     return _refined(A, scale, np.eye(n, dtype=complex), [n], values, 1.0)
 
 
-def _conjugate_pairs(values: Complex) -> Complex:
+def _conjugate_pairs(values: Entries) -> Entries:
     """The eigenvalues of a real matrix, made an exactly symmetric set."""
     paired, free = np.array(values), list(range(len(values)))
     while free:
@@ -225,7 +225,7 @@ def _conjugate_pairs(values: Complex) -> Complex:
     return paired
 
 
-def _clusterings(values: Complex, radius: float) -> Iterator[npt.NDArray[np.intp]]:
+def _clusterings(values: Entries, radius: float) -> Iterator[npt.NDArray[np.intp]]:
     """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster.
 
     Which eigenvalues are one is not asked here (`plants/grouping.py` does): blocks are coarsened until their basis is
@@ -244,7 +244,7 @@ def _clusterings(values: Complex, radius: float) -> Iterator[npt.NDArray[np.intp
         radius = float(between.min()) * (1 + 1e-9)
 
 
-def _block_basis(T: Complex, Q: Complex, labels: npt.NDArray[np.int_]) -> tuple[Complex | None, list[int], list[int]]:
+def _block_basis(T: Entries, Q: Entries, labels: npt.NDArray[np.int_]) -> tuple[Entries | None, list[int], list[int]]:
     """Columns V, orthonormal within each block, with A V = V blockdiag: swaps, then Sylvester equations."""
     from scipy.linalg.lapack import ztrexc, ztrsyl
 
@@ -277,7 +277,7 @@ def _block_basis(T: Complex, Q: Complex, labels: npt.NDArray[np.int_]) -> tuple[
 
 
 def _refined(
-    A: Array, scale: Array, V: Complex, sizes: list[int], values: Complex, condition: float
+    A: Array, scale: Array, V: Entries, sizes: list[int], values: Entries, condition: float
 ) -> tuple[list[_Block], float, str]:
     """The blocks after Newton steps in extended precision, or the reason why these do not end well."""
     ends = np.cumsum([0, *sizes])
@@ -310,7 +310,7 @@ def _refined(
     return kept, condition, ""
 
 
-def _decoupling(T: Complex, off: Complex, values: Complex, parts: list[slice], same: npt.NDArray[np.bool_]) -> Complex:
+def _decoupling(T: Entries, off: Entries, values: Entries, parts: list[slice], same: npt.NDArray[np.bool_]) -> Entries:
     """X with T X - X T = -off outside the blocks of T, by iteration around the blocks' means."""
     means = np.concatenate([np.full(p.stop - p.start, np.mean(values[p])) for p in parts])
     gap = np.where(same, 1, means[:, None] - means[None, :])
@@ -324,7 +324,7 @@ def _decoupling(T: Complex, off: Complex, values: Complex, parts: list[slice], s
     return X.astype(np.clongdouble)
 
 
-def _block(T: Complex, V: Complex, W: Complex, values: Complex, far: float) -> _Block | None:
+def _block(T: Entries, V: Entries, W: Entries, values: Entries, far: float) -> _Block | None:
     """One block; None for the lower of two conjugate ones, which the upper one stands for."""
     m = len(T)
     real = np.min(np.abs(values.imag)) == 0 or np.any(np.isin(np.conj(values), values))
@@ -346,7 +346,7 @@ def _block(T: Complex, V: Complex, W: Complex, values: Complex, far: float) -> _
     return _Block(complex(mean), *narrow, 1.0 if real else 2.0, reach, tuple(terms[:kept]))
 
 
-def _polynomial(terms: list[Complex], m: int, spread: float, far: float) -> tuple[int, float]:
+def _polynomial(terms: list[Entries], m: int, spread: float, far: float) -> tuple[int, float]:
     """How many terms of a block of size m its polynomial needs, and the |t| up to which they suffice."""
     if spread * far > _SPREAD:
         return m + _EXTRA_TERMS, _SPREAD / spread

@@ -32,7 +32,7 @@ def irregular(period: float, count: int, jitter: float, lost: tuple[int, ...], r
 
 
 def oscillator() -> SimulatedRecord:
-    """Return four laps of the designed schedule, every sample up to 0.1 s late, two of them lost; no force."""
+    """Return four periods of the designed schedule, every sample up to 0.1 s late, two of them lost; no force."""
     rng = np.random.default_rng(20260107)
     plant = sd.read_plant(PLANTS / "oscillator.toml")
     requirement = sd.read_requirement(PLANTS.parent / "requirements" / "oscillator.toml")

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical, Weights, canonical, evened, followed, slip
+from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
 from sampling_design.certificates.exact.efforts import LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
@@ -29,7 +29,7 @@ from sampling_design.certificates.exact.weight_choice import (
     round_choices,
     settled_sizes,
 )
-from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
+from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import verdict_of
@@ -38,7 +38,7 @@ from sampling_design.errors import ArgumentError, CertificateError, SolverError,
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.plants.plant import Plant
-from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
@@ -377,7 +377,7 @@ def certify(
 def chosen(
     plant: Plant,
     schedule: AnySchedule,
-    weights: Weights,
+    weights: NoiseWeights,
     eta: float | None,
     budgets: list[float],
     progress: Progress | None = None,
@@ -420,7 +420,7 @@ def chosen(
 
 
 def _best_proven(
-    problem: tuple[Plant, AnySchedule, Weights],
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
     canon: Canonical,
     choices: list[Choice],
     eta: float | None,
@@ -449,7 +449,7 @@ def _best_proven(
 
 
 def _first_proven(
-    problem: tuple[Plant, AnySchedule, Weights],
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
     canon: Canonical,
     choices: list[Choice],
     eta: float | None,

@@ -66,9 +66,9 @@ def new(
     if not rhythms and not decays:
         raise ArgumentError("`new` needs to know what moves: give --rhythm PERIODS, --decay TIMES, or both.")
     plant = _plant(name or target.name, unit, rhythms, decays, level, [s.strip() for s in sensors.split(",")])
-    lap = period if period is not None else max(rhythms) if rhythms else 2.0 * max(decays)
+    span = period if period is not None else max(rhythms) if rhythms else 2.0 * max(decays)
     requirement = sd.Requirement(
-        window=lap, period=lap, samples=samples, spacing=spacing, forbidden=_closed(unit, lap, open_hours, weekend)
+        window=span, period=span, samples=samples, spacing=spacing, forbidden=_closed(unit, span, open_hours, weekend)
     )
     paths = [target / "plant.toml", target / "requirement.toml"]
     there = [str(path) for path in paths if path.exists()]

@@ -25,7 +25,7 @@ from sampling_design.estimators.online.open_loop import CONTRADICTION, Held, Mea
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
-from sampling_design.estimators.windowed import Answer, Start, WindowedEstimator
+from sampling_design.estimators.windowed_estimator import Answer, Start, WindowedEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import StartError
 

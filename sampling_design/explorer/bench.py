@@ -33,7 +33,7 @@ from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
-Answer = dict[str, Plain]
+Reply = dict[str, Plain]
 
 LIVE_BUDGET = 0.5
 """Seconds that a curve may take while somebody drags; what is proven by then is shown."""
@@ -180,9 +180,9 @@ class Bench:
         times = self.schedule.times % self.period
         return [{"t": float(t), "on": [bool(b) for b in row]} for t, row in zip(times, on, strict=True)]
 
-    def answer(self, question: Mapping[str, object]) -> Answer:
+    def answer(self, question: Mapping[str, object]) -> Reply:
         """Answer {"ask": ..., "marks": [...]}; what cannot be answered says why in `error`."""
-        verbs: dict[str, Callable[[], Answer]] = {
+        verbs: dict[str, Callable[[], Reply]] = {
             "open": self._open,
             "sigma": self._sigma,
             "accuracy": self._accuracy,
@@ -207,7 +207,7 @@ class Bench:
         except SamplingDesignError as error:
             return {"ask": str(verb), "error": str(error)}
 
-    def _open(self) -> Answer:
+    def _open(self) -> Reply:
         sensors: list[Plain] = []
         for label, closed, price in zip(self.plant.outputs.labels(), self.closed, self._prices(), strict=True):
             sensors.append({"name": label, "closed": [[a, b] for a, b in closed], "cost": price})
@@ -246,7 +246,7 @@ class Bench:
         edges = np.array([0.0, *np.ravel(access.available), self.period])
         return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
-    def _sigma(self) -> Answer:
+    def _sigma(self) -> Reply:
         told = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
@@ -309,7 +309,7 @@ class Bench:
             who = f"The sample at {times[0]} of every period aliases"
         return [f"{who} the modes {' and '.join(names)}: they look alike in every window, however long one waits."]
 
-    def _mend(self) -> Answer:
+    def _mend(self) -> Reply:
         """The least move of one sample that brings back a good part of what a move can, and its sigma."""
         times, mask = np.sort(self.schedule.times % self.period), self.schedule.outputs
         order = np.argsort(self.schedule.times % self.period)
@@ -334,7 +334,7 @@ class Bench:
         said = f"Move the sample at {at} by {short(by, 2)}: sigma is then at least {short(sigma, 3)}."
         return {"said": said, "at": float(times[k]), "to": float(times[k] + by)}
 
-    def _accuracy(self) -> Answer:
+    def _accuracy(self) -> Reply:
         if self.w_bound is None or self.v_bound is None:
             raise ArgumentError("`w_bound` and `v_bound` are needed for the accuracy: give both at the start.")
         found = accuracy(self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, of=self.rows, rtol=0.05)
@@ -368,7 +368,7 @@ class Bench:
             )
         return told
 
-    def _shadow(self) -> Answer:
+    def _shadow(self) -> Reply:
         """What the first sample, the first two, ... of a period leave possible at its end: a polygon for each."""
         if self.shadow is None or self.w_bound is None or self.v_bound is None:
             raise ArgumentError("`shadow` and both bounds are needed for the set: give them at the start.")
@@ -398,14 +398,14 @@ class Bench:
             names = tuple(f"{n} [{u}]" if u else n for n, u in zip(seen.names, seen.units, strict=True))
         return {"steps": steps, "names": list(names)}
 
-    def _plan(self) -> Answer:
+    def _plan(self) -> Reply:
         if self.problem is None:
             raise ArgumentError("`requirement` must be a plan requirement for that: tolerances, prices, opening hours.")
         found = plan(self.plant, self.problem.requirement, search_seconds=PLAN_SECONDS)
         self.schedule = found.schedule
         return {"said": found.explain(), "marks": self.marks()}
 
-    def _design(self) -> Answer:
+    def _design(self) -> Reply:
         count = len(self.schedule)
         wanted = self.requirement.replace(window=self.window, period=self.period)
         if wanted.samples is None:
@@ -416,14 +416,14 @@ class Bench:
         self.schedule = found.schedule
         return {"said": found.explain(), "marks": self.marks()}
 
-    def _certify(self) -> Answer:
+    def _certify(self) -> Reply:
         found = certify(self.plant, self.schedule)
         return {"said": found.explain(), "passed": bool(found.verify())}
 
-    def _horizons(self) -> Answer:
+    def _horizons(self) -> Reply:
         return {"said": four_horizons(self.plant, self.schedule).explain()}
 
-    def _save(self) -> Answer:
+    def _save(self) -> Reply:
         folder = self.folder or Path()
         folder.mkdir(parents=True, exist_ok=True)
         path = write_schedule(self.schedule, folder / "schedule.csv")

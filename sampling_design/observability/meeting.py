@@ -9,9 +9,8 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
-
-AnySchedule = Schedule | PeriodicSchedule
 
 
 @overload

@@ -18,7 +18,7 @@ from sampling_design.planning.opening import OpeningCalendar, week_hours
 
 Array = npt.NDArray[np.float64]
 Duration: TypeAlias = float | str
-Bound: TypeAlias = float | Sequence[float] | None
+DisturbanceBound: TypeAlias = float | Sequence[float] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
 TIMES = ("all times", "until the next", "after each sample")
@@ -204,7 +204,7 @@ class PlanRequirement(Record):
     cost_limit: float | None = None
     visit_price: float = 0.0
     aim: str | None = None
-    w_bound: Bound = None
+    w_bound: DisturbanceBound = None
     sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None

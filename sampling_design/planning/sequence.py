@@ -52,9 +52,9 @@ class SampleSequence:
 def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
     """The plan's samples in [start, stop)."""
     schedule, period = plan.schedule, plan.schedule.period
-    laps = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
-    times = (laps[:, None] + schedule.times[None, :]).ravel()
-    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (laps.size, 1))
+    periods = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
+    times = (periods[:, None] + schedule.times[None, :]).ravel()
+    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
     keep = (times >= start - 1e-9 * period) & (times < stop - 1e-9 * period)
     return times[keep], seen[keep]
 
@@ -114,7 +114,7 @@ def _looks(oracle: Oracle, g: int, knot: int, length: int) -> list[int]:
 def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1."""
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
-    filtered, back, laps = plan_chain(plan), looks_back(plan), len(schedule)
+    filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
     j = phase_of(schedule, float(times[0]))
     box = np.abs(filtered.D[:, None] * filtered.L[j]) @ filtered.reach[j]
     zero = times - times[0]
@@ -138,7 +138,7 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
             return worst
     # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
     wider = 1.0
-    for k in range(max(last - back - laps, sequence.first), last - back):
+    for k in range(max(last - back - count, sequence.first), last - back):
         phase = phase_of(schedule, float(times[k]) - sequence.shift)
         units = np.linalg.inv(filtered.D[:, None] * filtered.L[phase])
         wider = max(wider, _beyond(search, k, units, filtered.reach[phase]))
@@ -152,8 +152,8 @@ def _asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[flo
     problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
     late = sequence.shift if k >= sequence.first else 0.0
     phases = np.round(goal.steps) * problem.step + late
-    laps = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
-    offsets = np.sort((laps[:, None] + phases[None, :]).ravel()) - start
+    periods = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
+    offsets = np.sort((periods[:, None] + phases[None, :]).ravel()) - start
     tiny = 1e-9 * problem.period
     inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
     return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]

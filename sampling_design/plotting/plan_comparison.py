@@ -46,10 +46,10 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
     for plan, label, colour in zip(result.plans, result.names, COLOURS, strict=True):
         k = [goal.name for goal in plan.goals].index(name)
         edges, upper = curve(plan, k)
-        laps = np.arange(-1, 1 + int(np.ceil(longest / plan.schedule.period - 1e-9)))
-        for lap in laps.tolist():
-            ax.stairs(upper, edges + lap * plan.schedule.period, baseline=None, color=colour,
-                      label=label if lap == 0 else None)  # fmt: skip
+        periods = np.arange(-1, 1 + int(np.ceil(longest / plan.schedule.period - 1e-9)))
+        for shift in periods.tolist():
+            ax.stairs(upper, edges + shift * plan.schedule.period, baseline=None, color=colour,
+                      label=label if shift == 0 else None)  # fmt: skip
         tolerance = plan.goals[k].tolerance
         line = "--" if plan is result.first else ":"
         ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=line, label=f"tolerance, {label}")

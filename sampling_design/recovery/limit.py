@@ -189,7 +189,7 @@ def limit(
     """
     rows, tolerance = wanted_rows(plant, of), _checks.positive("rtol", rtol)
     allowed = _zones(zones, period)
-    lap = 0.0 if period is None else float(period)
+    span = 0.0 if period is None else float(period)
     known = _known(plant)
     one = SignalBounds.of(plant, 1, None, w_bound, v_bound, np.zeros(1))
     one = replace(one, w_centre=None, v_centre=None)
@@ -198,10 +198,10 @@ def limit(
     exact = bool(np.any(one.v == 0))
     for k in safe:
         if not exact:
-            found[k] = _strongest(known.plant, rows.matrix[k] @ known.lift, one, allowed, lap, tolerance)
+            found[k] = _strongest(known.plant, rows.matrix[k] @ known.lift, one, allowed, span, tolerance)
         witness = found[k].attack
         lower[k] = 0.0 if witness is None else witness.value
-    return AccuracyLimit(plant, rows, one, allowed, lap, freeze(lower), tuple(found), known.modes)
+    return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(found), known.modes)
 
 
 def _zones(zones: Zones, period: float | None) -> Array | None:
@@ -211,13 +211,13 @@ def _zones(zones: Zones, period: float | None) -> Array | None:
         return None
     if period is None:
         raise ArgumentError("`zones` need their `period`.")
-    lap = _checks.positive("period", period)
+    span = _checks.positive("period", period)
     table = np.array(_checks.matrix("zones", np.asarray(list(zones), dtype=np.float64).reshape(-1, 2), None, 2))
     if not len(table):
         raise ArgumentError("`zones` must hold at least one (begin, end), got none.")
     flat = table.ravel()
-    if np.any(np.diff(flat) < 0) or np.any(table[1:, 0] <= table[:-1, 1]) or flat[0] < 0 or flat[-1] > lap:
-        raise ArgumentError(f"`zones` must be in order, apart and within [0, {lap!r}], got {table.tolist()!r:.80}.")
+    if np.any(np.diff(flat) < 0) or np.any(table[1:, 0] <= table[:-1, 1]) or flat[0] < 0 or flat[-1] > span:
+        raise ArgumentError(f"`zones` must be in order, apart and within [0, {span!r}], got {table.tolist()!r:.80}.")
     return freeze(table)
 
 
@@ -272,10 +272,10 @@ def _strongest(
     """The strongest witness over finer and finer nodes."""
     best, step = LimitWitness(None, 0.0), _step(plant, bounds, allowed, period)
     for halving in range(HALVINGS):
-        nodes, lap = _nodes(allowed, period, step)
+        nodes, span = _nodes(allowed, period, step)
         if nodes.size > 2 * CROWDED and halving:
             break
-        question = _question(plant, bounds, nodes, lap)
+        question = _question(plant, bounds, nodes, span)
         found, factor = _attack(ChainSearch(*question.chain(plant)), question, row, allowed, period, rtol)
         if found.attack is not None and (best.attack is None or found.attack.value > best.attack.value):
             best = found
@@ -342,8 +342,8 @@ def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> n
     slack = ON_EDGE * max(period, float(np.abs(marks).max()))
     found = np.zeros(samples.size, dtype=bool)
     for k, (a, b) in enumerate(pairwise(marks)):
-        for lap in range(int(np.floor(a / period)) - 1, int(np.floor(b / period)) + 2):
-            begin, end = (zones + lap * period).T
+        for k in range(int(np.floor(a / period)) - 1, int(np.floor(b / period)) + 2):
+            begin, end = (zones + k * period).T
             found[k] |= bool(np.any((begin < b - slack) & (end > a + slack)))
     return found
 

@@ -210,8 +210,8 @@ class PeriodicGains:
         estimate = PeriodicEstimate(self._time, value, radii)
         self._u = kept
         self._j = (self._j + 1) % len(self._phases)
-        laps = self._time - self.schedule.times[self._j - 1]
-        self._time = float(self.schedule.times[self._j] + laps + (self.schedule.period if self._j == 0 else 0.0))
+        shift = self._time - self.schedule.times[self._j - 1]
+        self._time = float(self.schedule.times[self._j] + shift + (self.schedule.period if self._j == 0 else 0.0))
         return estimate
 
     def _early(self, phase: _Phase) -> Array:

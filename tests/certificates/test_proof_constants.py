@@ -167,7 +167,7 @@ def test_late_first_sample_enters_d_max_and_sigma():
     assert proof["d_max"].value == 3.0
     weights = (proof.P1, proof.P2, proof.Qw, proof.R, proof.Qv, proof.eta)
     gaps = [3.0] + [0.5] * 30
-    assert riccati_margin(OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G, gaps, *weights, laps=1) > 1
+    assert riccati_margin(OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G, gaps, *weights, periods=1) > 1
     with pytest.raises(CertificateError, match="do not all see every retained state"):
         constants_from_proof(OSCILLATOR, late, window=2.0)
 
@@ -178,7 +178,7 @@ def test_finite_schedule_is_measured_to_its_last_sample():
     weights = (proof.P1, proof.P2, proof.Qw, proof.R, proof.Qv, proof.eta)
     gaps = np.diff(np.r_[0.0, schedule.times])
     for first in range(gaps.size):
-        assert riccati_margin(DOUBLE.A, DOUBLE.C, DOUBLE.G, gaps[first:], *weights, laps=1) > 1
+        assert riccati_margin(DOUBLE.A, DOUBLE.C, DOUBLE.G, gaps[first:], *weights, periods=1) > 1
 
 
 def test_given_detectability_replaces_the_sweep():

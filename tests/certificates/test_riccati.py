@@ -94,16 +94,16 @@ def test_periodic_riccati_solution_is_a_fixed_point_and_windows_tend_to_it():
     problem = window_problem(
         plant, PeriodicSchedule([0.8, 1.1]), np.eye(2), np.eye(2), 2 * np.eye(1), 2 * np.eye(1), 0.4
     )
-    lap = periodic_riccati_solution(problem)
+    solution = periodic_riccati_solution(problem)
     F, W = problem.flow(problem.gaps)
-    assert np.allclose(update(push(lap[0], F[1], W[1]), problem.rows[1]), lap[1], rtol=1e-8)
-    assert np.allclose(update(push(lap[1], F[0], W[0]), problem.rows[0]), lap[0], rtol=1e-8)
+    assert np.allclose(update(push(solution[0], F[1], W[1]), problem.rows[1]), solution[1], rtol=1e-8)
+    assert np.allclose(update(push(solution[1], F[0], W[0]), problem.rows[0]), solution[0], rtol=1e-8)
 
 
 def test_a_large_prior_is_bound_by_the_periodic_riccati_solution():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     made = certify(plant, PeriodicSchedule([1.0]), eta=0.4, P2=1e4 * np.eye(2))
-    dense, _, _ = oracle.worst_ratio(made.to_dict(), made.P2, fine=16, laps=40)
+    dense, _, _ = oracle.worst_ratio(made.to_dict(), made.P2, fine=16, periods=40)
     assert made.lam == pytest.approx(dense, rel=1e-3)
     assert made.witness.ratio == pytest.approx(made.lam, rel=1e-3)
 

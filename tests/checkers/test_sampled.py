@@ -245,10 +245,10 @@ def test_a_dip_narrower_than_the_first_cells_is_found():
     """Two fast sharp modes: lambda over the starts has peaks far narrower than a quarter of a gap."""
     fast = Plant([[0.0, 25.0], [-25.0, 0.0]], [[1.0, 0.0]])
     made = certify(fast, PeriodicSchedule([1.0]), eta=0.5, P2=np.diag([0.1, 1.0]))
-    dense = oracle.worst_ratio(made.to_dict(), made.P2, fine=160, laps=6)[0]
+    dense = oracle.worst_ratio(made.to_dict(), made.P2, fine=160, periods=6)[0]
     assert dense <= made.lam / (1 - 1e-3)
     assert oracle.witness_ratio(made.to_dict()) == pytest.approx(made.lam, rel=1e-6)
-    assert made.lam > 1.01 * oracle.worst_ratio(made.to_dict(), made.P2, fine=4, laps=6)[0]
+    assert made.lam > 1.01 * oracle.worst_ratio(made.to_dict(), made.P2, fine=4, periods=6)[0]
 
 
 @pytest.mark.parametrize("rate", [1e2, 1e5, 1e8])

@@ -32,11 +32,11 @@ def test_a_price_is_what_a_scan_without_the_sample_says():
 def test_no_schedule_with_one_sample_fewer_exceeds_the_bound(every_period):
     design = designed(samples=3)
     losses = sample_losses(design, every_period=every_period)
-    laps = 1 if every_period else 2
+    periods = 1 if every_period else 2
     assert np.all(losses.lower <= losses.bound)
     assert np.all(losses.bound <= design.upper_bound)
-    count, period = 3 * laps - 1, 4.0 * laps
-    best, _ = best_on_grid(A, C, period, 4.0, 0.4, count, 6 * laps)
+    count, period = 3 * periods - 1, 4.0 * periods
+    best, _ = best_on_grid(A, C, period, 4.0, 0.4, count, 6 * periods)
     assert 0 < best <= losses.bound.min()
     if every_period:
         fewer = designed(samples=2)
@@ -54,7 +54,7 @@ def test_a_lost_fixed_sample_has_a_bound_of_its_own():
     assert losses.to_dict()["without"][0]["bound"] == losses.bound[0]
 
 
-def test_missing_once_costs_less_where_a_window_spans_laps():
+def test_missing_once_costs_less_where_a_window_spans_periods():
     design = designed(window=4.0, period=2.0, samples=2)
     once, always = sample_losses(design), sample_losses(design, every_period=True)
     assert np.all(once.lower >= always.lower)

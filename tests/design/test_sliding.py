@@ -30,8 +30,8 @@ def plain(problem, times, mask, a, left):
     ratio = problem.window / problem.period
     begin, end = (tiny, -tiny) if ratio != round(ratio) else (-tiny, -tiny) if left else (tiny, tiny)
     for t, measured in zip(times, mask, strict=True):
-        for lap in range(-3, 9):
-            r = t + lap * problem.period - a
+        for k in range(-3, 9):
+            r = t + k * problem.period - a
             if begin < r < problem.window + end:
                 c = C[measured] @ expm(A * r) @ S
                 total += c.T @ c

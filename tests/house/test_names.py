@@ -1,6 +1,7 @@
-"""A class name means one thing in the house; the checkers, copied out of it as they stand, are a house of their own."""
+"""A name means one thing in the house; the checkers, copied out of it as they stand, are a house of their own."""
 
 import ast
+import re
 from collections import defaultdict
 from pathlib import Path
 
@@ -20,3 +21,52 @@ def places() -> dict[tuple[bool, str], list[str]]:
 
 def test_no_two_classes_share_a_name():
     assert {name: where for (_, name), where in places().items() if len(where) > 1} == {}
+
+
+def aliases() -> dict[tuple[bool, str], dict[str, list[str]]]:
+    """What each name of a type stands for, and where, apart for the checkers."""
+    found = defaultdict(lambda: defaultdict(list))
+    for path in sorted(PACKAGE.rglob("*.py")):
+        here = path.relative_to(PACKAGE)
+        for node in ast.parse(path.read_text()).body:
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            if isinstance(target, ast.Name) and re.fullmatch(r"[A-Z]\w*[a-z]\w*", target.id) and node.value:
+                if "typer." in ast.unparse(node.value):
+                    continue  # an option or argument of one command, whose help is its own
+                found[here.parts[0] == "checkers", target.id][ast.unparse(node.value)].append(str(here))
+    return found
+
+
+def test_no_name_stands_for_two_types():
+    several = {name: dict(meanings) for (_, name), meanings in aliases().items() if len(meanings) > 1}
+    assert several == {}
+    assert set(aliases()) & set(places()) == set()
+
+
+def root(name: str) -> str:
+    """A word without the ending that alone would tell it from another."""
+    return re.sub(r"(ing|ed|es|s|e)$", "", name)
+
+
+def test_no_two_files_of_a_room_differ_by_an_ending():
+    """bound and bounds, posed and posing: a stranger mistakes one for the other."""
+    for room in [path for path in PACKAGE.iterdir() if path.is_dir()]:
+        found = defaultdict(list)
+        for path in [*room.rglob("*.py"), *(inner for inner in room.rglob("*") if inner.is_dir())]:
+            if not path.stem.startswith("__"):
+                found[root(path.stem)].append(str(path.relative_to(room)))
+        inside = {name: where for name, where in found.items() if len({Path(path).stem for path in where}) > 1}
+        assert inside == {}, room.name
+
+
+FORMER = r"\b(laps?|steady_lap|gap_graph|survival|carried_weight)\b"
+"""Words that the field has others for."""
+
+
+def test_words_that_the_field_has_others_for_are_gone():
+    root = PACKAGE.parent
+    texts = [p for folder in ("sampling_design", "tests", "examples", "docs") for p in (root / folder).rglob("*")]
+    told = {"_renamed.py", "changelog.md", "test_names.py", "test_front_door.py", "test_door.py"}
+    for path in [*texts, root / "README.md"]:
+        if path.suffix in (".py", ".md", ".ipynb", ".toml") and path.name not in told and "_build" not in path.parts:
+            assert not re.search(FORMER, path.read_text()), path.relative_to(root)

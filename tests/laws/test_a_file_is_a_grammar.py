@@ -244,11 +244,11 @@ def members(data):
     times = data["times"]
     if times["kind"] in ("finite", "periodic"):
         facts = facts_of_schedule(times)
-        laps = 1 if times["kind"] == "finite" else -(-10 // len(facts["times"]))
+        periods = 1 if times["kind"] == "finite" else -(-10 // len(facts["times"]))
         one, mask = np.array(facts["times"]), facts["outputs"]
         yield (
-            np.concatenate([one + k * (facts["period"] or 0.0) for k in range(laps)]),
-            None if mask is None else np.tile(np.array(mask, bool), (laps, 1)),
+            np.concatenate([one + k * (facts["period"] or 0.0) for k in range(periods)]),
+            None if mask is None else np.tile(np.array(mask, bool), (periods, 1)),
         )
         return
     rng = np.random.default_rng(5)

@@ -51,11 +51,11 @@ def test_rank_is_full_with_two_outputs(seed, T):
 
 
 @given(st.floats(0.2, 4.0), st.integers(1, 6))
-def test_one_sample_less_may_lose_it(omega, laps):
+def test_one_sample_less_may_lose_it(omega, half_turns):
     """The printed minimum, taken with ceil, is one sample short where k* is whole."""
     A, C = [[0.0, omega], [-omega, 0.0]], [[1.0, 0.0]]
-    T = laps * np.pi / omega
+    T = half_turns * np.pi / omega
     bound = zero_count_bound(Plant(A, C), T)
-    assert bound.samples_needed == laps + 2
+    assert bound.samples_needed == half_turns + 2
     zeros = np.arange(bound.samples_needed - 1) * np.pi / omega
     assert oracle.rank(A, C, zeros, tolerance=1e-12) == 1

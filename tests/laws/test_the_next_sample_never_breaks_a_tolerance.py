@@ -87,9 +87,9 @@ class Watch:
     def planned(self, start, stop):
         """Samples of the plan in [start, stop)."""
         schedule = self.plan.schedule
-        lap = np.arange(np.floor(start / schedule.period), np.ceil(stop / schedule.period) + 1) * schedule.period
-        times = (lap[:, None] + schedule.times).ravel()
-        seen = np.tile(self.plan.chosen[self.plan.chosen.any(axis=1)], (lap.size, 1))
+        periods = np.arange(np.floor(start / schedule.period), np.ceil(stop / schedule.period) + 1) * schedule.period
+        times = (periods[:, None] + schedule.times).ravel()
+        seen = np.tile(self.plan.chosen[self.plan.chosen.any(axis=1)], (periods.size, 1))
         keep = (times >= start) & (times < stop)
         return times[keep], seen[keep]
 

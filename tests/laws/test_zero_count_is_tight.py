@@ -7,12 +7,12 @@ from sampling_design import Plant, zero_count_bound
 from tests.oracles import zero_count as oracle
 
 
-@pytest.mark.parametrize("laps", [1, 2, 5])
-def test_the_oscillator_reaches_the_bound(laps):
-    """sin t has laps + 1 zeros in [0, laps pi]: exactly k*, so k* samples fail and one more does not."""
-    A, C, T = [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], laps * np.pi
+@pytest.mark.parametrize("half_turns", [1, 2, 5])
+def test_the_oscillator_reaches_the_bound(half_turns):
+    """sin t has half_turns + 1 zeros in [0, half_turns pi]: exactly k*, so k* samples fail and one more does not."""
+    A, C, T = [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], half_turns * np.pi
     bound = zero_count_bound(Plant(A, C), T)
-    zeros = np.arange(laps + 1) * np.pi
+    zeros = np.arange(half_turns + 1) * np.pi
     assert bound.value == pytest.approx(len(zeros), abs=1e-12)
     assert bound.samples_needed == len(zeros) + 1
     assert oracle.rank(A, C, zeros, 1e-13) == 1

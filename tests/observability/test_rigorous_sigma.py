@@ -101,13 +101,13 @@ def test_no_position_in_fifty_digits_lies_below(seed):
         assert sigma_at(plant, times, mpmath.mpf(float(start))) >= proven.lower
 
 
-def test_exact_times_are_whole_periods_away_from_the_lap():
+def test_exact_times_are_whole_periods_away_from_the_first():
     schedule = PeriodicSchedule([0.1, 0.2])
     pieces = window_pieces(schedule, 0.7)
-    lap, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
+    first, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
     for t, exact in zip(pieces.times.tolist(), exact_times(schedule, pieces), strict=True):
         assert abs(exact - Fraction(t)) < Fraction(1, 10**14)
-        assert any((exact - own) % period == 0 for own in lap)
+        assert any((exact - own) % period == 0 for own in first)
 
 
 def test_a_window_that_is_a_multiple_of_the_gap_in_exact_numbers_needs_no_slack():

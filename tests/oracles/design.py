@@ -15,9 +15,9 @@ def window_sigma_scan(A, C, times, period, window, places=7, mask=None):
     Starts: every event, and `places` places between two events.
     """
     A, C, times = (np.asarray(M, dtype=float) for M in (A, C, times))
-    laps = np.arange(-1, int(np.ceil(window / period)) + 2)
-    every = (times[:, None] + period * laps).ravel()
-    which = np.repeat(np.arange(times.size), laps.size)
+    periods = np.arange(-1, int(np.ceil(window / period)) + 2)
+    every = (times[:, None] + period * periods).ravel()
+    which = np.repeat(np.arange(times.size), periods.size)
     events = np.unique(np.round(np.concatenate([every, every - window]), 12))
     events = events[(events > -period * 1e-6) & (events < period * (1 + 1e-6))]
     starts = np.unique(

@@ -101,16 +101,16 @@ def least_seen(known: Known, schedule: PeriodicSchedule, eta: float) -> float:
     """
     with mpmath.workdps(DIGITS):
         period = mpmath.mpf(float(schedule.period))
-        laps, rows = [], []
+        periods, rows = [], []
         for value, size in known.blocks:
             rate = mpmath.mpc(value.real, value.imag)
             for one in [rate] if value.imag == 0 else [rate, mpmath.conj(rate)]:
-                laps.append((one, size))
+                periods.append((one, size))
         times = [mpmath.mpf(float(t)) - mpmath.mpf(float(schedule.times[0])) for t in schedule.times]
         C = _complex_rows(known)
-        n, at = sum(m for _, m in laps), 0
+        n, at = sum(m for _, m in periods), 0
         seen = mpmath.zeros(len(times) * len(known.C), n)
-        for rate, size in laps:
+        for rate, size in periods:
             grown = mpmath.exp(max(rate.real, 0) * period)
             for i, t in enumerate(times):
                 flow = _flow(rate, size, t)
@@ -120,12 +120,12 @@ def least_seen(known: Known, schedule: PeriodicSchedule, eta: float) -> float:
                         seen[i * len(known.C) + o, at + k] = value
             at += size
         least = mpmath.inf
-        for mu_rate, _ in laps:
+        for mu_rate, _ in periods:
             if mu_rate.real < -mpmath.mpf(eta) / 2:
                 continue
             mu, at = mpmath.exp(mu_rate * period), 0
             pencil = mpmath.zeros(n + seen.rows, n)
-            for rate, size in laps:
+            for rate, size in periods:
                 flow = _flow(rate, size, period)
                 top = max(abs(mu), abs(mpmath.exp(rate * period)))
                 for j in range(size):

@@ -84,7 +84,7 @@ def flown(A, G, nodes, u):
     return np.array(found)
 
 
-def deviation(A, C, G, times, seen, period, c, at, W, v, laps=400):
+def deviation(A, C, G, times, seen, period, c, at, W, v, periods=400):
     """Standard deviation of c'x at times `at` of a periodic schedule, by the plain filter run for many periods.
 
     Each of `at` lies in [0, period); a sample at the very time counts.
@@ -102,7 +102,7 @@ def deviation(A, C, G, times, seen, period, c, at, W, v, laps=400):
     marks = sorted({*np.asarray(times, float).tolist(), *np.asarray(at, float).tolist(), period})
     flows = [flow(h) for h in np.diff([0.0, *marks])]
     P, last = np.eye(n) * 1e6, None
-    for _ in range(laps):
+    for _ in range(periods):
         found = {}
         for t, (F, Q) in zip(marks, flows, strict=True):
             P = F @ P @ F.T + Q
@@ -130,9 +130,9 @@ def remeasured(data, samples=60, looks=5):
     v = np.array([np.inf if b is None else b for b in bounds], float)
     times, period = np.array(schedule["times"], float), float(schedule["period"])
     masks = np.ones((len(times), len(C)), bool) if schedule["outputs"] is None else np.array(schedule["outputs"], bool)
-    laps = -(-samples // len(times)) + 1
-    every = (np.arange(laps)[:, None] * period + times).ravel()
-    seen = np.tile(masks, (laps, 1)) & np.isfinite(v)
+    periods = -(-samples // len(times)) + 1
+    every = (np.arange(periods)[:, None] * period + times).ravel()
+    seen = np.tile(masks, (periods, 1)) & np.isfinite(v)
     names, found = [*plant["states"]["names"], *plant["outputs"]["names"]], []
     for (name, goal), reached in zip(asked["accuracy"].items(), data["reached"], strict=True):
         row = np.vstack([np.eye(len(A)), C])[names.index(name)] if "row" not in goal else np.array(goal["row"], float)
@@ -142,7 +142,7 @@ def remeasured(data, samples=60, looks=5):
             if goal["at"] == "after each sample":
                 ends = ends[:1]
             elif goal["at"] not in ("all times", "until the next"):
-                ends = [t for t in np.add.outer(np.arange(laps) * period, goal["at"]).ravel() if every[k] <= t]
+                ends = [t for t in np.add.outer(np.arange(periods) * period, goal["at"]).ravel() if every[k] <= t]
                 ends = [t for t in ends if t <= every[k + 1]]
             for end in ends:
                 parts = A, C, G, every[: k + 1], seen[: k + 1], row, end, w, v

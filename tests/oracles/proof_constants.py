@@ -20,7 +20,7 @@ def flow(A, G, Qw, eta, h):
     return F, F @ block[:n, n:]
 
 
-def riccati_margin(A, C, G, gaps, P1, P2, Qw, R, Qv, eta, laps=12, steps=24, start=0.0, masks=None):
+def riccati_margin(A, C, G, gaps, P1, P2, Qw, R, Qv, eta, periods=12, steps=24, start=0.0, masks=None):
     """min over t of lambda_min(Pi(t), P1), Pi from P2 at `start` after a sample, samples by the periodic `gaps`.
 
     Values before and after every sample and at `steps` instants of every gap; a sample at the start is left out.
@@ -32,7 +32,7 @@ def riccati_margin(A, C, G, gaps, P1, P2, Qw, R, Qv, eta, laps=12, steps=24, sta
     def least(Y):
         return 1 / np.linalg.eigvalsh(L.T @ Y @ L)[-1]
 
-    for i in range(laps * len(gaps)):
+    for i in range(periods * len(gaps)):
         gap = gaps[i % len(gaps)] - (start if i == 0 else 0.0)
         F, W = flow(A, G, Qw, eta, gap / steps)
         worst = min(worst, least(Y))

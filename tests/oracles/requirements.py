@@ -162,9 +162,9 @@ def sigma_of(problem, times, mask, places=5):
     coincide to rounding are one."""
     A, C, P, T = problem.A, problem.C, problem.period, problem.window
     n = len(A)
-    laps = np.arange(-1, int(np.ceil(T / P)) + 2)
-    every = (times[:, None] + P * laps).ravel()
-    seen = np.repeat(mask, laps.size, axis=0)
+    periods = np.arange(-1, int(np.ceil(T / P)) + 2)
+    every = (times[:, None] + P * periods).ravel()
+    seen = np.repeat(mask, periods.size, axis=0)
     events = np.sort(np.concatenate([np.mod(times, P), np.mod(times - T, P)]))
     events = events[np.append(True, np.diff(events) > 1e-9 * P)]
     ends = np.append(events, events[0] + P)

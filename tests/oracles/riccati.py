@@ -81,7 +81,7 @@ def read(data):
     )
 
 
-def worst_ratio(data, target, samples=False, fine=14, laps=7):
+def worst_ratio(data, target, samples=False, fine=14, periods=7):
     """Largest lambda_max(target Y) over a dense grid of window starts and later times; also where (start, t)."""
     A, S, J, eta, gaps, first, periodic = read(data)
     n, N = len(A), len(gaps)
@@ -102,7 +102,7 @@ def worst_ratio(data, target, samples=False, fine=14, laps=7):
                 F, W = flow(A, S, eta, r * f)
                 worst = max(worst, (_top(T, F @ Y0 @ F.T + W), s, s + r * f))
         now, k = times[i], i
-        for _ in range(laps * N if periodic else N - 1 - i):
+        for _ in range(periods * N if periodic else N - 1 - i):
             Y = np.linalg.inv(np.linalg.inv(Y) + J[k])
             k = (k + 1) % N
             for f, (F, W) in zip(fractions, flows[k], strict=True):
@@ -150,7 +150,7 @@ def worst_trajectory_ratio(P1, Pi):
     return float(eigh(P1, Pi, eigvals_only=True)[-1])
 
 
-def settled(A, noise, rows, gaps, eta, laps=80):
+def settled(A, noise, rows, gaps, eta, periods=80):
     """Y after each sample of the period once it has settled, in 360 digits and sample by sample; A without eta/2."""
     import flint
 
@@ -176,14 +176,14 @@ def settled(A, noise, rows, gaps, eta, laps=80):
             flows.append((plain(F), plain(F * flint.arb_mat([row[n:] for row in E[:n]]))))
         Y = flint.arb_mat(n, n, [flint.arb(i == j) for i in range(n) for j in range(n)])
         found = []
-        for lap in range(laps):
+        for period in range(periods):
             for i, (F, W) in enumerate(flows):
                 Y = F * Y * F.transpose() + W
                 for row in rows[i]:
                     c = flint.arb_mat([row])
                     cross = Y * c.transpose()
                     Y = plain(Y - cross * cross.transpose() / ((c * cross)[0, 0] + 1))
-                if lap == laps - 1:
+                if period == periods - 1:
                     found.append(np.array([float(x) for x in Y.entries()]).reshape(n, n))
         return found
     finally:

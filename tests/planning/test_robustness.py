@@ -33,9 +33,9 @@ def worst_level(plan, times, seen):
 
 def test_so_late_is_kept_and_a_lost_sample_is_told(whole):
     schedule, masks = whole.schedule, whole.chosen[whole.chosen.any(axis=1)]
-    laps = 8
-    times = (np.arange(laps)[:, None] * schedule.period + schedule.times).ravel()
-    seen = np.tile(masks, (laps, 1))
+    periods = 8
+    times = (np.arange(periods)[:, None] * schedule.period + schedule.times).ravel()
+    seen = np.tile(masks, (periods, 1))
     k = 5 * whole.samples
     late = times.copy()
     late[k] += whole.robustness.late[0]

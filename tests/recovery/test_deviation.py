@@ -20,7 +20,7 @@ def stepped(A, W, P, h, steps=400):
     return P
 
 
-def laps(A, C, W, v, gaps, count, P):
+def after_periods(A, C, W, v, gaps, count, P):
     """Covariances after each sample of the last of so many periods; a plain filter."""
     for _ in range(count):
         after = []
@@ -35,7 +35,7 @@ def laps(A, C, W, v, gaps, count, P):
 def test_the_periodic_limit_is_that_of_a_plain_filter():
     found = sd.standard_deviation(PLANT, SCHEDULE, w_intensity=W, v_deviation=V)
     gaps = [1.6, 0.9, 0.7]  # the first sample stands behind the first gap
-    after = laps(PLANT.A, PLANT.C, W, V, gaps, 12, 10 * np.eye(2))
+    after = after_periods(PLANT.A, PLANT.C, W, V, gaps, 12, 10 * np.eye(2))
     for j in range(3):
         at = int(np.flatnonzero(np.isclose(found.times, SCHEDULE.times[j]))[-1])
         assert found.profile[:, at] ** 2 == pytest.approx(np.diag(after[j]), rel=1e-4)

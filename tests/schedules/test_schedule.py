@@ -56,8 +56,8 @@ def test_a_periodic_schedule_unrolls_to_all_its_samples(gaps, first, a, b):
 
 def test_masks_follow_their_samples():
     mask = [[1, 0], [0, 1]]
-    lap = PeriodicSchedule([1.0, 2.0], outputs=mask, output_names=("a", "b"))
-    part = lap.between(1.5, 6.5)
+    schedule = PeriodicSchedule([1.0, 2.0], outputs=mask, output_names=("a", "b"))
+    part = schedule.between(1.5, 6.5)
     assert part.times.tolist() == [3.0, 4.0, 6.0]
     np.testing.assert_array_equal(part.outputs, [[False, True], [True, False], [False, True]])
     assert part.output_names == ("a", "b")

@@ -13,11 +13,11 @@ from sampling_design._record import Table, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.window_problem import AnySchedule
 from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 

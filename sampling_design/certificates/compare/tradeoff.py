@@ -14,9 +14,9 @@ from sampling_design._record import Record, short
 from sampling_design.certificates.certify import chosen
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.given_weights import met, weights_of
-from sampling_design.certificates.exact.window_problem import AnySchedule
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
 

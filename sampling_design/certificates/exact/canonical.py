@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.window_problem import AnySchedule
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
-Weights = tuple[Array, Array, Array]
+NoiseWeights = tuple[Array, Array, Array]
 
 MOST_GROWTH = 300.0
 """Exponent of the largest growth between two samples that is followed: its square is still a double."""
@@ -40,7 +40,7 @@ class Canonical:
 
     plant: Plant
     schedule: AnySchedule
-    weights: Weights
+    weights: NoiseWeights
     x: Array
     w: Array
     y: Array
@@ -59,7 +59,7 @@ class Canonical:
 def canonical(
     plant: Plant,
     schedule: AnySchedule,
-    weights: Weights,
+    weights: NoiseWeights,
     P2: Array | None = None,
     log_sizes: Array | None = None,
     driven: bool = True,

@@ -128,7 +128,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
     """
     Y = np.eye(problem.size)
     settled, repeated = (ROUGHLY, ROUGHLY) if share else (STEADY_RTOL, REPEATED_RTOL)
-    for lap in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
+    for period in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
         work.spend(WALK_WORK * problem.count)
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
             around, whole, added = _with_gains(problem, flows, Y, share)
@@ -136,7 +136,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
                 break
             if _settled(Y, around[-1], settled):
                 return around
-            jumps = lap % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
+            jumps = period % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
             following = _summed(whole, added) if jumps else around[-1]
             if jumps and _settled(Y, following, repeated):  # what is left is of second order
                 return _with_gains(problem, flows, following, share)[0]

@@ -15,11 +15,12 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, slip
 from sampling_design.certificates.exact.window_gains import WindowSet
-from sampling_design.certificates.exact.window_problem import AnySchedule, window_problem
+from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]

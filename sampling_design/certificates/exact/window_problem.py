@@ -15,11 +15,11 @@ from scipy.linalg import solve_triangular
 
 from sampling_design._linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-AnySchedule = Schedule | PeriodicSchedule
 
 
 def growing_flow(A: Array, noise: Array, eta: float, durations: npt.ArrayLike) -> tuple[Array, Array]:

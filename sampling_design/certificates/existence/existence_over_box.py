@@ -120,17 +120,17 @@ def existence_over_box(
     return ExistenceOverBox(worst[1], model.values(worst[2]), worst[0], reason, proven, plant)
 
 
-Looked = tuple[float, bool, Array, str]
+CellAnswer = tuple[float, bool, Array, str]
 
 
-def looked_at(model: BoxModel, margin: Margin, u: Array, best: Looked | None) -> Looked:
+def looked_at(model: BoxModel, margin: Margin, u: Array, best: CellAnswer | None) -> CellAnswer:
     """The plant of the least margin: this one or the best so far."""
     exists, value, reason = margin(model.plant.at(model.values(u)))
     found = (value, exists, u, reason)
     return found if best is None or not exists or value < best[0] else best
 
 
-def descended(model: BoxModel, margin: Margin, best: Looked) -> Looked:
+def descended(model: BoxModel, margin: Margin, best: CellAnswer) -> CellAnswer:
     """The least margin that a descent from there finds."""
     if not model.m or not np.isfinite(best[0]):
         return best

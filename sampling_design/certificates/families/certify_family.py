@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
+from sampling_design.certificates.exact.canonical import NoiseWeights
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
@@ -26,7 +27,6 @@ from sampling_design.certificates.families.step_proof import (
     Doubles,
     Dynamics,
     Outcome,
-    Weights,
     dynamics_of,
     edge_conditions,
     node_conditions,
@@ -99,7 +99,7 @@ class FamilySearch:
         self,
         plant: Plant,
         family: SamplingFamily,
-        weights: Weights,
+        weights: NoiseWeights,
         P2: Array | None,
         budget: float,
         deadline: float = np.inf,
@@ -341,7 +341,7 @@ def _bearable(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: Weights, given: Array | None, found: Proposal
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: Proposal
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
     P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
@@ -376,7 +376,7 @@ def certified(
 
 
 def without_states(
-    plant: Plant, family: SamplingFamily, weights: Weights, rate: float, graph: PathCompleteGraph
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, rate: float, graph: PathCompleteGraph
 ) -> FamilyCertificate:
     """The certificate where there is nothing to prove."""
     empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))

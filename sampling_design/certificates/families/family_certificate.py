@@ -31,7 +31,7 @@ class FamilyCertificate(SampledCertificate):
     graph : PathCompleteGraph
         Its schedules as paths of gap words, window starts at any real time included.
     P : (graph.count, n, n) array
-        Information that is kept at each node; P[0] = P2. `gap_graph` lists the inequalities.
+        Information that is kept at each node; P[0] = P2. `path_complete` lists the inequalities.
     lam : float
         lambda_max(P2, Phi_s(P_u)) is at most lam/(1 - 1e-3) at every node and time: an upper bound on the supremum
         over all schedules of the family and all window starts, attained by the matrices, not by a schedule.

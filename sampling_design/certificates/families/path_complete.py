@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Plain
+from sampling_design.schedules.family import Word
 
 Array = npt.NDArray[np.float64]
-Word = tuple[float | str, ...]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.canonical import NoiseWeights
 from sampling_design.certificates.exact.window_problem import growing_flow, noise_input, whitened_rows
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.plants.plant import Plant
@@ -21,7 +22,6 @@ from sampling_design.plants.plant import Plant
 Array = npt.NDArray[np.float64]
 Doubles = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-Weights = tuple[Doubles, Doubles, Doubles]
 
 MOST_STEPS = 300_000
 """Steps of one proof, all intervals together; a proof that needs more is nearly tight and counts as not closed."""
@@ -69,7 +69,7 @@ class Dynamics:
         return symmetrise(self.root @ X @ self.root.T)
 
 
-def dynamics_of(plant: Plant, weights: Weights, eta: float, root: Array, graph: PathCompleteGraph) -> Dynamics:
+def dynamics_of(plant: Plant, weights: NoiseWeights, eta: float, root: Array, graph: PathCompleteGraph) -> Dynamics:
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
     A = np.linalg.solve(root, (root.T @ plant.A).T).T

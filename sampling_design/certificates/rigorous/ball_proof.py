@@ -22,7 +22,7 @@ from sampling_design._balls import Ball, Matrix, definite, floats, matrix, raise
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 
 Array = npt.NDArray[np.float64]
-Proposal = tuple[Array, Array]
+FlowGuess = tuple[Array, Array]
 
 CELLS = 4
 """Start cells per gap at first."""
@@ -41,7 +41,7 @@ POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 
 
 def settled(
-    frame: ScheduleFrame, flows: Sequence[Proposal], inflation: float, clock: Clock
+    frame: ScheduleFrame, flows: Sequence[FlowGuess], inflation: float, clock: Clock
 ) -> tuple[list[Array], float]:
     """Return Y after each sample of the last period with inflated noise, in floats, and its largest eigenvalue there.
 

@@ -15,7 +15,7 @@ from sampling_design.design.problem.gram import ScaledRows
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
+Index = npt.NDArray[np.intp]
 
 
 _WHOLE = 1e-11  # of the period: what lies this near to each other lies together
@@ -83,7 +83,7 @@ class SlidingSums:
         head = self._carried(self.head[row, j], (last - 1) * T - a, held & ((last > own) | begins))
         return np.asarray(tail + head)
 
-    def _places(self, at: Array, left: Mask) -> Indices:
+    def _places(self, at: Array, left: Mask) -> Index:
         """Index of the first sample after `at` (B, q), or not before it where `left`; rows are searched as one."""
         far = self.apart * np.arange(at.shape[0])[:, None]
         flat, wanted = (self.s + far).ravel(), at + far

@@ -28,7 +28,7 @@ class LinearRows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Ball:
+class NormBall:
     """{z : |shape (z - centre)| <= radius}."""
 
     radius: float
@@ -54,7 +54,7 @@ class ConvexSet(Record):
     lower, upper : (k,) arrays
         May hold -inf and inf.
     rows : (m, k) array; offsets : (m,) array
-    balls : tuple of Ball
+    balls : tuple of NormBall
 
     Raises
     ------
@@ -72,7 +72,7 @@ class ConvexSet(Record):
     upper: Array
     rows: Array
     offsets: Array
-    balls: tuple[Ball, ...] = ()
+    balls: tuple[NormBall, ...] = ()
 
     def __post_init__(self) -> None:
         lower, upper = _bounds("lower", self.lower), _bounds("upper", self.upper)
@@ -89,7 +89,7 @@ class ConvexSet(Record):
             )
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, value)
-        if not isinstance(self.balls, tuple) or not all(isinstance(ball, Ball) for ball in self.balls):
+        if not isinstance(self.balls, tuple) or not all(isinstance(ball, NormBall) for ball in self.balls):
             raise ArgumentError(f"`balls` must be a tuple of balls, got {_checks.described(self.balls)}.")
         if rows.shape[0] + len(self.balls) > 0:
             self._refuse_empty()
@@ -133,10 +133,12 @@ class ConvexSet(Record):
             E = _checks.freeze(np.eye(k))
         middle = _checks.vector("centre", np.zeros(k) if centre is None else centre, k)
         whole = np.full(k, np.inf)
-        return cls(-whole, whole, None, None, (Ball(size, middle, E),))  # type: ignore[arg-type]
+        return cls(-whole, whole, None, None, (NormBall(size, middle, E),))  # type: ignore[arg-type]
 
     @classmethod
-    def known(cls, lower: Array, upper: Array, rows: Array, offsets: Array, balls: tuple[Ball, ...] = ()) -> ConvexSet:
+    def known(
+        cls, lower: Array, upper: Array, rows: Array, offsets: Array, balls: tuple[NormBall, ...] = ()
+    ) -> ConvexSet:
         """Return the set of these parts, known to be in order and not empty: nothing is checked."""
         found = object.__new__(cls)
         parts = {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets, "balls": balls}
@@ -180,7 +182,7 @@ class ConvexSet(Record):
         return LinearRows(matrix, lower, np.concatenate([self.offsets, *places]))
 
     @property
-    def round_balls(self) -> tuple[Ball, ...]:
+    def round_balls(self) -> tuple[NormBall, ...]:
         """The balls that are more than a point."""
         return tuple(ball for ball in self.balls if ball.radius > 0)
 

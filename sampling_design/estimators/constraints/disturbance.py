@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet, normed
+from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, normed
 from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
@@ -86,10 +86,10 @@ class DisturbanceReach:
         if boxed:
             lower, upper = support_boxes(self._responses, self.weights, flows, *self._box)
         for flow, low, high in zip(flows, lower, upper, strict=True):
-            balls: tuple[Ball, ...] = ()
+            balls: tuple[NormBall, ...] = ()
             if np.isfinite(self._radius):
                 length = float(np.sqrt(discounted_length(self.weights.eta, flow.gap)))
-                balls = (Ball(self._radius * length, np.zeros(n), np.eye(n)),)
+                balls = (NormBall(self._radius * length, np.zeros(n), np.eye(n)),)
             yield ConvexSet.known(low, high, np.zeros((0, n)), np.zeros(0), balls)
 
     def _exact(self, flow: GapFlow) -> ConvexSet:
@@ -101,7 +101,7 @@ class DisturbanceReach:
         rows = np.vstack([w.rows @ half, half[high], -half[low]])
         offsets = np.concatenate([w.offsets, w.upper[high], -w.lower[low]])
         whole = np.full(width, np.inf)
-        balls = tuple(Ball(b.radius, np.asarray(np.linalg.solve(half, b.centre)), b.shape @ half) for b in w.balls)
+        balls = tuple(NormBall(b.radius, np.asarray(np.linalg.solve(half, b.centre)), b.shape @ half) for b in w.balls)
         return ConvexSet.known(-whole, whole, rows, offsets, balls)
 
 

@@ -23,7 +23,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[Any]
+Entries = npt.NDArray[Any]  # real or complex
 
 EPS = float(np.finfo(float).eps)
 CONDITION_LIMIT = 1e3  # of all blocks' bases side by side: blocks with nearly the same directions are one
@@ -36,8 +36,8 @@ class ModeBlock:
     """An invariant subspace: A X = X T in balanced coordinates, T = mean I + N, and the clusters that it holds."""
 
     mean: complex
-    N: Complex
-    X: Complex
+    N: Entries
+    X: Entries
     clusters: tuple[EigenvalueCluster, ...]
 
 
@@ -49,7 +49,7 @@ class Sight(NamedTuple):
 
     rate: complex
     margin: float
-    parts: list[Complex]
+    parts: list[Entries]
     shares: Array
 
 
@@ -96,14 +96,14 @@ class PeriodModes:
         assert best is not None
         return best
 
-    def _rows(self, block: ModeBlock, times: Array, schedule: PeriodicSchedule) -> Complex:
+    def _rows(self, block: ModeBlock, times: Array, schedule: PeriodicSchedule) -> Entries:
         """C X e^{N t} at the given times, (N, p, m), unmeasured outputs as zeros; what may be rounding is zero."""
         out = self.C @ block.X
         out = np.where(np.abs(out) > RANK_TOLERANCE * (np.abs(self.C) @ np.abs(block.X)), out, 0)
         rows = out @ expm_batch(block.N, times)
         return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
 
-    def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Complex:
+    def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Entries:
         """The least seen state, in the plant's coordinates and of length 1, `before` the period's first sample."""
         tau = schedule.times - schedule.times[0]
         tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])
@@ -135,7 +135,7 @@ def _ladder(block: ModeBlock, period: float) -> Array:
     return np.asarray(np.power(1 / coupling if coupling > 0 else 1.0, steps), dtype=np.float64)
 
 
-def _less(cycle: Complex, own: complex, other: complex) -> Complex:
+def _less(cycle: Entries, own: complex, other: complex) -> Entries:
     """(e^{own} period - e^{other} I), divided by the larger of the two, without an overflow."""
     top = max(own.real, other.real)
     flow = np.exp(own - top) * cycle

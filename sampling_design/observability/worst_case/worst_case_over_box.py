@@ -21,7 +21,7 @@ from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
-OnePlant = Callable[[Plant, float, float], tuple[float, float, Array]]
+SigmaOfOne = Callable[[Plant, float, float], tuple[float, float, Array]]
 """Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
 
 FINER = 0.25
@@ -110,7 +110,7 @@ class WorstCaseOverBox(SigmaBracket):
 
 
 def worst_case_over_box(
-    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, one: OnePlant
+    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and how far sigma can be from theirs within a cell.
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import Arrival, CostFunction, Form
+from sampling_design.estimators.gap_flows.cost_function import ArrivalKind, CostFunction, Form
 from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
@@ -114,7 +114,7 @@ def cost_from_deviations(
     w_time: float = 1.0,
     form: Form = "paper",
     eta: float = 0.0,
-    arrival: Arrival = "fixed",
+    arrival: ArrivalKind = "fixed",
 ) -> CostFunction:
     """Return the cost whose weights are the inverse covariances that standard deviations stand for.
 

@@ -12,7 +12,7 @@ from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 
 Form = Literal["certificate", "paper"]
-Arrival = Literal["fixed", "filtered"]
+ArrivalKind = Literal["fixed", "filtered"]
 MATRICES = ("P2", "Qw", "R", "Qv")
 
 
@@ -64,7 +64,7 @@ class CostFunction(Record):
     Qv: npt.ArrayLike | None = None
     eta: float | None = None
     form: Form | None = None
-    arrival: Arrival = "fixed"
+    arrival: ArrivalKind = "fixed"
 
     _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=)."
 
@@ -76,7 +76,7 @@ class CostFunction(Record):
                 object.__setattr__(self, key, _checks.matrix(key, value, len(array), len(array)))
         if self.eta is not None:
             object.__setattr__(self, "eta", _checks.nonnegative("eta", self.eta))
-        for key, value, known in (("form", self.form, Form), ("arrival", self.arrival, Arrival)):
+        for key, value, known in (("form", self.form, Form), ("arrival", self.arrival, ArrivalKind)):
             if not (value in get_args(known) or (key == "form" and value is None)):
                 words = " or ".join(f'"{word}"' for word in get_args(known))
                 raise ArgumentError(f"`{key}` must be {words}, got {value!r}.")

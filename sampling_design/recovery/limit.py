@@ -342,8 +342,8 @@ def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> n
     slack = ON_EDGE * max(period, float(np.abs(marks).max()))
     found = np.zeros(samples.size, dtype=bool)
     for k, (a, b) in enumerate(pairwise(marks)):
-        for k in range(int(np.floor(a / period)) - 1, int(np.floor(b / period)) + 2):
-            begin, end = (zones + k * period).T
+        for shift in range(int(np.floor(a / period)) - 1, int(np.floor(b / period)) + 2):
+            begin, end = (zones + shift * period).T
             found[k] |= bool(np.any((begin < b - slack) & (end > a + slack)))
     return found
 

@@ -243,8 +243,8 @@ def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     hours = {"far": {"available": [[0.0, 2.0], [3.0, 5.0]]}}
     wish = sd.Requirement(window=6.0, period=6.0, samples=3, forbidden=[[4.5, 5.5]], outputs=hours)
     line = sd.design_schedule(two, wish, branches=0).plot(Figure().subplots())
-    lap = [(0, 4.5, 5.5), (1, 2.0, 3.0), (1, 4.5, 6.0)]
-    assert grey(line) == sorted(lap + [(k, a + 6.0, b + 6.0) for k, a, b in lap])
+    once = [(0, 4.5, 5.5), (1, 2.0, 3.0), (1, 4.5, 6.0)]
+    assert grey(line) == sorted(once + [(k, a + 6.0, b + 6.0) for k, a, b in once])
     assert "grey: closed" in line.get_title(loc="left")
     hours = {"Mon-Sun": [("06:00", "12:00")]}
     slow = sd.Plant([[-0.02]], [[1.0]], time_unit="h")

@@ -82,7 +82,7 @@ def estimate(
     record = reading.measurements(measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
         _check_origins(record, schedule)
-    if not np.isfinite(record.y).any():
+    if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
     start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
     inside = replace(record, times=record.times - start)

@@ -14,19 +14,21 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, OpenLoopEstimator, SolveDetails
+from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, SolveDetails
+from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
-from sampling_design.estimators.window.window_problem import build_window
+from sampling_design.estimators.windowed import Start, WindowedEstimator
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
 
-class KalmanFilter(OpenLoopEstimator):
+class KalmanFilter(WindowedEstimator):
     """The filter of all samples since the prior, without constraints.
 
         min  e^{-eta t}|x(0) - prior|^2_P2 + int e^{-eta(t-tau)}|w|^2_Qw + sum e^{-eta(t-tau)}|y - Cx - Du|^2_R~
@@ -54,8 +56,10 @@ class KalmanFilter(OpenLoopEstimator):
 
     Notes
     -----
-    Limits of detection and composite samples are no Gaussian readings: state and ellipsoid leave them out; `interval`,
-    `radii` and `centred` use them.
+    A composite sample (`Mean`) is an exact row: the samples since it began are filtered again with the integral of the
+    output beside the state, so that they must be kept (`maximum_delay`; with bounds on w and v the last 24 are).
+    Limits of detection are no Gaussian readings: state and ellipsoid leave them out; `interval`, `radii` and `centred`
+    use them.
 
     Examples
     --------
@@ -102,6 +106,8 @@ class KalmanFilter(OpenLoopEstimator):
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
         details: SolveDetails = {"engine": "filter", "window_start": state.nodes[0].t}
+        if means_of(sample):
+            return self._with_means(state, sample, (y, mask, feedthrough), (flow, drift))
         own = float(self._sample_energy(mask[None])[0])
         terms = before + own
         if self._too_large(innovation):
@@ -122,6 +128,42 @@ class KalmanFilter(OpenLoopEstimator):
             found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
         details["cost"] = past + cost
         return self._node(state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details)
+
+    def _with_means(
+        self,
+        state: State,
+        sample: Taken,
+        measured: tuple[Array, Array, Array],
+        last_gap: tuple[GapFlow, Array],
+    ) -> Node:
+        """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
+        nodes, last = state.nodes, state.last
+        since = min(begun for _, begun, _ in means_of(sample))
+        at = state.node_before(since)
+        for node in reversed(nodes):
+            begun = min((each for _, each, _ in means_of(node.sample)), default=np.inf)
+            if node.t > nodes[at].t and nodes[0].t <= begun < nodes[at].t:
+                at = state.node_before(begun)
+        first = nodes[at]
+        start = Start(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
+        window = self._window(state, start, sample, measured)
+        solution, passed = smooth(window), float(window.discount[0])
+        terms = passed * first.beta + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
+        terms += float(np.dot(window.discount, self._sample_energy(window.masks))) + self._heard_means(window)
+        found = self._judged(terms, solution.dual, last)
+        if found.status == "bounds disproved" and last.sound:
+            means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
+            mask[0, [output for output, _, _ in means]] = 1.0
+            room = float(self._sample_energy(mask)[0]) or terms
+            factor = float(np.sqrt((solution.dual - terms + room) / room)) if room > 0 else np.inf
+            name = self.plant.outputs.names[means[0][0]]
+            found = found._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
+        past = 0.0 if first.sample.y is None else first.estimate.cost * passed
+        details: SolveDetails = {"engine": "filter", "window_start": nodes[0].t, "cost": past + solution.cost}
+        y, mask, feedthrough = measured
+        x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
+        taken = MeasuredSample(sample, y, mask, feedthrough)
+        return self._node(state, taken, Held(x, Y, *last_gap), found, details)
 
     def _blame(
         self, sample: Taken, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
@@ -156,36 +198,26 @@ class KalmanFilter(OpenLoopEstimator):
         nodes = fresh.state.nodes
         if len(nodes) == 1:
             return EstimateRecord.collect(self.plant, [])
-        inside = [node for node in nodes[1:] if node.t > nodes[0].t]
-        opening = nodes[1] if nodes[1].t == nodes[0].t else nodes[0]
-        rows = [opening, *inside]
-        window = build_window(
-            self.weights,
-            np.array([node.t for node in rows]),
-            [node.flow for node in inside if node.flow is not None],
-            np.array([node.drift for node in inside]).reshape(-1, self.plant.n_states),
-            np.array([nodes[0].x, *(node.x for node in inside)]),
-            *(np.array([getattr(node, key) for node in rows]) for key in ("y", "mask", "feedthrough")),
-        )
-        found = smooth(window)
-        kernel, covariance = found.spread.kernel(), [found.covariance]
-        for G, S in zip(kernel.gains[::-1], kernel.roots[-2::-1], strict=True):
-            covariance.append(symmetrise(G @ covariance[-1] @ G.T + S @ S.T))
-        last, estimates = nodes[-1].estimate, []
-        for node, x, Y in zip(rows, found.nodes, covariance[::-1], strict=True):
-            if node.sample.y is not None:
-                estimates.append(
-                    Estimate(
-                        node.t,
-                        freeze(x),
-                        freeze(Y),
-                        last.radius,
-                        last.status,
-                        certified=last.certified,
-                        note=last.note,
-                        cost=last.cost,
-                        engine=found.engine,
-                        window_start=nodes[0].t,
-                    )
+        first, last = nodes[0], nodes[-1]
+        start = Start(first.t, first.x, first.beta, None, nodes[1:-1])
+        window = fresh._window(fresh.state, start, last.sample, (last.y, last.mask, last.feedthrough))
+        found, said = smooth(window), last.estimate
+        at = {t: j for j, t in enumerate(window.times.tolist())}
+        covariances, estimates = found.spread.covariances(), []
+        for node in nodes[1:]:
+            j = at[node.t]
+            estimates.append(
+                Estimate(
+                    node.t,
+                    freeze(found.nodes[j]),
+                    freeze(covariances[j]),
+                    said.radius,
+                    said.status,
+                    certified=said.certified,
+                    note=said.note,
+                    cost=said.cost,
+                    engine=found.engine,
+                    window_start=first.t,
                 )
+            )
         return EstimateRecord.collect(self.plant, estimates)

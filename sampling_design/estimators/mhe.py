@@ -93,7 +93,8 @@ class MovingHorizonEstimator(WindowedEstimator):
     online estimates; singular or ill-conditioned noise Gramians are used in factor form.
 
     Limits of detection (`Below`, `Above`) are constraints on C x at their sample, the noise bound added, which the
-    truth keeps; composite samples enter `interval`, `radii` and `centred` only.
+    truth keeps. Composite samples (`Mean`) are exact rows of the window in which their interval lies whole, the
+    disturbance inside it taken along; a limit on a mean enters `interval`, `radii` and `centred` only.
 
     References
     ----------
@@ -188,7 +189,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         scheduled = self._fits_schedule(state, sample.t, mask)
         held = (y, mask, feedthrough), (flow, drift)
         limits = self._limited(sample, feedthrough)
-        free = limits is None and not (start.inside and state.last.limited >= start.inside[0].t)
+        free = not sample.told and not (start.inside and state.last.limited >= start.inside[0].t)
         slid = self._slid(state, start, sample.t, *held) if free else None
         solved = slid or self._solved(state, start, sample, *held, limits)
         x, Y, found = solved.x, solved.Y, solved.found
@@ -209,16 +210,18 @@ class MovingHorizonEstimator(WindowedEstimator):
         limits: Array | None = None,
     ) -> Answer:
         """Return what the window says, put together and solved as a whole."""
-        window, (flow, drift) = self._window(state, start, sample.t, measured, limits), last_gap
+        window, (flow, drift) = self._window(state, start, sample, measured, limits), last_gap
         terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
         last, engine, cost = state.last, "", np.nan
         if self._too_large(window.weighted(window.residual)):
             terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
             found, note = self._overflowed(state, sample, window.residual[-1], terms)
         else:
-            terms += self._rounded(window.y, window.reference)
+            terms += self._rounded(window.y, window.reference) + self._heard_means(window)
+            if window.means is not None:
+                terms += self._rounded(window.means.y, window.reference)
             solution = self._solve(window)
-            engine, note = solution.engine, solution.note
+            engine, note = solution.engine, solution.note or self._left_out(sample, start)
             found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
@@ -247,6 +250,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         if self.constraints.active or window.limits is not None:
             found.sort()
             found = [(self._over(_without(window, j, i), terms - own), j, i, own) for _, j, i, own in found[:SUSPECTS]]
+        for k, mean in enumerate(() if window.means is None else window.means.readings):
+            rest = replace(window, means=window.means and window.means.without(k))
+            own = self._heard_means(window) - self._heard_means(rest)
+            found.append((self._over(rest, terms - own), mean.end, mean.output, own))
         over, j, i, own = min(found)
         alone = over <= CONTRADICTION * terms
         room = np.float64(own if alone else terms)

@@ -129,6 +129,8 @@ class NominalFilter(KalmanFilter):
             "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
         )
 
+    weighs_means = False  # what a mean shows of the mismatch is not bounded
+
     def _assumptions(self, error: StartError) -> Assumptions | None:
         return None  # intervals of the data would take the nominal plant for the true one
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,6 +18,7 @@ from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict, rounding
+from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.square_root import covariance_root
 from sampling_design.estimators.window.window_problem import Window, build_window
@@ -23,6 +27,9 @@ Array = npt.NDArray[np.float64]
 
 SAME_TIME = 4.0
 """A window start within so many units in the last place of the times of a sample is that sample's time."""
+
+
+LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 
 
 class Start(NamedTuple):
@@ -52,7 +59,8 @@ class WindowedEstimator(OpenLoopEstimator):
     horizon: float
     arrival_cost: str
     constraints: WindowConstraints
-    check_spacing: float | None
+    check_spacing: float | None = None
+    weighs_means = True
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
@@ -157,6 +165,19 @@ class WindowedEstimator(OpenLoopEstimator):
             return None
         return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
 
+    def _left_out(self, sample: Taken, start: Start) -> str:
+        """What is said of a mean that began before the window."""
+        return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
+
+    def _heard_means(self, window: Window) -> float:
+        """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside."""
+        if window.means is None:
+            return 0.0
+        masks = window.means.masks
+        if not self.weights.diagonal_noise:
+            masks = masks + window.masks * masks.any(axis=1, keepdims=True)
+        return float(np.dot(window.discount, self._sample_energy(masks)))
+
     def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
         if self._v_bound is None or not any(each.since is None for each in sample.told):
@@ -172,15 +193,20 @@ class WindowedEstimator(OpenLoopEstimator):
         found[0, torn], found[1, torn] = -np.inf, np.inf
         return found if np.isfinite(found).any() else None
 
+    @cached_property
+    def _integrals(self) -> IntegralFlows:
+        return IntegralFlows(self.weights, self.table.constant_w)
+
     def _window(
         self,
         state: State,
         start: Start,
-        t: float,
+        sample: Taken,
         measured: tuple[Array, Array, Array],
         limits: Array | None = None,
     ) -> Window:
-        """Return the window problem from `start` to t, where `measured` = (y, mask, D u) came, with `limits` of C x."""
+        """Return the window problem from `start` to a sample, `measured` = (y, mask, D u), with `limits` of C x."""
+        t = sample.t
         inside = [node for node in start.inside if node.t > start.s]
         opening = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
         times = [start.s, *(node.t for node in inside)]
@@ -193,13 +219,17 @@ class WindowedEstimator(OpenLoopEstimator):
         zero = np.zeros(self.plant.n_outputs)
         rows.insert(0, opening or (zero, zero, zero))
         flows, drift, reference = self._path(state, start, inside, times)
-        if self.check_spacing is not None and self.constraints.x is not None:
-            times, rows, flows, drift, reference = self._refined(state, times, rows, reference)
+        came = [*(node.sample for node in inside), sample]
+        read = [(node.t, *mean) for node in came for mean in means_of(node) if mean[1] >= start.s]
+        begun = sorted({since for _, _, since, _ in read} - set(times))
+        checked = self.check_spacing is not None and self.constraints.x is not None
+        if checked or begun:
+            times, rows, flows, drift, reference = self._refined(state, times, rows, reference, begun, checked)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
         told = {node.t: node.limits for node in start.inside if node.limits is not None}
         told |= {} if limits is None else {t: limits}
         free = np.array([np.full(self.plant.n_outputs, -np.inf), np.full(self.plant.n_outputs, np.inf)])
-        return build_window(
+        window = build_window(
             weights=self.weights,
             times=np.array(times),
             flows=flows,
@@ -211,6 +241,12 @@ class WindowedEstimator(OpenLoopEstimator):
             prior_root=start.root,
             limits=np.array([told.get(at, free) for at in times]) if told else None,
         )
+        if not read:
+            return window
+        at = {t: j for j, t in enumerate(times)}
+        readings = [MeanReading(output, at[since], at[t], value) for t, output, since, value in read]
+        means = self._integrals.means(state, times, window.reference, window.residual, window.masks, readings)
+        return replace(window, means=means)
 
     def _path(
         self, state: State, start: Start, inside: list[Node], times: list[float]
@@ -233,19 +269,26 @@ class WindowedEstimator(OpenLoopEstimator):
         return flows, np.array(drift), np.array(known)
 
     def _refined(
-        self, state: State, times: list[float], rows: list[tuple[Array, Array, Array]], reference: Array
+        self,
+        state: State,
+        times: list[float],
+        rows: list[tuple[Array, Array, Array]],
+        reference: Array,
+        also: Sequence[float],
+        checked: bool,
     ) -> tuple[list[float], list[tuple[Array, Array, Array]], list[GapFlow], Array, Array]:
-        """Put unmeasured nodes between those given, at most `check_spacing` apart."""
-        assert self.check_spacing is not None
+        """Put unmeasured nodes between those given: at times that are named, and `checked`, `check_spacing` apart."""
         zero = np.zeros(self.plant.n_outputs)
         edges, data, path, drift = [times[0]], [rows[0]], [reference[0]], []
         for j, t in enumerate(times[1:]):
-            count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
-            for k in range(1, max(count, 1) + 1):
-                last = k >= count
-                when = t if last else times[j] + k * (t - times[j]) / count
+            between = {s for s in also if times[j] < s < t}
+            if checked and self.check_spacing is not None:
+                count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
+                between |= {times[j] + k * (t - times[j]) / count for k in range(1, count)}
+            for when in [*sorted(between), t]:
+                last = when == t
                 drift.append(self._drift.between(state, edges[-1], when))
-                (flow,) = self.table.get([when - edges[-1]])
+                flow = self.table.one(when - edges[-1])
                 path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
                 edges.append(when)
                 data.append(rows[j + 1] if last else (zero, zero, zero))

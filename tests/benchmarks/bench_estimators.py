@@ -50,8 +50,8 @@ def last_window(options=None):
     mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
     t, y, _ = next(warm(mhe))
     state = mhe.state
-    measured = mhe._measured(state, Taken(t, y))
-    return mhe, mhe._window(state, mhe._start(state, t), t, measured)
+    sample = Taken(t, y)
+    return mhe, mhe._window(state, mhe._start(state, t), sample, mhe._measured(state, sample))
 
 
 def fresh(window):

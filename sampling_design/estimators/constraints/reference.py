@@ -108,6 +108,11 @@ def _improved(
         for chosen, at, total in ((constraints.v, point.v[j], step), (constraints.y, model + point.v[j], moved + step)):
             if chosen is not None:
                 program.keep_inside(chosen, at, total, mask)
+    if window.means is not None:
+        root, means = np.linalg.cholesky(window.means.spread), window.means
+        shown = means.target - np.einsum("kjn,jn->k", means.rows, point.x - window.reference)
+        rows = np.linalg.solve(root, means.rows.reshape(len(shown), -1))
+        program.add_square(np.linalg.solve(root, shown), -rows @ cp.hstack(x))
     problem = cp.Problem(cp.Minimize(cp.sum(program.terms)), program.parts)
     record = _conic.solve(problem, tolerance=SOLVER_TOLERANCE)
     if not _conic.usable(record) or problem.value is None or any(step.value is None for step in x):

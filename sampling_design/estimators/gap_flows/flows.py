@@ -86,7 +86,7 @@ class GapFlow:
 
     def _rooted(self) -> tuple[Array, Array]:
         if self._roots is None:
-            self._roots = _root(self.W)
+            self._roots = noise_root(self.W)
         return self._roots
 
     @property
@@ -227,7 +227,7 @@ def _units(W: Array) -> Array:
     return np.where(size > 0, size, 1.0)
 
 
-def _root(W: Array) -> tuple[Array, Array]:
+def noise_root(W: Array) -> tuple[Array, Array]:
     """Return a root of W and its pseudo-inverse; NaN where W overflowed."""
     if not np.isfinite(W).all():
         return np.full_like(W, np.nan), np.full_like(W, np.nan)

@@ -25,7 +25,7 @@ class Node(NamedTuple):
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
     on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
     the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
-    `limited` when one last had limits.
+    `limited` when one last had limits or means.
     """
 
     t: float

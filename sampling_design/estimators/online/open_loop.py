@@ -96,6 +96,8 @@ class OpenLoopEstimator(OnlineEstimator):
 
     claim_note: str
     radius_note: str
+    weighs_means: bool = False
+    """Whether a composite sample is a row of what is minimised, so that it says something without bounds."""
     _watch: ScheduleWatch | None
     _assumed: Assumptions | None
 
@@ -153,7 +155,8 @@ class OpenLoopEstimator(OnlineEstimator):
         return Assumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), error)
 
     def _check_told(self, state: State, t: float, limits: tuple[Told, ...]) -> None:
-        if self._assumed is None:
+        exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
+        if self._assumed is None and not exact:
             raise ArgumentError(
                 f"`w_bound` and `v_bound` must be given for the limit or mean at t = {t!r} to say anything."
             )
@@ -293,7 +296,7 @@ class OpenLoopEstimator(OnlineEstimator):
             sample=measured.sample,
             number=state.last.number + 1,
             limits=measured.limits,
-            limited=state.last.limited if measured.limits is None else measured.sample.t,
+            limited=measured.sample.t if measured.sample.told else state.last.limited,
         )
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:

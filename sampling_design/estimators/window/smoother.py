@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from sampling_design.estimators.window.means import with_means
 from sampling_design.estimators.window.solution import DUAL_MARGIN, Kernel, Solution
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import Window
@@ -40,7 +41,9 @@ def smooth(window: Window) -> Solution:
     the rounding of the sums; the other route's cost is a sum of squares, with the same margin.
     """
     found = solve_banded(window)
-    return solve_square_root(window) if found is None else found
+    if found is None:
+        found = solve_square_root(window)
+    return found if window.means is None else with_means(found, window.reference, window.means)
 
 
 def information_band(window: Window) -> tuple[Array, Array] | None:
@@ -140,6 +143,10 @@ class _BandSpread:
         band[:] = self.factor[:width].T
         inverse = lapack.dtrtri(store[: m * m].reshape(m, m).T, lower=1, overwrite_c=1)[0]
         return np.asarray(inverse.T.reshape(-1, self.n, m))
+
+    def covariances(self) -> Array:
+        """Return T_j T_j' of every node, (N+1, n, n)."""
+        return self.kernel().covariances()
 
     def kernel(self) -> Kernel:
         """Return T as a backward recursion."""

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._linalg import symmetrise
 from sampling_design.estimators.online.estimator import Status
 
 Array = npt.NDArray[np.float64]
@@ -20,8 +21,8 @@ DUAL_MARGIN = 1e-11
 class Spread(Protocol):
     """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more."""
 
-    def kernel(self) -> Kernel:
-        """Return T as a backward recursion."""
+    def covariances(self) -> Array:
+        """Return T_j T_j' of every node, (N+1, n, n)."""
         ...
 
     def maps(self) -> Array:
@@ -44,9 +45,12 @@ class Kernel:
     roots: Array
     gains: Array
 
-    def kernel(self) -> Kernel:
-        """Return itself."""
-        return self
+    def covariances(self) -> Array:
+        """Return T_j T_j' of every node, (N+1, n, n)."""
+        found: Array = np.matmul(self.roots, np.swapaxes(self.roots, 1, 2))
+        for j in range(len(self.gains) - 1, -1, -1):
+            found[j] += symmetrise(self.gains[j] @ found[j + 1] @ self.gains[j].T)
+        return found
 
     @cached_property
     def _T(self) -> Array:

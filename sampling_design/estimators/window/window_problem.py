@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, GapFlow
+from sampling_design.estimators.window.means import Means
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +51,8 @@ class Window:
         Transitions.
     limits : (N+1, 2, p) or None
         What C x lies between where limits of detection were told, infinite elsewhere.
+    means : Means or None
+        Composite samples.
     """
 
     weights: Weights
@@ -65,6 +68,7 @@ class Window:
     feedthrough: Array
     F: Array
     limits: Array | None = None
+    means: Means | None = None
 
     @cached_property
     def joint(self) -> Array | None:

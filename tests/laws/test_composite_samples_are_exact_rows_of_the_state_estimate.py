@@ -197,3 +197,11 @@ def test_what_began_before_the_window_is_said_to_be_left_out():
     mhe.update(2.5, [0.2, np.nan])
     found = mhe.update(2.8, [np.nan, Mean(0.5, 1.5)])
     assert "A composite sample began before the window" in found.note
+
+
+@pytest.mark.parametrize("kind", ["filter", "window"])
+def test_from_a_file(tmp_path, kind):
+    path = tmp_path / "record.csv"
+    path.write_text("time,y1,y1_since,y2,y2_since,u1\n0.7,0.4,,,,0\n1.6,0.2,0.9,,,\n2.5,,,0.3,1.2,\n4.4,0.6,1.7,,,\n")
+    record = sd.read_measurements(path, PLANT)
+    agrees(made(kind, 0.2).run(record).estimates[-1], *wanted(RECORDS["two that overlap"], False, 0.2, 4.4))

@@ -22,7 +22,7 @@ from sampling_design.estimators.online.open_loop import ROUNDING, Held, Measured
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
-from sampling_design.estimators.windowed import Start, WindowedEstimator
+from sampling_design.estimators.windowed_estimator import Start, WindowedEstimator
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]

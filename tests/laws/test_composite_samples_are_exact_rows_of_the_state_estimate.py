@@ -67,7 +67,7 @@ def made(kind, eta, **options):
     return sd.MovingHorizonEstimator(PLANT, horizon=10.0, cost=cost, prior=[0.3, -0.2], **options)
 
 
-def agrees(estimate, x, Y, cost):
+def check_agrees(estimate, x, Y, cost):
     size = np.sqrt(np.diag(Y))
     assert np.max(np.abs(estimate.x - x) / size) < SAME
     assert np.max(np.abs(estimate.covariance - Y) / np.outer(size, size)) < SAME
@@ -82,7 +82,7 @@ def test_state_covariance_and_cost_are_those_of_quadrature(case, kind):
     for t, y, u in rows_of(record, inputs):
         estimate = estimator.update(t, y, u)
         if y is not None:
-            agrees(estimate, *wanted(record, inputs, eta, t))
+            check_agrees(estimate, *wanted(record, inputs, eta, t))
 
 
 @pytest.mark.parametrize("kind", ["filter", "window"])
@@ -94,7 +94,7 @@ def test_a_late_sample_inside_the_interval_counts(kind):
     for row in rows:
         if row is not late:
             estimator.update(*row)
-    agrees(estimator.update(*late), *wanted(record, True, 0.3, 3.6))
+    check_agrees(estimator.update(*late), *wanted(record, True, 0.3, 3.6))
 
 
 def test_the_smoother_takes_means_in_too():
@@ -204,4 +204,4 @@ def test_from_a_file(tmp_path, kind):
     path = tmp_path / "record.csv"
     path.write_text("time,y1,y1_since,y2,y2_since,u1\n0.7,0.4,,,,0\n1.6,0.2,0.9,,,\n2.5,,,0.3,1.2,\n4.4,0.6,1.7,,,\n")
     record = sd.read_measurements(path, PLANT)
-    agrees(made(kind, 0.2).run(record).estimates[-1], *wanted(RECORDS["two that overlap"], False, 0.2, 4.4))
+    check_agrees(made(kind, 0.2).run(record).estimates[-1], *wanted(RECORDS["two that overlap"], False, 0.2, 4.4))

@@ -32,7 +32,7 @@ RANDOM_WALK = 1e-3
 PANELS = (16, 4096)
 """Least and largest number of panels of the quadrature over a gap."""
 
-PANEL = 0.25
+PANEL = 0.125
 """Length of a panel times |A| in scaled coordinates."""
 
 CELL_LOSS = 8e-3
@@ -40,6 +40,9 @@ CELL_LOSS = 8e-3
 
 CONTRACTED = 1e-3
 """Periods are added until the filter's error forgets all but this share of its past."""
+
+FORGOTTEN = 0.01
+"""The share of the past that may be left after the filter's memory."""
 
 PERIODS = 4000
 
@@ -157,6 +160,18 @@ class SampleChain:
         if self.start is None:
             finer.__dict__["reach"] = self.reach
         return finer
+
+    @cached_property
+    def memory(self) -> int:
+        """Samples after which a filter's error forgets all but a small share of its past; endless."""
+        mu, j = np.eye(self.D.size), 0
+        for count in range(PERIODS * len(self)):
+            sample, gap = self.samples[j], self.gaps[(j - 1) % len(self)]
+            mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
+            j = (j - 1) % len(self)
+            if np.linalg.norm(mu, 2) < FORGOTTEN:
+                return count + 1
+        return PERIODS * len(self)
 
     @cached_property
     def reach(self) -> Array:

@@ -9,11 +9,13 @@ are evaluated anew: `upper` for any gains and all real times, `lower` for an adv
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._conic import INFEASIBLE, UNBOUNDED, ConeSolver
+from sampling_design._stages import StageProgram
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.gains import ROUNDING, Gains, cleared, evaluated
 from sampling_design.recovery.start import StartSet
@@ -25,6 +27,26 @@ TOLERANCE = 1e-8
 
 EXACTLY = 1e-6
 """An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
+
+
+SLIGHT = 1e-5
+"""An adversary that is divided by no more than this beyond 1 need not be corrected."""
+
+STAGED, NEAR = 1e-5, 0.02
+"""Shares within which the two sides of a program over stages meet, and where its upper side is low enough."""
+
+STALLED = 5e-3
+"""A program over stages whose two sides differ by more than this share is left to the general solver."""
+
+
+@dataclass(frozen=True, eq=False)
+class _WindowPoint:
+    """Point and multipliers of a window's program, unchecked."""
+
+    z: Array  # (K, n)
+    w: list[Array]  # (m, q) per gap
+    gains: list[Array]  # (p_k,)
+    ahead: Array  # (K-1, n): the costate after each sample but the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +133,13 @@ class _ConeRows:
         )
 
 
+def boxed(chain: SampleChain, nodes: list[int]) -> bool:
+    """Whether everything that bounds w and v at some samples does so entry by entry, and no sensor is exact."""
+    samples = [chain.samples[j] for j in nodes]
+    round_v = chain.bounds.v_ball and any(len(s.H) > 1 for s in samples)
+    return not (chain.bounds.w_ball or round_v or any(s.exact.any() for s in samples))
+
+
 class ConeWindow:
     """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or a set of them.
 
@@ -128,11 +157,35 @@ class ConeWindow:
         self.chain, self.nodes, self.start, self.data = chain, nodes, start, data
         self._tolerance = tolerance
         self.infeasible = False
-        self._build()
+        self._stages = self._staged()
+        self._built = False
+        if self._stages is None:
+            self._build()
+
+    def _staged(self) -> StageProgram | None:
+        """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
+        chain, start = self.chain, self.start
+        gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        if self.data is not None or not boxed(chain, self.nodes) or not gaps:
+            return None
+        if isinstance(start, StartSet):
+            if start.ball or start.S is None or start.S.shape[0] != start.S.shape[1]:
+                return None
+            S: Array | None = start.S
+        elif np.any(start == 0):
+            if np.any(start != 0):
+                return None
+            S = None
+        else:
+            S = np.diag(1 / start)
+        n = chain.D.size
+        B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
+        return StageProgram([gap.F for gap in gaps], B, [s.H for s in samples], S)
 
     def _build(self) -> None:
         chain, n, q = self.chain, self.chain.D.size, self.chain.G.shape[1]
         K = len(self.nodes)
+        self._built = True
         gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
         self._w_at = K * n + q * np.concatenate([[0], np.cumsum([len(g.cells) for g in gaps])]).astype(int)
         table = _ConeRows(int(self._w_at[-1]))
@@ -176,35 +229,67 @@ class ConeWindow:
                 at = self._box_at[k]
                 self._b[at : at + 2 * noisy.size] += np.concatenate([noisy, -noisy])
 
-    def _solved(self, mu: Array) -> tuple[Array, Array]:
-        """Point and multipliers for the target mu'z_K, unchecked; zeros where the solver brought none."""
-        n, K, size = mu.size, len(self.nodes), float(np.linalg.norm(mu))
-        cost = np.zeros(int(self._w_at[-1]))
+    def _solved(self, mu: Array, enough: float = 0.0) -> _WindowPoint:
+        """Point and multipliers for the target mu'z_K; zeros where the solver brought none."""
+        size = float(np.linalg.norm(mu))
         if size == 0:
-            return cost, np.zeros(self._b.size)
-        cost[(K - 1) * n : K * n] = -mu / size
+            return self._nowhere()
+        if self._stages is not None:
+            found = self._stages.solve(mu, self._guess(mu), STAGED, enough, NEAR)
+            if found.gap <= (NEAR if enough > 0 else STALLED):
+                q = self.chain.G.shape[1]
+                w = [u.reshape(-1, q) for u in found.u]
+                return _WindowPoint(found.z, w, list(found.gains), found.costates)
+        if not self._built:
+            self._build()
+        return self._coned(mu / size, size)
+
+    def _coned(self, mu: Array, size: float) -> _WindowPoint:
+        """What the general solver finds."""
+        n, K, q = mu.size, len(self.nodes), self.chain.G.shape[1]
+        cost = np.zeros(int(self._w_at[-1]))
+        cost[(K - 1) * n : K * n] = -mu
         x, y, status = self._solver.solve(cost, self._b)
         self.infeasible = status == INFEASIBLE
         if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
-            return 0 * cost, np.zeros(self._b.size)
-        return np.asarray(x, dtype=np.float64), np.asarray(y * size, dtype=np.float64)
+            return self._nowhere()
+        w = [x[i:j].reshape(-1, q) for i, j in pairwise(self._w_at)]
+        return _WindowPoint(
+            x[: K * n].reshape(K, n), w, self._gains(y * size), (y * size)[: (K - 1) * n].reshape(-1, n)
+        )
 
-    def gains(self, mu: Array) -> Gains:
-        """Return the best gains for the target mu'z_K, with what they prove."""
-        return self.upper(mu, self._steadied(mu, self._solved(mu)[1]))
+    def _guess(self, mu: Array) -> list[Array]:
+        """The filter's gains."""
+        gains, g = [np.zeros(0)] * len(self.nodes), mu
+        for k in range(len(self.nodes) - 1, -1, -1):
+            sample = self.chain.samples[self.nodes[k]]
+            gains[k] = sample.K.T @ g
+            if k:
+                g = self.chain.gaps[self.nodes[k - 1]].F.T @ (g - sample.H.T @ gains[k])
+        return gains
+
+    def _nowhere(self) -> _WindowPoint:
+        nothing, K = self._nothing(), len(self.nodes)
+        gains = [np.zeros(len(self.chain.samples[j].H)) for j in self.nodes]
+        return _WindowPoint(nothing.z, list(nothing.w), gains, np.zeros((K - 1, self.chain.D.size)))
+
+    def gains(self, mu: Array, enough: float = 0.0) -> Gains:
+        """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
+        return self.upper(mu, self._steadied(mu, self._solved(mu, enough)))
 
     def both(self, mu: Array) -> tuple[Gains, Adversary]:
         """Return both sides for the target mu'z_K, each evaluated without the solver."""
-        x, y = self._solved(mu)
-        return self.upper(mu, self._steadied(mu, y)), self._admissible(mu, x)
+        point = self._solved(mu)
+        return self.upper(mu, self._steadied(mu, point)), self._admissible(mu, point)
 
     def least_scale(self) -> list[Array]:
         """Return the gains that prove best by how much the data exceed what the bounds allow."""
         solver = self._table.scaled(self._b - self._bare)
         _, y, status = solver.solve(np.append(np.zeros(int(self._w_at[-1])), -1.0), self._bare)
-        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
-            y = np.zeros(self._b.size)
-        return self._steadied(np.zeros(self.chain.D.size), np.asarray(y, dtype=np.float64))
+        n, K, point = self.chain.D.size, len(self.nodes), self._nowhere()
+        if status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(y).all():
+            point = _WindowPoint(point.z, point.w, self._gains(y), y[: (K - 1) * n].reshape(-1, n))
+        return self._steadied(np.zeros(n), point)
 
     def _nothing(self) -> Adversary:
         chain = self.chain
@@ -227,13 +312,12 @@ class ConeWindow:
             found.append(gains)
         return found
 
-    def _steadied(self, mu: Array, y: Array) -> list[Array]:
+    def _steadied(self, mu: Array, point: _WindowPoint) -> list[Array]:
         """The solver's gains, corrected by the filter's wherever its costate and the true one part.
 
         The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
         """
-        n, chain, raw = mu.size, self.chain, self._gains(y)
-        ahead = y[: (len(self.nodes) - 1) * n].reshape(-1, n)
+        chain, raw, ahead = self.chain, point.gains, point.ahead
         gains: list[Array] = [np.zeros(0)] * len(raw)
         true, meant = mu, mu
         for k in range(len(raw) - 1, -1, -1):
@@ -250,21 +334,19 @@ class ConeWindow:
         """Return what any gains prove, for all real times."""
         return evaluated(self.chain, self.nodes, self.start, mu, gains, self.data)
 
-    def _admissible(self, mu: Array, x: Array) -> Adversary:
+    def _admissible(self, mu: Array, point: _WindowPoint) -> Adversary:
         """The solver's disturbance, flown from its start (0 unless that is a set) and scaled until admissible."""
         chain, n, K = self.chain, mu.size, len(self.nodes)
-        meant = x[: K * n].reshape(K, n)
         best = self._nothing()
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
-            z[0] = chain.opening(meant[0]) if isinstance(self.start, StartSet) else 0.0
+            z[0] = chain.opening(point.z[0]) if isinstance(self.start, StartSet) else 0.0
             for k, j in enumerate(self.nodes[:-1]):
-                gap, q = chain.gaps[j], chain.G.shape[1]
-                u = x[self._w_at[k] : self._w_at[k + 1]].reshape(-1, q)
+                gap, q, u = chain.gaps[j], chain.G.shape[1], point.w[k]
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
                 if corrected:
                     flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
-                    extra = np.linalg.lstsq(flat, meant[k + 1] - z[k + 1], rcond=1e-9)[0]
+                    extra = np.linalg.lstsq(flat, point.z[k + 1] - z[k + 1], rcond=1e-9)[0]
                     u = u + extra.reshape(-1, q)
                     z[k + 1] += flat @ extra
                 w.append(u)
@@ -272,6 +354,8 @@ class ConeWindow:
             found = Adversary(float(mu @ z[-1]) / factor, tuple(u / factor for u in w), z / factor)
             if np.isfinite(factor) and found.value > best.value:
                 best = found
+            if best.value > 0 and factor <= 1 + SLIGHT:
+                break
         return best
 
     def _excess(self, z: Array, w: list[Array]) -> float:

@@ -13,7 +13,7 @@ from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.between import Open, open_row
 from sampling_design.recovery.chain import CELL_LOSS, SampleChain
 from sampling_design.recovery.gains import Gains, centre_offset, evaluated
-from sampling_design.recovery.program import Adversary, ConeWindow
+from sampling_design.recovery.program import Adversary, ConeWindow, boxed
 from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
@@ -36,11 +36,17 @@ FILLED = 24
 ATTACKS = (8, 32)
 """Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
 
+ATTACKS_LONG = 3
+"""Attacks, and targets solved, where windows are as long as the filter's memory."""
+
 SMALL = 5000
 """BoxCells times entries of w in a small program."""
 
 TOLERANCE = 1e-7
 """Asked of the solver: what both sides prove is second order in it."""
+
+LASTING = 32
+"""A filter's memory, in samples, from which on the search begins with windows as long as it."""
 
 LONGEST = 4096
 """Samples back beyond which the past is not followed."""
@@ -96,6 +102,9 @@ class ChainSearch:
         """Depths that twice as many samples did not improve on."""
         self.atoms = atoms
         self.strikes: list[list[Strike]] = [[] for _ in range(len(chain))]
+        self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
+        if self._long:
+            self.deep, self.back = chain.memory, chain.memory // 2
 
     @cached_property
     def _coarse(self) -> SampleChain:
@@ -137,11 +146,11 @@ class ChainSearch:
             )
         return self._windows[key]
 
-    def gains(self, j: int, mu: Array) -> Gains:
-        """Gains for mu'z_j over `back` samples, kept among the atoms."""
+    def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
+        """Gains for mu'z_j over `back` samples, kept among the atoms; good ones, if what they prove is `enough`."""
         self.solves += 1
         self._tell()
-        found = self.window(j, self.back, False).gains(mu)
+        found = self.window(j, self.back, False).gains(mu, enough)
         self.atoms[j].add(mu, found)
         return found
 
@@ -175,18 +184,35 @@ class ChainSearch:
 
     def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
-        if 2 * self.deep <= LONGEST and self.deep not in self._enough:
-            self.deep *= 2
-            gains, adversary = self.attack(j, mu)
-            if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
-                return True
-            self.deep //= 2
-            self._enough.add(self.deep)
-        if 2 * self.back <= self.deep:
-            self.back *= 2
-            if self.gains(j, mu).value < best * (1 - rtol / 8):
-                return True
-            self.back //= 2
+        steps = [self._deeper, self._longer, self._finer]
+        if self._long:  # windows are as long as the filter's memory already
+            steps.reverse()
+        return any(step(j, mu, best, below, rtol) for step in steps)
+
+    def _deeper(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether adversaries that start earlier do."""
+        if 2 * self.deep > LONGEST or self.deep in self._enough:
+            return False
+        self.deep *= 2
+        gains, adversary = self.attack(j, mu)
+        if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
+            return True
+        self.deep //= 2
+        self._enough.add(self.deep)
+        return False
+
+    def _longer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether gains of more samples do."""
+        if 2 * self.back > self.deep:
+            return False
+        self.back *= 2
+        if self.gains(j, mu).value < best * (1 - rtol / 8):
+            return True
+        self.back //= 2
+        return False
+
+    def _finer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether finer cells do."""
         if self.cell_loss <= FINEST:
             return False
         self.cell_loss /= 4
@@ -245,8 +271,9 @@ class ChainSearch:
             if high > 0 and found.solved[at][peak] < self.back:
                 self._node(found, at, peak)
             elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and offset not in found.solved[j]:
-                if self._combined(found, j, offset) > max(high, found.lower * (1 + rtol * SHARE)):
-                    self._node(found, j, offset)
+                enough = max(high, found.lower * (1 + rtol * SHARE))
+                if self._combined(found, j, offset) > enough:
+                    self._node(found, j, offset, enough)
             elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
                 return found
 
@@ -296,8 +323,9 @@ class ChainSearch:
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
-    def _node(self, found: RowSearch, j: int, offset: int) -> None:
-        self.gains(j, found.opened[j].mu[offset])
+    def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
+        opened = found.opened[j]
+        self.gains(j, opened.mu[offset], enough - float(opened.above[offset]))
         found.solved[j][offset] = self.back
         self._refresh(found, j)
 
@@ -317,8 +345,12 @@ class ChainSearch:
         """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
         gaps = range(len(found.opened))
         for j in gaps:
-            if 0 not in found.solved[j] and np.isfinite(found.nodes[j][0]):
-                self._node(found, j, 0)
+            known = PROFILE * float(self.attained(found, j)[0]) if self._long else 0.0
+            if 0 not in found.solved[j] and known < found.nodes[j][0] < np.inf:
+                self._node(found, j, 0, known)
+        if self._long:
+            self._rough_profile(found)
+            return
         for _ in range(max(FILLED, 2 * len(gaps))):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._slack(found, j) for j in gaps))
             if ratio <= PROFILE:
@@ -338,6 +370,21 @@ class ChainSearch:
             self.deep = deep if small else min(deep, 2 * self.back)
             self._attack(found, j, offset, rough=True)
             self.deep = deep
+
+    def _rough_profile(self, found: RowSearch) -> None:
+        """Attack and solve where the two bounds are furthest apart, a few times each."""
+        deep, self.deep = self.deep, self.back
+        for attacked in [True] * ATTACKS_LONG + [False] * ATTACKS_LONG:
+            apart = [self._apart(found, k) for k in range(len(found.opened))]
+            ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
+            if ratio <= PROFILE:
+                break
+            found.tried.add((j, offset))
+            if attacked:
+                self._attack(found, j, offset, rough=True)
+            elif self._combined(found, j, offset) > PROFILE * float(self.attained(found, j)[offset]):
+                self._node(found, j, offset, PROFILE * float(self.attained(found, j)[offset]))
+        self.deep = deep
 
     def _apart(self, found: RowSearch, j: int) -> tuple[float, int]:
         """The largest ratio of the two bounds on gap j where no attack has been tried, and its offset."""

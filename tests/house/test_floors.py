@@ -32,6 +32,7 @@ GROUND = {
     "_balance",
     "_linalg",
     "_conic",
+    "_stages",
     "_record",
     "_files",
     "_units",

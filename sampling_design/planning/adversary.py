@@ -57,21 +57,21 @@ class _RowGatherer:
     """Sparse rows gathered block by block."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
+        self.parts: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
         self.b: list[Array] = []
         self.count = 0
 
     def add(self, b: Array, *blocks: tuple[int, Array]) -> None:
         for column, X in blocks:
             i, j = np.nonzero(X)
-            self._parts.append((X[i, j], i + self.count, j + column))
+            self.parts.append((X[i, j], i + self.count, j + column))
         self.b.append(b)
         self.count += b.size
 
     def matrix(self, columns: int) -> object:
         from scipy import sparse
 
-        values, rows, at = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        values, rows, at = (np.concatenate(part) for part in zip(*self.parts, strict=True))
         return sparse.csc_matrix((values, (rows, at)), shape=(self.count, columns))
 
 
@@ -128,6 +128,7 @@ class RasterWindow:
         self._b = np.concatenate(rows.b)
         self._A = rows.matrix(self._columns)
         self._cones = cones
+        self.entries = sum(part[0].size for part in rows.parts)
         self._solver: ConeSolver | None = None
 
     def _solved(self, mu: Array) -> tuple[Array, Array, str]:

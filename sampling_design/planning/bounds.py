@@ -108,12 +108,22 @@ def _violated(cover: Cover, pool: AttackPool, views: dict[int, Mask], x: Array, 
 
 
 def prove_cost(
-    cover: Cover, pool: AttackPool, level: float, target: float, keys: list[Key] | None = None, nodes: int = MOST_NODES
+    cover: Cover,
+    pool: AttackPool,
+    level: float,
+    target: float,
+    keys: list[Key] | None = None,
+    nodes: int = MOST_NODES,
+    *,
+    decide: bool = False,
 ) -> CostProof:
-    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes can."""
+    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes can.
+
+    `decide`: nothing below the target is of use, so that the proof ends with the first choice that costs less.
+    """
     found, _ = separated(cover, pool, level, list(keys or []))
     model = cover.model(pool.attacks, found, level)
-    prover = _Prover(cover, model, target, nodes)
+    prover = _Prover(cover, model, target, nodes, decide)
     tree, value = prover.node(np.zeros(cover.columns), np.ones(cover.columns))
     return CostProof(level, cover.lifted(value), tuple(found), tree)
 
@@ -121,8 +131,9 @@ def prove_cost(
 class _Prover:
     """Branches until every leaf proves the target, or there are no nodes left."""
 
-    def __init__(self, cover: Cover, model: CoverModel, target: float, nodes: int):
-        self.cover, self.model, self.target, self.left = cover, model, target, nodes
+    def __init__(self, cover: Cover, model: CoverModel, target: float, nodes: int, decide: bool):
+        self.cover, self.model, self.target, self.left, self.decide = cover, model, target, nodes, decide
+        self.lost = False
         self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
 
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
@@ -132,17 +143,21 @@ class _Prover:
         rows = np.flatnonzero(y)
         leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
-        if self.cover.lifted(value) >= self.target or self.left <= 0 or torn.max(initial=0.0) <= INTEGRAL:
+        whole = torn.max(initial=0.0) <= INTEGRAL
+        if self.cover.lifted(value) >= self.target or self.left <= 0 or whole:
+            self.lost = self.lost or (self.decide and self.cover.lifted(value) < self.target)
             return leaf, value
         k = int(np.argmax(torn))
         up, down = low.copy(), high.copy()
         up[k], down[k] = 1.0, 0.0
         budget = self.left
         self.left = budget // 2
-        without, first = self.node(low, down)
-        self.left += budget - budget // 2
         given, second = self.node(up, high)
-        if min(first, second) <= value:
+        self.left += budget - budget // 2
+        if self.lost:
+            return leaf, value
+        without, first = self.node(low, down)
+        if self.lost or min(first, second) <= value:
             return leaf, value
         return CostBranch(k, without, given), min(first, second)
 
@@ -184,13 +199,13 @@ def out_of_reach(
     more = limit + (cover.grain or 1e-6 * max(limit, 1.0))
     low = 0.0
     if known > 0:
-        best = prove_cost(cover, pool, known, more, keys)
+        best = prove_cost(cover, pool, known, more, keys, decide=True)
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
     while high > low * (1 + width):
         level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
-        proof = prove_cost(cover, pool, level, more, keys)
+        proof = prove_cost(cover, pool, level, more, keys, decide=True)
         keys = list(proof.keys)
         if proof.value >= more * (1 - 1e-9):
             best, low = proof, level

@@ -19,6 +19,7 @@ from scipy import sparse
 
 from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.work import COVER, Work
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -183,7 +184,9 @@ class Cover:
         return x
 
 
-def cheapest(cover: Cover, model: CoverModel, tie: Array, nodes: int = NODES) -> tuple[Mask | None, bool]:
+def cheapest(
+    cover: Cover, model: CoverModel, tie: Array, work: Work, nodes: int = NODES
+) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
     `tie` is a small cost that decides among choices of equal price.
@@ -197,6 +200,7 @@ def cheapest(cover: Cover, model: CoverModel, tie: Array, nodes: int = NODES) ->
         bounds=Bounds(0, 1),
         options={"node_limit": nodes, "mip_rel_gap": 1e-6},
     )
+    work.add(COVER, model.A.nnz * max(1, found.mip_node_count or 1))
     if found.x is None:
         return None, found.status == 2
     return cover.choice(found.x), False

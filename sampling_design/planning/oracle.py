@@ -9,6 +9,7 @@ from sampling_design.planning.adversary import Flight, RasterWindow, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
 from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
+from sampling_design.planning.work import CONE, FAINT, Work
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -34,7 +35,7 @@ class Oracle:
     def __init__(self, problem: PlanProblem, motion: Motion):
         self.problem, self.motion = problem, motion
         self.back = 0
-        self.solves = 0
+        self.work = Work()
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
@@ -131,7 +132,7 @@ class Oracle:
 
     def reach(self, window: RasterWindow, offset: int, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
-        self.solves += 1
+        self.work.add(CONE, window.entries)
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
@@ -182,7 +183,7 @@ class Oracle:
         faint = np.where(seen, 0.0, weights[knots % steps])
         faint[-1] = 0.0
         window = RasterWindow(self.motion, knots, seen, faint)
-        self.solves += 1
+        self.work.add(FAINT, window.entries)
         flight = window.faintest(self.rows[g], level * self.problem.goals[g].tolerance)
         if flight is None:
             return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -74,8 +73,9 @@ def plan(
     plant : Plant
     requirement : PlanRequirement
     search_seconds : float, optional
-        The search for choices stops then, and the status says "budget"; to prove what it has takes its own time on top
-        (seconds, more the more samples it has). None: no limit.
+        Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
+        solves and never by a clock: the same plan on every machine, however busy. When it is spent the status says
+        "budget"; to prove what was found takes its own time on top. None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -119,7 +119,7 @@ def plan(
     """
     problem = pose_plan(plant, requirement)
     seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
-    run = _Planning(problem, time.perf_counter() + seconds, progress)
+    run = _Planning(problem, seconds, progress)
     found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
     if progress and (certificate or robustness):
         progress(0.9, "certificate and robustness")
@@ -141,11 +141,12 @@ def plan_certificate(found: Plan) -> Certificate | None:
 class _Planning:
     """One call: the search, its proof, and its bounds."""
 
-    def __init__(self, problem: PlanProblem, deadline: float, progress: Progress | None):
+    def __init__(self, problem: PlanProblem, work: float, progress: Progress | None):
         self.problem, self.progress = problem, progress
         self.motion = motion_of(problem)
         self.oracle = Oracle(problem, self.motion)
-        self.search = PlanSearch(problem, self.oracle, deadline, progress)
+        self.oracle.work.limit = work
+        self.search = PlanSearch(problem, self.oracle, progress)
 
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance."""
@@ -259,7 +260,7 @@ class _Planning:
         """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
         problem = self.problem
         limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
-        search = PlanSearch(limited, self.oracle, self.search.deadline, self.progress)
+        search = PlanSearch(limited, self.oracle, self.progress)
         search.pool, search.blind = self.search.pool, self.search.blind
         search.keep(chosen, worst)
         search.seed(worst * 0.9)
@@ -372,7 +373,7 @@ class _Planning:
         while (blindness := self.oracle.hidden(chosen)) is not None:
             search.blind.append(blindness.where)
             model = search.cover.model([], [], 0.0, search.blind)
-            other, _ = cheapest(search.cover, model, np.zeros(model.c.size))
+            other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:
                 raise InfeasibleRequirementError(
                     "No choice within the limits shows all that `accuracy` asks for: a motion that never fades stays "

@@ -7,7 +7,6 @@ there is none. Nothing here is a claim: the plan is proven afterwards, and so is
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -18,6 +17,7 @@ from sampling_design.planning.attacks import AttackPool, HiddenMotion
 from sampling_design.planning.cover import Cover, Key, cheapest
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.work import WEIGHED
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -54,8 +54,8 @@ class Found:
 class PlanSearch:
     """A search over choices of one problem, with its pool of attacks."""
 
-    def __init__(self, problem: PlanProblem, oracle: Oracle, deadline: float, progress: Progress | None = None):
-        self.problem, self.oracle, self.deadline, self.progress = problem, oracle, deadline, progress
+    def __init__(self, problem: PlanProblem, oracle: Oracle, progress: Progress | None = None):
+        self.problem, self.oracle, self.progress = problem, oracle, progress
         self.free = bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
         self.cover = Cover(problem, fixed=self.free)
         self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
@@ -65,8 +65,8 @@ class PlanSearch:
 
     @property
     def late(self) -> bool:
-        """Whether time is up."""
-        return time.perf_counter() > self.deadline
+        """Whether the work is spent."""
+        return self.oracle.work.over
 
     def add(self, attacks: list[HiddenMotion], level: float) -> None:
         """Keep attacks that reach a level."""
@@ -128,7 +128,7 @@ class PlanSearch:
             more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
             least = self.cover.grain or float(np.max(model.c, initial=1.0))
             tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
-            chosen, none = cheapest(self.cover, model, tie)
+            chosen, none = cheapest(self.cover, model, tie, self.oracle.work)
             if chosen is None:
                 return None, none
             if (blindness := self.oracle.hidden(chosen)) is not None:
@@ -184,6 +184,7 @@ class PlanSearch:
             for i, j in zip(*np.nonzero(chosen), strict=True):
                 rest = chosen.copy()
                 rest[i, j] = False
+                self.oracle.work.add((0.0, WEIGHED), len(self.pool.attacks))
                 values = self.pool.swaps(rest, options)
                 for o in np.argsort(values, kind="stable")[:20].tolist():
                     if values[o] >= best * (1 - 1e-6):
@@ -234,6 +235,7 @@ class PlanSearch:
             self.add(attacks, level)
             if worst <= level:
                 return trial
+            self.oracle.work.add((0.0, WEIGHED), len(self.pool.attacks))
             values = self.pool.swaps(trial, options)
             for o in np.argsort(values, kind="stable").tolist():
                 more = trial.copy()

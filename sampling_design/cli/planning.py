@@ -36,7 +36,11 @@ def plan(
     ] = None,
     periods: Annotated[int, typer.Option(help="Periods that the calendar is written out for.")] = 4,
     search_seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Work of the search, about a second each on a core of its own; the proof comes on top.")
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="Work of the search, counted as seconds of a core; the proof comes on top.",
+        ),
     ] = 60.0,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
     compare: Annotated[

@@ -27,7 +27,10 @@ MOST_ENDS = 400
 
 @dataclass(frozen=True, eq=False)
 class HiddenMotion:
-    """A motion, or a set of samples that leaves a goal open, against one goal.
+    """A motion against one goal, or a tangent of its variance where it is a standard deviation.
+
+    Of a motion, measurements see it or not. A tangent says that the variance is at least reach^2 less the sum of
+    `peaks` over what is measured.
 
     Attributes
     ----------
@@ -40,9 +43,11 @@ class HiddenMotion:
         Whether the step's own samples count (accuracy after a sample), else the time just before them.
     peaks : (M, p) array
         For each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
-        bound over all periods.
+        bound over all periods; of a tangent, its slopes.
     flight : Flight or None
-        None where `peaks` are 0 and infinite only: a choice of samples that leaves the standard deviation above.
+        None for a tangent.
+    point : (M, p) array or None
+        Where a tangent touches, in steps back from the end.
     """
 
     goal: int
@@ -51,10 +56,23 @@ class HiddenMotion:
     at_sample: bool
     peaks: Array
     flight: Flight | None = None
+    point: Array | None = None
 
-    def visible(self, level: float) -> Mask:
-        """Steps back from the end, and sensors, that see it once it is scaled to reach just `level`."""
-        return np.asarray(self.peaks * (level / self.reach) > HIDDEN)
+    @property
+    def touches(self) -> Array:
+        """Where a tangent touches."""
+        assert self.point is not None
+        return self.point
+
+    def weights(self, level: float) -> Array:
+        """What measuring at each step back from the end, and sensor, adds; a choice for `level` must add up to 1.
+
+        One for what sees a motion that is scaled to reach just the level; slopes of a tangent, over what is missing.
+        """
+        if self.flight is not None:
+            return np.asarray(self.peaks * (level / self.reach) > HIDDEN, dtype=float)
+        missing = (self.reach**2 - level**2) * HIDDEN
+        return np.minimum(self.peaks, missing) / missing if missing > 0 else np.ones_like(self.peaks)
 
 
 def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
@@ -66,6 +84,11 @@ def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
     if not at_sample:
         back[0] = 0.0
     return np.asarray(back.reshape(periods, steps, p).max(axis=0))
+
+
+def weighed(attack: HiddenMotion, taken: Array) -> Array:
+    """Standard deviation over tolerance that a tangent leaves where measurements have taken so much of it."""
+    return np.sqrt(np.maximum(attack.reach**2 - taken, 0.0))
 
 
 class AttackPool:
@@ -93,12 +116,15 @@ class AttackPool:
     def proven(self, attack: HiddenMotion, at: npt.NDArray[np.intp], sensor: npt.NDArray[np.intp]) -> Array:
         """For every end of an attack, the ratio that it proves of samples (at, sensor)."""
         back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
-        seen = np.max(attack.peaks[back, sensor[None, :]], axis=1, initial=0.0)
+        peaks = attack.peaks[back, sensor[None, :]]
+        seen = np.max(peaks, axis=1, initial=0.0)
         allowed = self.ends[attack.goal].copy()
         if attack.at_sample:
             there = np.zeros(self.steps, dtype=bool)
             there[at] = True
             allowed &= there
+        if attack.flight is None:
+            return np.where(allowed, weighed(attack, peaks.sum(axis=1)), 0.0)
         with np.errstate(divide="ignore"):
             return np.where(allowed, attack.reach / np.maximum(seen / HIDDEN, 1.0), 0.0)
 
@@ -115,6 +141,10 @@ class AttackPool:
             ends = np.flatnonzero(ratios > 0)
             ends = ends[np.argsort(-ratios[ends], kind="stable")][:MOST_ENDS]
             seen = attack.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
+            if attack.flight is None:
+                left = np.sqrt(np.maximum(ratios[ends, None] ** 2 - seen, 0.0))
+                values = np.maximum(values, left.max(axis=0, initial=0.0))
+                continue
             with np.errstate(divide="ignore"):
                 after = np.minimum(ratios[ends, None], attack.reach / np.maximum(seen / HIDDEN, 1.0))
             values = np.maximum(values, after.max(axis=0, initial=0.0))

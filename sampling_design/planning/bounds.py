@@ -6,6 +6,7 @@ all choices that keep these. A level is out of reach of a limit if what it costs
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias, Union
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.planning.attacks import AttackPool
-from sampling_design.planning.cover import Cover, CoverModel, Key, proven, relaxed
+from sampling_design.planning.cover import Cover, Key, proven, relaxed
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -27,8 +28,26 @@ INTEGRAL = 1e-6
 MOST_NODES = 200
 """Leaves of a proof, at most."""
 
+FEW_NODES = 50
+"""The same where every row is a tangent's, which has all variables."""
+
 SEPARATIONS = 60
 """Times that rows are added to a relaxation."""
+
+CUTS = (6, 120)
+"""Times that rows are added at a node, and in all."""
+
+MANY = 60
+"""Rows beyond which those that a point keeps easily are left out, and that are added at a time."""
+
+EASY = 0.05
+"""A row is kept easily by this much more than it asks for."""
+
+ADDED = 8
+"""Rows that are added at a node at a time."""
+
+FLAT = 1e-6
+"""Rows that raise a node by no more than this share are the last, unless they exclude a choice."""
 
 ENDS = 6
 """Ends of one attack that are added at a time."""
@@ -51,6 +70,7 @@ class CostBranch:
     given: CostTree
 
 
+Finder: TypeAlias = Callable[[Array, float], None]
 CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
 
 
@@ -64,11 +84,13 @@ class CostProof:
     tree: CostTree
 
 
-def separated(cover: Cover, pool: AttackPool, level: float, keys: list[Key]) -> tuple[list[Key], Array]:
-    """Rows of the pool until the relaxation keeps them all, and its point."""
+def separated(
+    cover: Cover, pool: AttackPool, level: float, keys: list[Key], below: float = np.inf
+) -> tuple[list[Key], Array]:
+    """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
-    views = {a: attack.visible(level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
-    low, high = np.zeros(cover.columns), np.ones(cover.columns)
+    views = {a: attack.weights(level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
+    low, high = np.zeros(cover.columns), cover.ceiling(below)
     price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
     x = low
     for _ in range(SEPARATIONS):
@@ -77,16 +99,20 @@ def separated(cover: Cover, pool: AttackPool, level: float, keys: list[Key]) -> 
         fresh = _violated(cover, pool, views, x, set(keys))
         if not fresh:
             break
-        keys += fresh
+        if len(keys) > MANY:  # rows that the point keeps easily may come back when one breaks them
+            frame = cover.frame[0].shape[0]
+            slack = (model.A @ x - model.b)[frame:]
+            keys = [key for key, s in zip(keys, slack.tolist(), strict=True) if s <= EASY]
+        keys += fresh[:MANY]
     return keys, x
 
 
-def _violated(cover: Cover, pool: AttackPool, views: dict[int, Mask], x: Array, known: set[Key]) -> list[Key]:
-    """Ends at which a fractional point sees too little of an attack."""
+def _violated(cover: Cover, pool: AttackPool, views: dict[int, Array], x: Array, known: set[Key]) -> list[Key]:
+    """Ends at which a fractional point sees too little of an attack, first where it sees least."""
     steps = pool.steps
     z = np.where(cover.place >= 0, x[cover.place], 0.0)
     spectrum = np.fft.rfft(z, axis=0)
-    fresh: list[Key] = []
+    fresh: list[tuple[float, Key]] = []
     for a, view in views.items():
         attack = pool.attacks[a]
         seen = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
@@ -103,8 +129,8 @@ def _violated(cover: Cover, pool: AttackPool, views: dict[int, Mask], x: Array, 
             apart = [min((end - t) % steps, (t - end) % steps) for t in taken]
             if (not apart or min(apart) * 4 * ENDS >= steps) and (a, end) not in known:
                 taken.append(end)
-        fresh += [(a, end) for end in taken]
-    return fresh
+        fresh += [(-float(short[end]), (a, end)) for end in taken]
+    return [key for _, key in sorted(fresh)]
 
 
 def prove_cost(
@@ -113,33 +139,53 @@ def prove_cost(
     level: float,
     target: float,
     keys: list[Key] | None = None,
-    nodes: int = MOST_NODES,
     *,
+    find: Finder | None = None,
     decide: bool = False,
 ) -> CostProof:
     """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes can.
 
-    `decide`: nothing below the target is of use, so that the proof ends with the first choice that costs less.
+    `find` is asked for attacks against a point that the rows so far do not exclude. `decide`: nothing below the target
+    is of use, so that the proof ends with the first choice that costs less.
     """
-    found, _ = separated(cover, pool, level, list(keys or []))
-    model = cover.model(pool.attacks, found, level)
-    prover = _Prover(cover, model, target, nodes, decide)
-    tree, value = prover.node(np.zeros(cover.columns), np.ones(cover.columns))
-    return CostProof(level, cover.lifted(value), tuple(found), tree)
+    found, _ = separated(cover, pool, level, list(keys or []), target)
+    prover = _Prover(cover, pool, level, target, found, find, decide)
+    tree, value = prover.node(np.zeros(cover.columns), cover.ceiling(target))
+    return CostProof(level, min(cover.lifted(value), target), tuple(prover.keys), tree)
 
 
 class _Prover:
-    """Branches until every leaf proves the target, or there are no nodes left."""
+    """Branches and adds rows until every leaf proves the target, or there are no nodes left."""
 
-    def __init__(self, cover: Cover, model: CoverModel, target: float, nodes: int, decide: bool):
-        self.cover, self.model, self.target, self.left, self.decide = cover, model, target, nodes, decide
-        self.lost = False
+    def __init__(
+        self,
+        cover: Cover,
+        pool: AttackPool,
+        level: float,
+        target: float,
+        keys: list[Key],
+        find: Finder | None,
+        decide: bool,
+    ):
+        self.cover, self.pool, self.level, self.target = cover, pool, level, target
+        self.keys, self.find, self.decide = keys, find, decide
+        dense = all(attack.flight is None for attack in pool.attacks)
+        self.left, self.lost = FEW_NODES if dense else MOST_NODES, False
+        self.cuts = CUTS[1] if find is not None else 0
+        self.model = cover.model(pool.attacks, keys, level)
         self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
 
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""
         self.left -= 1
         x, y, value = relaxed(self.model, low, high, self.price)
+        for _ in range(min(CUTS[0], self.cuts)):
+            if self.cover.lifted(value) >= self.target or not self._cut(x):
+                break
+            before = value
+            x, y, value = relaxed(self.model, low, high, self.price)
+            if value <= before + FLAT * abs(before) and np.minimum(x, 1 - x).max(initial=0.0) > INTEGRAL:
+                break
         rows = np.flatnonzero(y)
         leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
@@ -161,6 +207,21 @@ class _Prover:
             return leaf, value
         return CostBranch(k, without, given), min(first, second)
 
+    def _cut(self, x: Array) -> bool:
+        """Add rows that a point breaks: turns of attacks that there are, else new attacks."""
+        assert self.find is not None
+        self.cuts -= 1
+        for ask in (False, True):
+            if ask:
+                self.find(x, self.level)
+            views = {a: t.weights(self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level}
+            fresh = _violated(self.cover, self.pool, views, x, set(self.keys))[:ADDED]
+            if fresh:
+                self.keys += fresh
+                self.model = self.cover.longer(self.model, self.pool.attacks, fresh, self.level)
+                return True
+        return False
+
 
 def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
     """What a proof's multipliers prove, worked out anew; no solver."""
@@ -177,7 +238,8 @@ def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
         y[list(tree.rows)] = tree.values
         return proven(model, np.maximum(y, 0.0), low, high)
 
-    return cover.lifted(below(proof.tree, np.zeros(cover.columns), np.ones(cover.columns)))
+    # a choice that cost less than the claim could be turned so that its largest gap follows step 0
+    return cover.lifted(below(proof.tree, np.zeros(cover.columns), cover.ceiling(proof.value)))
 
 
 def _fits(tree: CostTree, rows: int, columns: int) -> bool:
@@ -189,7 +251,14 @@ def _fits(tree: CostTree, rows: int, columns: int) -> bool:
 
 
 def out_of_reach(
-    cover: Cover, pool: AttackPool, limit: float, known: float, high: float, width: float, keys: list[Key]
+    cover: Cover,
+    pool: AttackPool,
+    limit: float,
+    known: float,
+    high: float,
+    width: float,
+    keys: list[Key],
+    find: Finder | None = None,
 ) -> CostProof | None:
     """The proof with the highest level at which every choice costs more than `limit`.
 
@@ -199,13 +268,13 @@ def out_of_reach(
     more = limit + (cover.grain or 1e-6 * max(limit, 1.0))
     low = 0.0
     if known > 0:
-        best = prove_cost(cover, pool, known, more, keys, decide=True)
+        best = prove_cost(cover, pool, known, more, keys, find=find, decide=True)
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
     while high > low * (1 + width):
         level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
-        proof = prove_cost(cover, pool, level, more, keys, decide=True)
+        proof = prove_cost(cover, pool, level, more, keys, find=find, decide=True)
         keys = list(proof.keys)
         if proof.value >= more * (1 - 1e-9):
             best, low = proof, level

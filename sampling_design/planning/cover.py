@@ -31,6 +31,9 @@ NODES = 400
 ROUNDING = 1e-9
 """Relative allowance for rounding in what multipliers prove."""
 
+NEAR = 5e-4
+"""A choice is cheap enough within this share; how many attacks it sees decides no finer."""
+
 GRAIN = 1e-6
 """Costs are whole multiples of a grain within this share of it."""
 
@@ -99,11 +102,31 @@ class Cover:
                 return unit / divisor
         return 0.0
 
+    def ceiling(self, below: float) -> Array:
+        """What each variable may be where a choice costs less than this, and may be turned so that it suits us.
+
+        So few samples leave a gap that is as long as their mean at least: turned, it follows the sample at step 0.
+        """
+        high, problem = np.ones(self.columns), self.problem
+        each = 1.0 if problem.counts else problem.visit + float(problem.price.min())
+        if not self.fixed or each <= 0:
+            return high
+        most = min(np.ceil(below / each * (1 - 1e-9)) - 1, problem.most_samples, problem.steps)
+        if most >= 1:
+            high[1 : -int(-problem.steps // most)] = 0.0
+        return high
+
     def lifted(self, bound: float) -> float:
         """A bound on the cost, raised to the next cost that there can be."""
         if self.grain <= 0 or not np.isfinite(bound):
             return bound
         return float(np.ceil(bound / self.grain - GRAIN) * self.grain)
+
+    @property
+    def dearest(self) -> float:
+        """Every admissible choice costs less than this."""
+        limit = self.problem.most_cost
+        return limit + (self.grain or 1e-6 * max(limit, 1.0)) if np.isfinite(limit) else np.inf
 
     @cached_property
     def frame(self) -> tuple[sparse.csr_matrix, Array]:
@@ -147,15 +170,16 @@ class Cover:
 
     def row(self, attack: HiddenMotion, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
         """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
-        back, sensor = np.nonzero(attack.visible(level))
-        mine = self.place[(end - back) % self.problem.steps, sensor]
-        mine = np.unique(mine[mine >= 0])
-        if attack.at_sample and self.sample_of[end] >= 0:
+        weights = attack.weights(level)
+        back, sensor = np.nonzero(weights)
+        mine, values = self.place[(end - back) % self.problem.steps, sensor], weights[back, sensor]
+        mine, values = mine[mine >= 0], values[mine >= 0]
+        if attack.at_sample and self.sample_of[end] >= 0:  # only asked for where it is a sample's own
             own = int(self.sample_of[end])
-            if own in mine:
-                return np.zeros(0, dtype=np.intp), np.zeros(0), 0.0  # it always sees it
-            return np.append(mine, own), np.append(np.ones(mine.size), -1.0), 0.0
-        return mine, np.ones(mine.size), 1.0
+            values = np.append(values[mine != own], values[mine == own].sum() - 1.0)
+            mine = np.append(mine[mine != own], own)
+            return (mine, values, 0.0) if values[-1] < 0 else (np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
+        return mine, values, 1.0
 
     def model(
         self, attacks: list[HiddenMotion], keys: list[Key], level: float, blind: Sequence[Mask] = ()
@@ -167,6 +191,12 @@ class Cover:
         rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
         more, right = _stacked(rows, self.columns)
         return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
+
+    def longer(self, model: CoverModel, attacks: list[HiddenMotion], keys: list[Key], level: float) -> CoverModel:
+        """A program with more rows, behind those that there are."""
+        more, right = _stacked([self.row(attacks[a], end, level) for a, end in keys], self.columns)
+        A = sparse.vstack([model.A, more], format="csr")
+        return CoverModel(model.c, A, np.concatenate([model.b, right]))
 
     def choice(self, x: Array) -> Mask:
         """What a point of the program measures."""
@@ -185,11 +215,11 @@ class Cover:
 
 
 def cheapest(
-    cover: Cover, model: CoverModel, tie: Array, work: Work, nodes: int = NODES
+    cover: Cover, model: CoverModel, tie: Array, work: Work, below: float = np.inf, nodes: int = NODES
 ) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
-    `tie` is a small cost that decides among choices of equal price.
+    `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -197,8 +227,8 @@ def cheapest(
         model.c + tie,
         constraints=LinearConstraint(model.A, model.b, np.inf),
         integrality=np.ones(cover.columns),
-        bounds=Bounds(0, 1),
-        options={"node_limit": nodes, "mip_rel_gap": 1e-6},
+        bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
+        options={"node_limit": nodes, "mip_rel_gap": NEAR},
     )
     work.add(COVER, model.A.nnz * max(1, found.mip_node_count or 1))
     if found.x is None:

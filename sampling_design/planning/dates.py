@@ -20,7 +20,8 @@ from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import SampleSequence, looks_back, planned, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
 from sampling_design.schedules.schedule import Schedule
 
 Array = npt.NDArray[np.float64]
@@ -197,7 +198,7 @@ class _Dating:
             ratio = proven_ratio(self.plan, sequence)
             if ratio <= 1:
                 return ratio, True
-        return worst_ratio(self.oracle, sequence, until=float(sequence.times[-1]) - self.plan.schedule.period), False
+        return worst_ratio(self.plan, sequence, until=float(sequence.times[-1]) - self.plan.schedule.period), False
 
     def around(self, lost: Array, added: list[tuple[float, Mask]]) -> SampleSequence:
         """The plan without the lost samples, with those added."""
@@ -233,7 +234,7 @@ class _Dating:
     def value(self, lost: Array, added: list[tuple[float, Mask]]) -> float:
         """Accuracy over tolerance in floats."""
         sequence = self.around(lost, added)
-        return worst_ratio(self.oracle, sequence, until=float(lost[-1]) + self.plan.schedule.period)
+        return worst_ratio(self.plan, sequence, until=float(lost[-1]) + self.plan.schedule.period)
 
     def options(self, lost: Array, added: list[tuple[float, Mask]]) -> list[tuple[float, Mask]]:
         """Open times near the lost samples, spread out and spaced, with every sensor of the plan."""

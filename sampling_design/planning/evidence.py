@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from sampling_design.planning.bounds import CostBranch, CostProof, CostTree, pro
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.motion import Motion
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.spread import Spread
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -58,9 +59,14 @@ def gathered(pool: AttackPool, ratio: CostProof | None, cost: CostProof | None) 
 
 
 def reflown(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> HiddenMotion | None:
-    """An attack as its flight, flown anew and made admissible, proves it; None if the flight is not one motion."""
+    """An attack as its flight, flown anew and made admissible, proves it; None if the flight is not one motion.
+
+    Of a tangent: the filter run anew.
+    """
     flight = attack.flight
-    if flight is None or flight.states[0].any() or flight.knots[0] != 0:
+    if flight is None:
+        return _filtered(problem, motion, attack)
+    if flight.states[0].any() or flight.knots[0] != 0:
         return None
     w = flight.w.copy()
     for k in range(len(flight.knots) - 1):
@@ -84,6 +90,15 @@ def reflown(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> Hidde
     if reach <= 0:
         return None
     return HiddenMotion(attack.goal, reach, attack.end, attack.at_sample, np.asarray(peaks), flight)
+
+
+def _filtered(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> HiddenMotion | None:
+    """A tangent worked out anew where it touches, by the filter from nothing unknown on."""
+    z = np.roll(attack.touches, -((attack.end + 1) % problem.steps), axis=0)[::-1]
+    if not problem.goals[attack.goal].spread or np.any(z < 0) or np.any(z > 1):
+        return None
+    found = Spread(problem, motion).tangent_at(z, attack.goal, attack.end)
+    return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=attack.end)
 
 
 def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: list[Mask], most: float) -> bool:
@@ -111,7 +126,14 @@ def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: 
 def attack_to_dict(attack: HiddenMotion) -> dict[str, object]:
     """Plain data; peaks are left out, since they are worked out anew."""
     flight = attack.flight
-    assert flight is not None
+    if flight is None:
+        return {
+            "goal": attack.goal,
+            "end": attack.end,
+            "at_sample": attack.at_sample,
+            "reach": attack.reach,
+            "point": [[*at, float(attack.touches[tuple(at)])] for at in np.argwhere(attack.touches).tolist()],
+        }
     return {
         "goal": attack.goal,
         "end": attack.end,
@@ -125,6 +147,12 @@ def attack_to_dict(attack: HiddenMotion) -> dict[str, object]:
 
 def attack_of(problem: PlanProblem, motion: Motion, data: dict[str, object]) -> HiddenMotion:
     """An attack from plain data that a strict reader has passed."""
+    if "point" in data:
+        point, end = np.zeros(problem.allowed.shape), int(str(data["end"]))
+        for back, sensor, share in np.array(data["point"], dtype=float).reshape(-1, 3):
+            point[int(back), int(sensor)] = share
+        reach, at_sample = float(str(data["reach"])), bool(data["at_sample"])
+        return HiddenMotion(int(str(data["goal"])), reach, end, at_sample, np.zeros_like(point), None, point)
     knots = np.array(data["knots"], dtype=np.intp)
     flight = fly(motion, knots, np.array(data["states"]), np.array(data["w"]))
     at_sample = bool(data["at_sample"])

@@ -55,11 +55,10 @@ _ATTACK = table(
         "end": count,
         "at_sample": flag,
         "reach": positive,
-        "knots": list_of(count),
-        "states": matrix(),
-        "w": matrix(),
-    }
+    },
+    {"knots": list_of(count), "states": matrix(), "w": matrix(), "point": list_of(list_of(nonnegative, 3))},
 )
+_FLIGHT = ("knots", "states", "w")
 _NODE = table({}, {"variable": count, "multipliers": list_of(list_of(number, 2))})
 _PROOF = table({"level": positive, "value": number, "rows": list_of(list_of(count, 2)), "tree": list_of(_NODE)})
 _ROBUSTNESS = table(
@@ -186,11 +185,22 @@ def _bound(problem: PlanProblem, motion: Motion, tree: Mapping[str, object]) -> 
     attacks = tree["attacks"]
     assert isinstance(attacks, list)
     for k, attack in enumerate(attacks):
+        own = [key for key in (*_FLIGHT, "point") if key in attack]
+        if own not in ([*_FLIGHT], ["point"]) or attack["goal"] >= len(problem.goals):
+            raise refuse(f"attacks[{k}]", "must be a motion (knots, states, w) or a tangent (point), of a goal")
+        if "point" in attack:
+            cells = attack["point"]
+            inside = all(a % 1 == b % 1 == 0 and a < problem.steps and b < len(problem.v_bound) for a, b, _ in cells)
+            if not inside or any(share > 1 for _, _, share in cells) or not problem.goals[attack["goal"]].spread:
+                raise refuse(
+                    f"attacks[{k}]", "touches beside the raster and its sensors, or is of a goal that is guaranteed"
+                )
+            continue
         knots, steps, q = attack["knots"], len(attack["w"]), motion.G.shape[1]
         rising = all(a < b for a, b in pairwise(knots)) and knots[:1] == [0]
         shaped = attack["w"].shape == (steps, q) and attack["states"].shape == (len(knots), motion.n)
-        if not rising or not shaped or knots[-1] > steps or attack["goal"] >= len(problem.goals):
-            raise refuse(f"attacks[{k}]", "has knots, states, w or a goal that do not fit together")
+        if not rising or not shaped or knots[-1] > steps:
+            raise refuse(f"attacks[{k}]", "has knots, states and w that do not fit together")
     found = tuple(attack_of(problem, motion, attack) for attack in attacks)
     return PlanBound(
         found,

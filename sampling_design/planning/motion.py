@@ -51,7 +51,9 @@ class Motion:
     A, G : arrays
         Per unit of time, G in units of the bound on w.
     H : (p, n) array
-        In units of the noise bounds.
+        In units of the noise bounds; 0 where there is none.
+    N, S : (n, q) and (p, n) arrays
+        G in units of the root of the noise's intensity, outputs in units of the noise's deviation.
     step : float
     ball : bool
         Whether |w| is Euclidean.
@@ -61,6 +63,8 @@ class Motion:
     A: Array
     G: Array
     H: Array
+    N: Array
+    S: Array
     step: float
     ball: bool
     _flows: dict[int, Array] = field(default_factory=dict)
@@ -136,18 +140,22 @@ class Blindness:
     states: Array
 
 
-def hidden_at(motion: Motion, chosen: Mask, allowed: Mask, rows: Array, always: Mask) -> Blindness | None:
+def hidden_at(
+    motion: Motion, chosen: Mask, allowed: Mask, rows: Array, always: Mask, outputs: Array | None = None
+) -> Blindness | None:
     """Return the motions that do not fade and that a choice never sees.
 
     None if there are none, or if they are hidden at all times, not only at those of the raster, and of no account to
-    the rows of z, at any time to those that are `always` wanted.
+    the rows of z, at any time to those that are `always` wanted. `outputs`:
+    those of z that are read, default H.
     """
+    H = motion.H if outputs is None else outputs
     steps, p = chosen.shape
     seen = np.empty((steps, p, motion.n))
     moved = np.empty((steps, len(rows), motion.n))
     power, log = np.eye(motion.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
     for i in range(steps):
-        seen[i], moved[i] = _even(motion.H @ power), _even(rows @ power)
+        seen[i], moved[i] = _even(H @ power), _even(rows @ power)
         power = motion.F @ power
         size = max(float(np.abs(power).max()), np.finfo(float).tiny)
         power, log = power / size, log + float(np.log(size))
@@ -194,7 +202,6 @@ def motion_of(problem: PlanProblem) -> Motion:
         If a goal depends on what no sensor ever shows.
     """
     plant = problem.plant
-    w_bound = problem.requirement.w_bound
     fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)
     if fastest.real * problem.step > GROWTH / 2:
         raise ArgumentError(
@@ -206,7 +213,10 @@ def motion_of(problem: PlanProblem) -> Motion:
     count = int(max(count, np.ceil(max(fastest.real, 0.0) * problem.period / (GROWTH / 2))))
     gaps = 1 + np.arange(count) * GOLDEN % 1.0  # uneven: no mode is missed by its period
     gaps *= problem.period / gaps.sum()
-    measured = [np.flatnonzero(np.isfinite(problem.v_bound))] * count
+    guarantees = any(not goal.spread for goal in problem.goals)
+    sizes = problem.v_bound if guarantees else problem.v_deviation
+    bound_on_w = problem.requirement.w_bound if guarantees else np.sqrt(problem.w_intensity)
+    measured = [np.flatnonzero(np.isfinite(np.minimum(problem.v_bound, problem.v_deviation)))] * count
     known = known_part(plant, np.cumsum(gaps) - gaps[0], problem.period, measured)
     for goal in problem.goals:
         if known.touches(goal.row):
@@ -215,15 +225,24 @@ def motion_of(problem: PlanProblem) -> Motion:
                 "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
                 "accuracy",
             )
-    bounded = np.where(np.isfinite(problem.v_bound), problem.v_bound, np.inf)
-    bounds = SignalBounds.of(known.plant, count, np.tile(np.isfinite(bounded), (count, 1)), w_bound, _finite(bounded))
+    seen = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
+    bounds = SignalBounds.of(known.plant, count, np.tile(np.isfinite(seen), (count, 1)), bound_on_w, _finite(seen))
     chain = endless_chain(known.plant, gaps, bounds)
     own = chain.D[:, None] * chain.L[0]
-    H = known.plant.C @ own / np.where(np.isfinite(bounded), bounded, 1.0)[:, None]
+    C = known.plant.C @ own
     A = np.linalg.solve(own, known.plant.A @ own)
     G = np.linalg.solve(own, known.plant.G * bounds.w)
     T = known.lift @ own
-    return Motion(T, np.asarray(A), np.asarray(G), np.asarray(H), problem.step, bool(bounds.w_ball))
+    return Motion(
+        T,
+        np.asarray(A),
+        np.asarray(G),
+        np.asarray(C / problem.v_bound[:, None]),
+        np.asarray(np.linalg.solve(own, known.plant.G * np.sqrt(problem.w_intensity))),
+        np.asarray(C / problem.v_deviation[:, None]),
+        problem.step,
+        bool(bounds.w_ball),
+    )
 
 
 def _finite(bounds: Array) -> Array:

@@ -14,13 +14,8 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import (
-    SampleSequence,
-    looks_back,
-    planned,
-    proven_ratio,
-    worst_ratio,
-)
+from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -154,7 +149,7 @@ def next_sample(
     ----------
     Heemels, Johansson and Tabuada, An introduction to event-triggered and self-triggered control (2012).
     """
-    if plan.accuracy is None or not plan.keeps:
+    if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
     step = plan.problem.step
     taken = _taken(plan, record)
@@ -290,7 +285,7 @@ class _Choice:
         key = (round(choice[0] / self.plan.problem.step), choice[1].tobytes())
         if key not in self._known:
             until = choice[0] + 1.5 * self.plan.schedule.period
-            self._known[key] = worst_ratio(self.oracle, self.sequence(*choice), above, until)
+            self._known[key] = worst_ratio(self.plan, self.sequence(*choice), above, until)
         return self._known[key]
 
     def latest(self, sensor: int | None) -> tuple[float, Mask]:

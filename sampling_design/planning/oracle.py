@@ -9,6 +9,7 @@ from sampling_design.planning.adversary import Flight, RasterWindow, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
 from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
+from sampling_design.planning.spread import Spread
 from sampling_design.planning.work import CONE, FAINT, Work
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +38,8 @@ class Oracle:
         self.back = 0
         self.work = Work()
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+        spread = any(goal.spread for goal in problem.goals)
+        self.spread = Spread(problem, motion, self.work) if spread else None
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
@@ -46,12 +49,12 @@ class Oracle:
         """
         if self.hidden(chosen) is not None:
             return np.inf, []
-        goals = list(range(len(self.problem.goals)))
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
         turns = all(goal.at != "given times" for goal in self.problem.goals)
-        worst, found, known = 0.0, [], set()
+        worst, found, known = self._deviations(chosen)
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        for k in np.argsort(-gaps, kind="stable").tolist():
+        for k in np.argsort(-gaps, kind="stable").tolist() if goals else []:
             if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
                 like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
                 if like in known:
@@ -64,10 +67,31 @@ class Oracle:
                 break
         return worst, found
 
+    def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenMotion], set[bytes]]:
+        """Worst ratio of the goals that are standard deviations, and tangents there."""
+        worst, found = 0.0, []
+        for g, ratio in enumerate(self.spread.worst(chosen[None])[0] if self.spread else []):
+            if ratio > 0:
+                worst = max(worst, float(ratio))
+                attack = self.tangent(chosen.astype(float), g)
+                found += [attack] if attack is not None else []
+        return worst, found, set()
+
+    def tangent(self, z: Array, g: int) -> HiddenMotion | None:
+        """A tangent of a goal's variance at a point (M, p), fractions of measurements too."""
+        return None if self.spread is None else self.spread.tangent(z, g)
+
     def hidden(self, chosen: Mask) -> Blindness | None:
         """What a choice does not see and what never fades; None if it sees all of that."""
-        always = np.array([goal.at == "all times" for goal in self.problem.goals], dtype=bool)
-        return hidden_at(self.motion, chosen, self.problem.allowed, self.rows, always)
+        goals = self.problem.goals
+        for kind, outputs in ((False, self.motion.H), (True, self.motion.S)):
+            mine = np.array([goal.spread == kind for goal in goals], dtype=bool)
+            if mine.any():
+                always = np.array([goal.at == "all times" for goal in goals], dtype=bool)[mine]
+                found = hidden_at(self.motion, chosen, self.problem.allowed, self.rows[mine], always, outputs)
+                if found is not None:
+                    return found
+        return None
 
     def _gap(self, chosen: Mask, last: int, length: int, goals: list[int]) -> list[HiddenMotion]:
         """The strongest attacks that end in the gap after a sample."""
@@ -115,7 +139,7 @@ class Oracle:
 
     def farther(self) -> bool:
         """Look twice as far back, unless that is as far as can be."""
-        if self.back >= FARTHEST * self.problem.steps:
+        if not self.back or self.back >= FARTHEST * self.problem.steps:
             return False
         self.back *= 2
         return True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,17 +22,19 @@ from sampling_design.planning.cover import Cover, cheapest
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
-from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
+from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.search import PlanSearch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import Accuracy, accuracy
+from sampling_design.recovery.deviation import StandardDeviation
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
+Proof: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
@@ -40,6 +43,12 @@ BLIND = 0.03
 """A choice proven this much worse than it was judged has a longer past than the search looks at."""
 
 MARGINS = (MARGIN, 0.015, 0.04)
+
+NARROW_MARGINS = (5e-4, 0.015, 0.04)
+"""The same for standard deviations, which are only larger between steps of the raster."""
+
+PROOF = 0.25
+"""Share of the search's work by which the proof of a bound may go beyond it."""
 
 ROUNDS = 60
 """Choices judged at one level."""
@@ -145,7 +154,7 @@ class _Planning:
         self.problem, self.progress = problem, progress
         self.motion = motion_of(problem)
         self.oracle = Oracle(problem, self.motion)
-        self.oracle.work.limit = work
+        self.oracle.work.limit = self.oracle.work.budget = work
         self.search = PlanSearch(problem, self.oracle, progress)
 
     def cheapest(self) -> Plan:
@@ -159,7 +168,7 @@ class _Planning:
         everything = self._densest()
         search.add(self.oracle.judge(everything)[1], 1.0)
         search.seed(1.0)
-        for margin in MARGINS:
+        for margin in NARROW_MARGINS if search.spread else MARGINS:
             again = True
             while again:
                 search.found.chosen, search.found.complete = None, False
@@ -180,17 +189,20 @@ class _Planning:
             chosen, (proof, ratios) = self._mended(chosen, everything)
         cost = self.problem.cost(chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
-        least = prove_cost(frame, search.pool, 1 / EASED**2, cost)
+        search.sharpen(1 / EASED**2, cost)
+        self.oracle.work.extend(PROOF)
+        least = prove_cost(frame, search.pool, 1 / EASED**2, cost, find=search.find)
         rival = self._better(chosen, float(ratios.max(initial=0.0)), cost)
         if rival.found.chosen is not None and not np.array_equal(rival.found.chosen, chosen):
             other = self._ratios(rival.found.chosen)
             if other[1].max(initial=0.0) < ratios.max(initial=0.0):
                 chosen, (proof, ratios) = rival.found.chosen, other
         known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
-        ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys)
+        self.oracle.work.extend(PROOF)
+        ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys, search.find)
         return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
 
-    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[Accuracy, Array]]:
+    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[Proof, Array]]:
         """More of what is allowed, spread out, until the tolerances are proven: the search judged too well.
 
         It does where a motion that no disturbance drives neither fades nor is seen well.
@@ -203,7 +215,7 @@ class _Planning:
         more = np.argwhere(everything & ~chosen)
         more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
         low, high = 0, len(more)
-        best: tuple[Mask, tuple[Accuracy, Array]] | None = None
+        best: tuple[Mask, tuple[Proof, Array]] | None = None
         while best is None or low < high:
             count = high if best is None else (low + high) // 2
             trial = chosen.copy()
@@ -234,7 +246,7 @@ class _Planning:
         self.search.add(attacks, 0.0)
         return judged > before * (1 + BLIND)
 
-    def _nearest(self, chosen: Mask, proof: Accuracy, ratios: Array) -> Plan:
+    def _nearest(self, chosen: Mask, proof: Proof, ratios: Array) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
         Raises
@@ -284,13 +296,14 @@ class _Planning:
             search.improve(ROUNDS)
             proof, ratios = self._ratios(search.found.chosen)
         limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
-        ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys)
+        self.oracle.work.extend(PROOF)
+        ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys, search.find)
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
 
-    def _ratios(self, chosen: Mask) -> tuple[Accuracy, Array]:
+    def _ratios(self, chosen: Mask) -> tuple[Proof, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
-        proof = accuracy_of(self.problem, chosen)
-        return proof, reached(self.problem, proof) / [g.tolerance for g in self.problem.goals]
+        proof = proof_of(self.problem, chosen)
+        return proof, reached(self.problem, chosen, *proof) / [g.tolerance for g in self.problem.goals]
 
     def _densest(self) -> Mask:
         """As much as hours and spacing allow, from the first allowed time on."""
@@ -392,17 +405,26 @@ class _Planning:
             {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
         )
 
-    def _record(self, chosen: Mask, proof: Accuracy | None, bound: PlanBound, sure: bool = True) -> Plan:
+    def _record(self, chosen: Mask, proof: Proof, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
         return _plan(self.problem, chosen, proof, bound, "complete" if complete else "budget")
 
 
-def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy:
-    """The proof of a choice."""
-    rows = [goal.row for goal in problem.goals]
-    schedule = problem.schedule(chosen)
-    measured = np.isfinite(problem.v_bound)
-    v = np.tile(np.where(measured, problem.v_bound, 1.0), (len(schedule), 1))
+def proof_of(problem: PlanProblem, chosen: Mask) -> Proof:
+    """The proof of a choice: accuracy for what is guaranteed, and standard deviations."""
+    return accuracy_of(problem, chosen), deviation_of(problem, chosen)
+
+
+def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
+    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
+    rows = [goal.row for goal in problem.goals if not goal.spread]
+    if not rows:
+        return None
+    told = chosen & np.isfinite(problem.v_bound)
+    if not told.any():
+        raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
+    schedule = problem.schedule(told)
+    v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
     return accuracy(
         problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
     )
@@ -410,17 +432,17 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy:
 
 def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:
     """The plan of a choice, its accuracy proven."""
-    return _plan(problem, chosen, accuracy_of(problem, chosen), bound, status)
+    return _plan(problem, chosen, proof_of(problem, chosen), bound, status)
 
 
-def _plan(problem: PlanProblem, chosen: Mask, proof: Accuracy | None, bound: PlanBound, status: str) -> Plan:
-    assert proof is not None
+def _plan(problem: PlanProblem, chosen: Mask, proof: Proof, bound: PlanBound, status: str) -> Plan:
     return Plan(
         problem.plant,
         problem.requirement,
         problem.schedule(chosen),
-        proof,
-        freeze(reached(problem, proof)),
+        proof[0],
+        freeze(reached(problem, chosen, *proof)),
         bound,
         status=status,
+        deviation=proof[1],
     )

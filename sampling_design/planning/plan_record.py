@@ -12,14 +12,17 @@ import numpy.typing as npt
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import SECONDS
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.errors import NotDetectableError
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.spread import Spread
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.recovery.accuracy import Accuracy
+from sampling_design.recovery.deviation import StandardDeviation, standard_deviation
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 if TYPE_CHECKING:
@@ -30,6 +33,9 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 FORMAT = "sampling-design/plan/1"
+
+SAME = 1e-6
+"""Figures worked out anew agree to this share."""
 
 ENDLESS = 1e12
 """Stands for no limit where a cost is compared."""
@@ -46,7 +52,9 @@ class Plan(Record):
     schedule : PeriodicSchedule
         Times since the start of the period, with the outputs of each sample; its origin is the calendar's start.
     accuracy : Accuracy or None
-        The proof for the goals, in their order.
+        The proof for the goals that are guaranteed, in their order.
+    deviation : StandardDeviation or None
+        The same for goals that are standard deviations.
     reached : (g,) array
         What the plan proves for each goal, in the goal's unit, at the times that it asks for.
     bound : PlanBound
@@ -67,6 +75,7 @@ class Plan(Record):
     status: str = "complete"
     certificate: Certificate | None = None
     robustness: PlanRobustness | None = None
+    deviation: StandardDeviation | None = None
 
     @cached_property
     def problem(self) -> PlanProblem:
@@ -103,6 +112,17 @@ class Plan(Record):
     def cost(self) -> float:
         """Price of a period; the number of samples where nothing has a price."""
         return self.problem.cost(self.chosen)
+
+    def curve(self, k: int) -> tuple[Array, Array]:
+        """Edges of panels over the period, and what is proven of a goal on each: a bound, or a standard deviation."""
+        goal = self.goals[k]
+        place = [g for g, other in enumerate(self.goals) if other.spread == goal.spread].index(k)
+        if self.deviation is not None and goal.spread:
+            times, values = self.deviation.times, self.deviation.profile[place]
+            keep = np.flatnonzero(np.diff(times) > 0)
+            return np.append(times[keep], times[-1]), np.maximum(values[keep], values[keep + 1])
+        assert self.accuracy is not None
+        return self.accuracy.profile.edges, self.accuracy.profile.upper[place]
 
     @property
     def ratio(self) -> float:
@@ -143,9 +163,14 @@ class Plan(Record):
         problem = self.problem
         if not problem.is_admissible(self.chosen):
             return False
-        if self.accuracy is not None and not (
-            self.accuracy.verify() and np.allclose(reached(problem, self.accuracy), self.reached, rtol=1e-6)
-        ):
+        if self.accuracy is not None and not self.accuracy.verify():
+            return False
+        if self.deviation is not None:
+            anew = deviation_of(problem, self.chosen)
+            if anew is None or not np.allclose(anew.worst, self.deviation.worst, rtol=SAME, atol=0):
+                return False
+        mine = reached(problem, self.chosen, self.accuracy, self.deviation)
+        if not np.allclose(mine, self.reached, rtol=SAME, atol=0):
             return False
         if not self._extras_hold():
             return False
@@ -193,7 +218,7 @@ class Plan(Record):
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
         for value, goal in zip(self.reached, self.goals, strict=True):
             unit = f" {goal.unit}" if goal.unit else ""
-            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.at})"
+            text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.when()})"
             if self.bound.ratio is not None and len(self.goals) == 1:
                 text += f"; no plan of this cost below {short(self.bound.ratio.level * goal.tolerance, 4)}"
             rows.append((goal.name, text))
@@ -259,10 +284,44 @@ def limit_of(problem: PlanProblem, cost: float) -> float:
     return min(problem.most_cost, whole) if not problem.counts else whole
 
 
-def reached(problem: PlanProblem, proof: Accuracy) -> Array:
-    """What an accuracy proves for each goal at the times that it asks for."""
+def deviation_of(problem: PlanProblem, chosen: Mask) -> StandardDeviation | None:
+    """The standard deviations of a choice's goals of that kind; None if it has none."""
+    goals = [goal for goal in problem.goals if goal.spread]
+    if not goals:
+        return None
+    told = chosen & np.isfinite(problem.v_deviation)
+    if not told.any():
+        raise NotDetectableError("`schedule` reads no sensor that has a `noise_deviation`.")
+    return standard_deviation(
+        problem.plant,
+        problem.schedule(told),
+        w_intensity=np.array(problem.w_intensity),
+        v_deviation=np.where(np.isfinite(problem.v_deviation), problem.v_deviation, 1.0),
+        of=np.array([goal.row for goal in goals]),
+    )
+
+
+def reached(
+    problem: PlanProblem, chosen: Mask, proof: Accuracy | None, deviation: StandardDeviation | None = None
+) -> Array:
+    """What is proven for each goal at the times that it asks for."""
+    values = np.zeros(len(problem.goals))
+    bounded = [k for k, goal in enumerate(problem.goals) if not goal.spread]
+    if proof is not None:
+        values[bounded] = _bounded(problem, proof, bounded)
+    if deviation is not None:
+        spread = [k for k, goal in enumerate(problem.goals) if goal.spread]
+        on_raster = Spread(problem, motion_of(problem)).worst(chosen[None])[0]
+        for k, worst in zip(spread, deviation.worst.tolist(), strict=True):
+            goal = problem.goals[k]
+            values[k] = worst if goal.at == "all times" else float(on_raster[k]) * goal.tolerance
+    return values
+
+
+def _bounded(problem: PlanProblem, proof: Accuracy, which: list[int]) -> Array:
+    """What an accuracy proves for each goal that is guaranteed."""
     values = []
-    for k, goal in enumerate(problem.goals):
+    for k, goal in enumerate(problem.goals[i] for i in which):
         if goal.at == "all times":
             values.append(float(proof.upper[k]))
         elif goal.at == "after each sample":

@@ -11,7 +11,7 @@ from sampling_design import _checks
 from sampling_design._units import SECONDS, time_factor
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.opening import DAYS, week_hours
-from sampling_design.planning.requirement import PlanRequirement, SensorTerms, duration
+from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.rows import wanted_rows
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -39,6 +39,12 @@ class Goal:
     tolerance: float
     at: str  # "all times", "after each sample" or "given times"
     steps: Array  # raster times of "given times"
+    spread: bool = False
+    """Whether it is a standard deviation, else guaranteed."""
+
+    def when(self) -> str:
+        """At which times, and of which kind, in words."""
+        return f"standard deviation, {self.at}" if self.spread else self.at
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,10 @@ class PlanProblem:
     spacing : int
         Least steps between two samples.
     sensor_spacing, longest_use : (p,) int arrays
+    v_bound, v_deviation : (p,) arrays
+        Infinite for a sensor that has none: it says nothing of goals of that kind.
+    w_intensity : (q,) array
+        0 where no goal is a standard deviation.
     """
 
     plant: Plant
@@ -70,6 +80,8 @@ class PlanProblem:
     sensor_spacing: npt.NDArray[np.intp]
     longest_use: npt.NDArray[np.intp]
     v_bound: Array
+    v_deviation: Array
+    w_intensity: Array
     most_samples: float
     most_cost: float
 
@@ -168,18 +180,30 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     spacing = 1 if requirement.spacing is None else _steps("spacing", requirement.spacing, unit, plant, step)
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(plant, requirement, terms, goals)
+    bound = np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms])
+    deviation = np.array([np.inf if t.noise_deviation is None else t.noise_deviation for t in terms])
+    says = np.zeros(len(terms), dtype=bool)
+    for spread, size in ((False, bound), (True, deviation)):
+        says |= np.isfinite(size) & any(goal.spread == spread for goal in goals)
+    if not (allowed & says).any():
+        raise InfeasibleRequirementError(
+            "No sensor that may be measured has a `noise_bound` or `noise_deviation`: its readings say nothing.",
+            "sensors",
+        )
     return PlanProblem(
         plant=plant,
         requirement=requirement,
         goals=goals,
         step=step,
-        allowed=allowed,
+        allowed=allowed & says,
         price=np.array([t.price for t in terms]),
         visit=requirement.visit_price,
         spacing=max(1, spacing),
         sensor_spacing=np.array(in_step, dtype=np.intp),
         longest_use=np.array(used, dtype=np.intp),
-        v_bound=np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms]),
+        v_bound=bound,
+        v_deviation=deviation,
+        w_intensity=_intensities(plant, requirement, goals),
         most_samples=np.inf if requirement.samples is None else float(requirement.samples),
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
@@ -247,7 +271,9 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
                 raise ArgumentError(
                     f"`accuracy.{name}.at` must name times on the raster of {step!r}, got {goal.when()}."
                 )
-        found.append(Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps)))
+        found.append(
+            Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps), goal.kind == KINDS[1])
+        )
     return found
 
 
@@ -259,9 +285,24 @@ def _check_bounds(
         raise ArgumentError(
             "`requirement` names no accuracy. Without bounds, `design_schedule` designs for sigma instead."
         )
-    if requirement.w_bound is None:
-        raise ArgumentError(f"`w_bound` is missing: accuracy of {goals[0].name} needs it; 0 for none.")
     if any(t.noise_bound == 0 for t in terms):
         raise ArgumentError("`noise_bound` must be positive in a plan, got 0: give the sensor's resolution.")
-    if all(t.noise_bound is None for t in terms):
-        raise ArgumentError(f"`sensors` have no `noise_bound`: accuracy of {goals[0].name} needs it.")
+    for spread, of, size in ((False, "w_bound", "noise_bound"), (True, "w_intensity", "noise_deviation")):
+        asks = [goal.name for goal in goals if goal.spread == spread]
+        if asks and getattr(requirement, of) is None:
+            raise ArgumentError(f"`{of}` is missing: accuracy of {asks[0]} needs it; 0 for none.")
+        if asks and all(getattr(t, size) is None for t in terms):
+            raise ArgumentError(f"`sensors` have no `{size}`: accuracy of {asks[0]} needs it.")
+
+
+def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[Goal, ...]) -> Array:
+    """Intensity of each disturbance, 0 where no goal asks for it."""
+    given = requirement.w_intensity
+    if given is None or not any(goal.spread for goal in goals):
+        return np.zeros(plant.n_disturbances)
+    if np.ndim(given) == 0:
+        return np.full(plant.n_disturbances, _checks.nonnegative("w_intensity", given))
+    entries = _checks.vector("w_intensity", given, plant.n_disturbances)
+    if np.any(entries < 0):
+        raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
+    return np.array(entries)

@@ -21,6 +21,7 @@ Duration: TypeAlias = float | str
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
+KINDS = ("guaranteed", "standard deviation")
 TIMES = ("all times", "until the next", "after each sample")
 AIMS = ("cheapest", "most accurate")
 _DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
@@ -49,11 +50,14 @@ class AccuracyGoal(Record):
     Parameters
     ----------
     tolerance : float
-        In the row's unit, > 0: no error of some estimate is ever larger.
+        In the row's unit, > 0.
     at : str or sequence of float
         "all times" (the same: "until the next" sample), "after each sample", or times of the period from its start on.
     row : (n,) array, optional
         Combination of states; default: the state or output of the goal's name.
+    kind : str
+        "guaranteed": no error that the bounds allow is larger; "standard deviation": that of the best filter, for white
+        noise of the requirement's `w_intensity` and the sensors' `noise_deviation`.
 
     Raises
     ------
@@ -64,8 +68,10 @@ class AccuracyGoal(Record):
     tolerance: float
     at: str | Sequence[float] = "all times"
     row: Array | None = None
+    kind: str = KINDS[0]
 
     def __post_init__(self) -> None:
+        _word("kind", self.kind, KINDS)
         object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
         if isinstance(self.at, str):
             _word("at", self.at, TIMES)
@@ -76,7 +82,8 @@ class AccuracyGoal(Record):
 
     def when(self) -> str:
         """Say at which times it holds."""
-        return self.at if isinstance(self.at, str) else "at " + short(list(self.at))
+        times = self.at if isinstance(self.at, str) else "at " + short(list(self.at))
+        return times if self.kind == KINDS[0] else f"{self.kind}, {times}"
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("tolerance", short(self.tolerance)), ("at", self.when())]
@@ -89,6 +96,7 @@ class AccuracyGoal(Record):
         """Plain data."""
         at: Plain = self.at if isinstance(self.at, str) else list(self.at)
         data: dict[str, Plain] = {"tolerance": self.tolerance, "at": at}
+        data |= {} if self.kind == KINDS[0] else {"kind": self.kind}
         return data if self.row is None else {**data, "row": self.row.tolist()}
 
 
@@ -101,13 +109,15 @@ class SensorTerms(Record):
     price : float
         Of one measurement, >= 0.
     noise_bound : float, optional
-        No error of a measurement is larger; needed of at least one sensor.
+        No error of a measurement is larger; needed of at least one sensor where an accuracy is to be guaranteed.
     hours : dict of str to list of (str, str), optional
         Own opening hours by weekday ("Mon": [("08:00", "12:00")]), within those of the calendar.
     longest_use : int, optional
         Most measurements in one period.
     spacing : float or str, optional
         Least time between two measurements of this sensor.
+    noise_deviation : float, optional
+        Standard deviation of a measurement's error; needed of at least one sensor for goals of that kind.
 
     Raises
     ------
@@ -120,11 +130,14 @@ class SensorTerms(Record):
     hours: Mapping[str, object] | None = None
     longest_use: int | None = None
     spacing: Duration | None = None
+    noise_deviation: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "price", _checks.nonnegative("price", self.price))
         if self.noise_bound is not None:
             object.__setattr__(self, "noise_bound", _checks.nonnegative("noise_bound", self.noise_bound))
+        if self.noise_deviation is not None:
+            object.__setattr__(self, "noise_deviation", _checks.positive("noise_deviation", self.noise_deviation))
         if self.longest_use is not None:
             object.__setattr__(self, "longest_use", _checks.whole("longest_use", self.longest_use))
         if self.hours is not None:
@@ -132,7 +145,7 @@ class SensorTerms(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("price", short(self.price))]
-        for key in ("noise_bound", "longest_use"):
+        for key in ("noise_bound", "noise_deviation", "longest_use"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), short(value))]
         return rows + ([] if self.spacing is None else [("spacing", f"{self.spacing}")])
@@ -144,7 +157,7 @@ class SensorTerms(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; what was not given is left out."""
         data: dict[str, Plain] = {"price": self.price}
-        for key in ("noise_bound", "longest_use", "spacing"):
+        for key in ("noise_bound", "noise_deviation", "longest_use", "spacing"):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         return data if self.hours is None else {**data, "hours": _plain_hours(self.hours)}
@@ -176,6 +189,9 @@ class PlanRequirement(Record):
         these is given.
     w_bound : float or (q,) sequence, optional
         Bound on the disturbance, as for `accuracy`.
+    w_intensity : float or (q,) sequence, optional
+        Intensity of the disturbance as white noise, as for `standard_deviation` [its unit squared times the plant's
+        time unit].
     sensors : dict of str to SensorTerms or dict
         By name of the output; an output without terms is free, and measured without error bound if none is given.
     calendar : OpeningCalendar or dict, optional
@@ -208,6 +224,7 @@ class PlanRequirement(Record):
     sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None
+    w_intensity: Bound = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -259,7 +276,9 @@ class PlanRequirement(Record):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         data |= {"visit_price": self.visit_price} if self.visit_price else {}
-        data |= {} if self.w_bound is None else {"w_bound": np.asarray(self.w_bound, dtype=float).tolist()}
+        for key in ("w_bound", "w_intensity"):
+            value = getattr(self, key)
+            data |= {} if value is None else {key: np.asarray(value, dtype=float).tolist()}
         data["accuracy"] = {name: goal.to_dict() for name, goal in self.accuracy.items()}
         data["sensors"] = {name: terms.to_dict() for name, terms in self.sensors.items()}
         return data if self.calendar is None else {**data, "calendar": self.calendar.to_dict()}

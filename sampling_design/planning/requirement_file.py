@@ -22,7 +22,7 @@ from sampling_design.checkers.strict import (
     text,
     word,
 )
-from sampling_design.planning.requirement import AIMS, FORMAT, TIMES, PlanRequirement
+from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 
@@ -52,11 +52,12 @@ def _by_name(read: object, value: object, place: str) -> dict[str, object]:
 
 
 _HOURS = list_of(list_of(text, 2))
-_GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number)})
+_GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 _SENSOR = table(
     {},
     {
         **dict.fromkeys(("price", "noise_bound"), nonnegative),
+        "noise_deviation": positive,
         "hours": lambda value, place: _by_name(_HOURS, value, place),
         "longest_use": count,
         "spacing": _duration,
@@ -74,7 +75,7 @@ _TREE = table(
         "cost_limit": positive,
         "visit_price": nonnegative,
         "aim": word(*AIMS),
-        "w_bound": _bound,
+        **dict.fromkeys(("w_bound", "w_intensity"), _bound),
         "accuracy": lambda value, place: _by_name(
             lambda goal, at: _GOAL(goal, at) if isinstance(goal, Mapping) else positive(goal, at), value, place
         ),

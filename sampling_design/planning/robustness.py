@@ -11,7 +11,8 @@ from sampling_design._checks import freeze
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import SampleSequence, looks_back, planned, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -182,11 +183,11 @@ def _late(plan: Plan, k: int) -> tuple[float, float, float]:
 
 def _broken(plan: Plan, sequence: SampleSequence) -> float:
     """What a motion on the raster makes of a sequence."""
-    return worst_ratio(plan.oracle, sequence, 1.0, float(sequence.times[-1]) - plan.schedule.period)
+    return worst_ratio(plan, sequence, 1.0, float(sequence.times[-1]) - plan.schedule.period)
 
 
 def _judged(plan: Plan, sequence: SampleSequence) -> float:
     """Accuracy over tolerance: proven up to 1, else as a motion on the raster attains it."""
     until = float(sequence.times[-1]) - plan.schedule.period
-    attained = worst_ratio(plan.oracle, sequence, np.inf, until)
+    attained = worst_ratio(plan, sequence, np.inf, until)
     return attained if attained > 1 else proven_ratio(plan, sequence)

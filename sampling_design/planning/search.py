@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import AttackPool, HiddenMotion
-from sampling_design.planning.cover import Cover, Key, cheapest
+from sampling_design.planning.attacks import AttackPool, HiddenMotion, weighed
+from sampling_design.planning.bounds import separated
+from sampling_design.planning.cover import NODES, Cover, Key, cheapest
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work import WEIGHED
+from sampling_design.planning.work import COVER, WEIGHED
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -31,6 +32,24 @@ SPREAD_ENDS = 4
 
 TIE = 1e-3
 """Share of the least price by which choices that see more attacks are preferred."""
+
+THINNED = 2
+"""Measurements that are left out in turn, the least missed ones, before the others are moved."""
+
+FEW_NODES = 60
+"""Nodes of a program of tangents, whose rows are dense."""
+
+TANGENTS = 40
+"""Tangents at fractions of measurements, at most."""
+
+WHOLE = 1e-6
+"""An entry counts as 0 or 1 within this."""
+
+FLAT = 1e-5
+"""A tangent that raises the least cost by no more than this share is the last."""
+
+MOST_SWAPS = 200
+"""Places of one measurement that are tried, at most."""
 
 NARROW = 0.01
 """Relative distance between the best choice and the level shown to be out of reach at which a search ends."""
@@ -60,6 +79,7 @@ class PlanSearch:
         self.cover = Cover(problem, fixed=self.free)
         self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
         self.found = Found()
+        self.spread = all(goal.spread for goal in problem.goals)
         self.blind: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
 
@@ -80,8 +100,43 @@ class PlanSearch:
         for g, goal in enumerate(self.problem.goals):
             if goal.at == "after each sample":
                 continue
-            for end in self._typical_ends(g):
-                self.faint(g, end, level, nothing)
+            if not goal.spread:
+                for end in self._typical_ends(g):
+                    self.faint(g, end, level, nothing)
+        self.sharpen(level)
+
+    def sharpen(self, level: float, below: float = np.inf) -> None:
+        """Tangents at fractions of measurements, as few as keep all tangents before, until one keeps the level.
+
+        Among choices below a cost, which leave larger gaps.
+        """
+        spread = [g for g, goal in enumerate(self.problem.goals) if goal.spread]
+        z = np.where(self.problem.allowed, 1.0 / max(1, int(self.problem.allowed.sum())), 0.0)
+        keys, least = list(self.found.keys), 0.0
+        for _ in range(TANGENTS if spread else 0):
+            found = [self.oracle.tangent(z, g) for g in spread]
+            fresh = [t for t in found if t is not None and weighed(t, np.array(np.sum(t.peaks * t.touches))) > level]
+            if not fresh or self.late:
+                return
+            self.add(fresh, level)
+            keys, x = separated(self.cover, self.pool, level, keys, below)
+            self.oracle.work.add(COVER, 40.0 * self.cover.columns)
+            cost = float(self.cover.cost @ x)
+            if cost <= least * (1 + FLAT):
+                return
+            least = cost
+            z = np.clip(np.where(self.cover.place >= 0, x[self.cover.place], 0.0), 0.0, 1.0)
+
+    def find(self, x: Array, level: float) -> None:
+        """Attacks at a level against a point of the program: a choice, or tangents at fractions of measurements."""
+        if self.late:
+            return
+        if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
+            self.add(self.oracle.judge(self.cover.choice(x), above=level)[1], level)
+            return
+        z = np.clip(np.where(self.cover.place >= 0, x[self.cover.place], 0.0), 0.0, 1.0)
+        found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
+        self.add([t for t in found if t is not None], level)
 
     def _typical_ends(self, g: int) -> list[int]:
         steps = self.problem.steps
@@ -93,7 +148,9 @@ class PlanSearch:
         return [int(e) + steps for e in wanted[np.isin(wanted, ends)][:8]]
 
     def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenMotion | None:
-        """Find and keep one faint attack, hidden from `known`."""
+        """Find and keep one faint attack, hidden from `known`; none against a standard deviation."""
+        if self.problem.goals[g].spread:
+            return None
         back = self.oracle.back
         weights = np.where(self.problem.allowed, 1.0, 0.05 if self.free else 0.0)
         every = max(1, back // GRID)
@@ -121,14 +178,16 @@ class PlanSearch:
                 return True
         return None
 
-    def _candidate(self, keys: list[Key], level: float) -> tuple[Mask | None, bool]:
-        """The cheapest choice that sees every attack of the pool."""
+    def _candidate(self, keys: list[Key], level: float, below: float = np.inf) -> tuple[Mask | None, bool]:
+        """The cheapest choice that sees every attack of the pool; only those below a cost are of use."""
         while True:
             model = self.cover.model(self.pool.attacks, keys, level, self.blind)
             more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
             least = self.cover.grain or float(np.max(model.c, initial=1.0))
             tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
-            chosen, none = cheapest(self.cover, model, tie, self.oracle.work)
+            chosen, none = cheapest(
+                self.cover, model, tie, self.oracle.work, below, FEW_NODES if self.spread else NODES
+            )
             if chosen is None:
                 return None, none
             if (blindness := self.oracle.hidden(chosen)) is not None:
@@ -174,9 +233,11 @@ class PlanSearch:
 
     def polished(self, chosen: Mask) -> Mask:
         """Move one measurement at a time to where the attacks so far prove least, while that gains."""
-        best = self.pool.against(chosen)[0]
         at, sensor = np.nonzero(self.problem.allowed)
         options = list(zip(at.tolist(), sensor.tolist(), strict=True))
+        if self.spread:
+            return self._exchanged(chosen, options)
+        best = self.pool.against(chosen)[0]
         if not options or not self.pool.attacks:
             return chosen
         for _ in range(2):
@@ -194,6 +255,61 @@ class PlanSearch:
                     if self.problem.is_admissible(trial):
                         chosen, best = trial, float(values[o])
                         break
+            if best >= before * (1 - 1e-3):
+                break
+        return chosen
+
+    def _thinned(self, chosen: Mask, worst: float, level: float) -> tuple[Mask, float]:
+        """A choice that keeps standard deviations, without what it can do without once the others are moved."""
+        if not self.spread:
+            return chosen, worst
+        assert self.oracle.spread is not None
+        options = [(int(i), int(j)) for i, j in zip(*np.nonzero(self.problem.allowed), strict=True)]
+        while chosen.any(axis=1).sum() > 1 and not self.late:
+            fewer = np.repeat(chosen[None], int(chosen.sum()), axis=0)
+            fewer[np.arange(len(fewer)), *np.nonzero(chosen)] = False
+            left = self.oracle.spread.worst(fewer).max(axis=1)
+            even = self._even(int(chosen.any(axis=1).sum()) - 1)
+            tries = [fewer[k] for k in np.argsort(left, kind="stable")[:THINNED].tolist()] + even
+            for trial in tries:
+                trial = self._exchanged(trial, options)
+                value = float(self.oracle.spread.worst(trial[None]).max())
+                if value <= level and self.oracle.hidden(trial) is None and self.problem.is_admissible(trial):
+                    chosen, worst = trial, value
+                    break
+            else:
+                break
+        return chosen, worst
+
+    def _even(self, count: int) -> list[Mask]:
+        """So many samples as even as can be, where all is allowed."""
+        if not self.free or count < 1:
+            return []
+        chosen = np.zeros(self.problem.allowed.shape, dtype=bool)
+        chosen[np.round(np.arange(count) * self.problem.steps / count).astype(int)] = True
+        return [chosen] if self.problem.is_admissible(chosen) else []
+
+    def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:
+        """Move one measurement at a time to where the standard deviations are least, while that gains."""
+        assert self.oracle.spread is not None
+        best = float(self.oracle.spread.worst(chosen[None]).max())
+        for _ in range(2):
+            before = best
+            for i, j in zip(*np.nonzero(chosen), strict=True):
+                rest = chosen.copy()
+                rest[i, j] = False
+                trials = []
+                for o in options:
+                    trial = rest.copy()
+                    trial[o] = True
+                    if not rest[o] and self.problem.is_admissible(trial):
+                        trials.append(trial)
+                few = trials[:: max(1, -(-len(trials) // MOST_SWAPS))]
+                if not few or self.late:
+                    break
+                values = self.oracle.spread.worst(np.array(few)).max(axis=1)
+                if values.min() < best * (1 - 1e-6):
+                    chosen, best = few[int(np.argmin(values))], float(values.min())
             if best >= before * (1 - 1e-3):
                 break
         return chosen
@@ -219,6 +335,7 @@ class PlanSearch:
                 worst, attacks = self.oracle.judge(trial, above=level)
                 self.add(attacks, level)
                 if worst <= level:
+                    trial, worst = self._thinned(trial, worst, level)
                     best = self.problem.cost(trial)
                     self.keep(trial, worst)
                 elif attacks:
@@ -246,7 +363,7 @@ class PlanSearch:
                 return None
             if self.problem.cost(more) >= dearest:
                 return None
-            trial = more
+            trial = self._exchanged(more, options) if self.spread else more
         return None
 
     def improve(self, rounds: int) -> None:

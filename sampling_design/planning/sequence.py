@@ -7,8 +7,6 @@ again no larger than the plan's proof supposes, and as many more as that proof l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +15,7 @@ from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.oracle import LOOKS, Oracle
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import Goal
+from sampling_design.planning.spread_sequence import SampleSequence, SpreadSequence, asked, planned
 from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.question import Question
@@ -30,40 +29,14 @@ SHARPER = 40
 """Offsets of a gap that are solved, at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class SampleSequence:
-    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan.
-
-    Attributes
-    ----------
-    times : (K,) array
-    seen : (K, p) array of bool
-    first : int
-        Index of the first sample that the plan does not have, or has otherwise.
-    """
-
-    times: Array
-    seen: Mask
-    first: int
-    shift: float = 0.0
-    """How much later than in the plan the samples at the end are, since the clocks were changed."""
-
-
-def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
-    """The plan's samples in [start, stop)."""
-    schedule, period = plan.schedule, plan.schedule.period
-    periods = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
-    times = (periods[:, None] + schedule.times[None, :]).ravel()
-    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
-    keep = (times >= start - 1e-9 * period) & (times < stop - 1e-9 * period)
-    return times[keep], seen[keep]
-
-
 def looks_back(plan: Plan) -> int:
     """Samples that the plan's proof looks back."""
-    assert plan.accuracy is not None
-    parts = [len(given) for part in plan.accuracy.proof for given in part.gains]
-    return max(parts, default=1)
+    parts = [1]
+    if plan.accuracy is not None:
+        parts += [len(given) for part in plan.accuracy.proof for given in part.gains]
+    if plan.deviation is not None:
+        parts.append(SpreadSequence(plan).back)
+    return max(parts)
 
 
 def deviating(plan: Plan, times: Array, seen: Mask, resume: float) -> SampleSequence:
@@ -78,15 +51,24 @@ def deviating(plan: Plan, times: Array, seen: Mask, resume: float) -> SampleSequ
     return SampleSequence(all_times, np.concatenate([before[1], seen, after[1]]), before[0].size)
 
 
-def worst_ratio(oracle: Oracle, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
+def worst_ratio(plan: Plan, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
     """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the raster.
 
     Stops once a gap is worse than `above`, or begins at or after `until`.
     """
+    oracle = plan.oracle
+    spread = SpreadSequence(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
+    if spread > above or plan.accuracy is None:
+        return spread
+    return max(spread, _bounded_worst(oracle, sequence, above, until))
+
+
+def _bounded_worst(oracle: Oracle, sequence: SampleSequence, above: float, until: float) -> float:
+    """The same of the goals that are guaranteed."""
     step = oracle.problem.step
     knots = np.round(sequence.times / step).astype(np.intp)
     worst = 0.0
-    goals = range(len(oracle.problem.goals))
+    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
     for k in range(max(sequence.first - 1, 0), len(knots) - 1):
         if sequence.times[k] >= until:
             break
@@ -112,7 +94,19 @@ def _looks(oracle: Oracle, g: int, knot: int, length: int) -> list[int]:
 
 
 def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
-    """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1."""
+    """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1.
+
+    Of standard deviations, by the filter run through the sequence, by as much more as it ends with.
+    """
+    spread = 0.0
+    if plan.deviation is not None:
+        spread, wider = SpreadSequence(plan).worst(sequence)
+        spread = max(spread, wider * SpreadSequence(plan).usual)
+    return spread if plan.accuracy is None or spread > 1 else max(spread, _proven_bounds(plan, sequence))
+
+
+def _proven_bounds(plan: Plan, sequence: SampleSequence) -> float:
+    """The same of the goals that are guaranteed."""
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
     j = phase_of(schedule, float(times[0]))
@@ -130,10 +124,10 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     search = ChainSearch(*question.chain(plan.plant))
     search.back = back
     worst, last = 0.0, len(times) - 1
-    opened = [(goal, search.opened(goal.row)) for goal in problem.goals]
+    opened = [(goal, search.opened(goal.row)) for goal in problem.goals if not goal.spread]
     for k in range(max(sequence.first - 1, 0), last):
         for goal, row in opened:
-            worst = max(worst, _gap_bound(search, row, k, goal, _asked(plan, sequence, k, goal)) / goal.tolerance)
+            worst = max(worst, _gap_bound(search, row, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:
             return worst
     # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
@@ -142,21 +136,8 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
         phase = phase_of(schedule, float(times[k]) - sequence.shift)
         units = np.linalg.inv(filtered.D[:, None] * filtered.L[phase])
         wider = max(wider, _beyond(search, k, units, filtered.reach[phase]))
-    return max(worst, plan.ratio * wider)
-
-
-def _asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
-    """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
-    if goal.at != "given times":
-        return []
-    problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
-    late = sequence.shift if k >= sequence.first else 0.0
-    phases = np.round(goal.steps) * problem.step + late
-    periods = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
-    offsets = np.sort((periods[:, None] + phases[None, :]).ravel()) - start
-    tiny = 1e-9 * problem.period
-    inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
-    return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
+    usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
+    return max(worst, float(usual) * wider)
 
 
 def _gap_bound(search: ChainSearch, found: RowSearch, k: int, goal: Goal, asked: list[float]) -> float:

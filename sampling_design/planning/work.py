@@ -17,12 +17,15 @@ COVER = (5e-3, 6e-6)
 WEIGHED = 6e-4
 """For each attack, of weighing what may take the place of a measurement."""
 
+FILTER = (4e-5, 1e-7)
+"""Of each step of a filter, and for each choice, step and state."""
+
 
 class Work:
     """A budget of work and what is spent of it."""
 
     def __init__(self, limit: float = float("inf")) -> None:
-        self.limit, self.spent = limit, 0.0
+        self.limit, self.budget, self.spent = limit, limit, 0.0
 
     @property
     def over(self) -> bool:
@@ -32,3 +35,8 @@ class Work:
     def add(self, price: tuple[float, float], size: float) -> None:
         """Count a program of so many entries."""
         self.spent += price[0] + price[1] * size
+
+    def extend(self, share: float) -> None:
+        """Let a share of the budget be spent from now on, if no more is left."""
+        if self.limit < float("inf"):
+            self.limit = max(self.limit, self.spent + share * self.budget)

@@ -63,5 +63,4 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
 
 def curve(plan: Plan, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Edges and height of a goal over the period."""
-    assert plan.accuracy is not None
-    return plan.accuracy.profile.edges, plan.accuracy.profile.upper[k]
+    return plan.curve(k)

@@ -20,7 +20,7 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw when which sensor is read (on `ax` alone if given), and below it the accuracy of every goal."""
     if ax is not None:
         return draw_sensors(result, ax)
-    goals = result.goals if result.accuracy is not None else ()
+    goals = result.goals
     sensors = result.problem.allowed.shape[1]
     figure, axes = style.new_figure(
         1 + len(goals), row_height=2.1, ratios=(0.25 + 0.2 * sensors, *(1.0 for _ in goals))
@@ -71,10 +71,9 @@ def draw_sensors(result: Plan, ax: Axes) -> Axes:
 def _goal(result: Plan, k: int, ax: Axes) -> None:
     """The accuracy of one goal over the period, with its tolerance."""
     goal = result.goals[k]
-    assert result.accuracy is not None
-    profile, period = result.accuracy.profile, result.schedule.period
-    for cycle, label in ((-period, None), (0.0, "guaranteed"), (period, None)):
-        ax.stairs(profile.upper[k], profile.edges + cycle, baseline=None, color=style.PROVEN, label=label)
+    (edges, upper), period = result.curve(k), result.schedule.period
+    for cycle, label in ((-period, None), (0.0, "standard deviation" if goal.spread else "guaranteed"), (period, None)):
+        ax.stairs(upper, edges + cycle, baseline=None, color=style.PROVEN, label=label)
     ax.axhline(goal.tolerance, color=style.FAILED, linewidth=1.2, linestyle="--", label="tolerance")
     if result.bound.ratio is not None:
         level = result.bound.ratio.level * goal.tolerance
@@ -85,7 +84,7 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
             ax.axvline(float(step) * result.problem.step % period, color=style.TRUTH, linewidth=0.8, linestyle=":")
     for t in result.schedule.times:
         ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
-    ax.set_ylim(0.0, 1.25 * max(goal.tolerance, float(np.max(profile.upper[k]))))
+    ax.set_ylim(0.0, 1.25 * max(goal.tolerance, float(np.max(upper))))
     ax.set_ylabel(f"{goal.name}\n[{goal.unit}]" if goal.unit else goal.name)
     ax.set_xlabel(style.time_label(result.plant.time_unit))
     style.legend(ax)

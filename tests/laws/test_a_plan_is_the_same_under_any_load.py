@@ -4,6 +4,7 @@ import json
 import time
 
 import numpy as np
+
 import sampling_design as sd
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])

@@ -15,7 +15,7 @@ def pair(week):
         {"level": 3.0}, raster="1 h", w_bound=[0.02, 0.01], sensors=week.requirement.sensors, visit_price=1.0,
         cost_limit=6.0, calendar=week.requirement.calendar,
     )  # fmt: skip
-    return week, sd.plan(week.plant, more, certificate=False, robustness=False, search_seconds=2.0)
+    return week, sd.plan(week.plant, more, certificate=False, robustness=False, search_seconds=0.3)
 
 
 def test_figures_of_both_are_side_by_side(pair):

@@ -25,7 +25,7 @@ def wanted(tolerance=2.5, w_bound=(0.01, 0.0, 0.0), **more):
 
 
 def bare(requirement, **more):
-    return plan(LEVEL_AND_RHYTHM, requirement, search_seconds=0.5, certificate=False, robustness=False, **more)
+    return plan(LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, **more)
 
 
 def test_a_plan_sees_a_rhythm_that_nothing_drives():

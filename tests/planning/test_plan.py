@@ -59,7 +59,7 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "raster": 0.8})
     with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
-        sd.plan(OSCILLATOR, spaced, search_seconds=2.0, **BARE)
+        sd.plan(OSCILLATOR, spaced, search_seconds=0.4, **BARE)
     near = refused.value.nearest["position"]
     # what it names can be kept; one look, almost once in a swing, only seems to keep it to who looks back a little
     found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)

@@ -1,0 +1,172 @@
+"""Sequences of samples that leave a plan for a while, and what the best filter makes of them.
+
+A filter that starts from the plan's own covariance runs through the samples. Where it knows, at the end, at most a
+times what the plan's does (as covariances), it never knows less than a times that: the recursion is monotone, and
+scales with a factor above 1 at most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._linalg import discounted_flow
+from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.problem import Goal
+from sampling_design.planning.spread import LAPS, SETTLED, WIDE, own
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+LOOKS = 24
+"""Offsets of a gap at which a standard deviation is worked out, its end among them."""
+
+BETWEEN = 1 + 1e-4
+"""Share by which it may be larger between them."""
+
+FORGOTTEN = 1e-4
+"""A filter has forgotten what it was started with where that changes it by no more than this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSequence:
+    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan.
+
+    Attributes
+    ----------
+    times : (K,) array
+    seen : (K, p) array of bool
+    first : int
+        Index of the first sample that the plan does not have, or has otherwise.
+    """
+
+    times: Array
+    seen: Mask
+    first: int
+    shift: float = 0.0
+    """How much later than in the plan the samples at the end are, since the clocks were changed."""
+
+
+def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
+    """The plan's samples in [start, stop)."""
+    schedule, period = plan.schedule, plan.schedule.period
+    periods = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
+    times = (periods[:, None] + schedule.times[None, :]).ravel()
+    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
+    keep = (times >= start - 1e-9 * period) & (times < stop - 1e-9 * period)
+    return times[keep], seen[keep]
+
+
+def asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
+    """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
+    if goal.at != "given times":
+        return []
+    problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
+    late = sequence.shift if k >= sequence.first else 0.0
+    phases = np.round(goal.steps) * problem.step + late
+    periods = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
+    offsets = np.sort((periods[:, None] + phases[None, :]).ravel()) - start
+    tiny = 1e-9 * problem.period
+    inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
+    return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
+
+
+class SpreadSequence:
+    """The filter of one plan's standard deviations, through samples that are not all the plan's."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        motion = plan.oracle.motion
+        self.A, self.noise, self.S = motion.A, motion.N @ motion.N.T, motion.S
+        rows = plan.oracle.rows
+        self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.spread]
+
+    @property
+    def usual(self) -> float:
+        """What the plan itself reaches of its tolerances."""
+        pairs = zip(self.plan.reached.tolist(), self.plan.goals, strict=True)
+        return float(max(r / g.tolerance for r, g in pairs if g.spread))
+
+    def _flow(self, P: Array, length: float) -> Array:
+        F, W = discounted_flow(self.A, self.noise, [length])
+        P = F[0] @ P @ F[0].T + W[0]
+        return np.asarray((P + P.T) / 2)
+
+    def _read(self, P: Array, seen: Mask) -> Array:
+        for h in self.S[seen]:
+            Ph = P @ h
+            P = P - np.outer(Ph, Ph) / (1.0 + float(h @ Ph))
+        return np.asarray((P + P.T) / 2)
+
+    @cached_property
+    def limits(self) -> Array:
+        """Covariances after each sample of the plan, in the periodic limit; `back` is found on the way."""
+        return self._limits[0]
+
+    @property
+    def back(self) -> int:
+        """Samples after which the filter has forgotten what it was started with."""
+        return self._limits[1]
+
+    @cached_property
+    def _limits(self) -> tuple[Array, int]:
+        schedule = self.plan.schedule
+        masks = self.plan.chosen[self.plan.chosen.any(axis=1)]
+        P, last, back = np.eye(len(self.A)) * WIDE, np.zeros(0), 0
+        for lap in range(LAPS):
+            after = []
+            for mask, gap in zip(masks, schedule.gaps, strict=True):
+                P = self._read(P, mask)
+                after.append(P)
+                P = self._flow(P, float(gap))
+            now = np.array([np.trace(X) for X in after])
+            change = float(np.max(np.abs(now - last) / now)) if last.size else 1.0
+            back = back if back or change > FORGOTTEN else (lap + 1) * len(schedule)
+            if change <= SETTLED:
+                break
+            last = now
+        return np.array(after), max(back, len(schedule))
+
+    def worst(self, sequence: SampleSequence, until: float = np.inf) -> tuple[float, float]:
+        """The largest ratio from the sample before the first change on, and by how much more is unknown at the end."""
+        schedule, times = self.plan.schedule, sequence.times
+        start = max(sequence.first - 1, 0)
+        P, worst, wider = self.limits[self._phase(float(times[start]))], 0.0, np.inf
+        for k in range(start, len(times) - 1):
+            if times[k] >= until:
+                break
+            gap = float(times[k + 1] - times[k])
+            for goal, row in self.goals:
+                offsets = self._offsets(goal, sequence, k, gap)
+                if offsets.size:
+                    F, W = discounted_flow(self.A, self.noise, offsets)
+                    flown = row @ F
+                    variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
+                    worst = max(worst, float(np.sqrt(max(variance.max(), 0.0))) * BETWEEN)
+            P = self._read(self._flow(P, gap), sequence.seen[k + 1])
+            if k + 1 >= sequence.first + len(schedule):
+                usual = self.limits[self._phase(float(times[k + 1]) - sequence.shift)]
+                wider = min(wider, self._beyond(P, usual))
+        return worst, float(np.sqrt(max(wider, 1.0)))
+
+    def _offsets(self, goal: Goal, sequence: SampleSequence, k: int, gap: float) -> Array:
+        if own(goal):
+            return np.zeros(1)
+        if goal.at == "given times":
+            return np.array(asked(self.plan, sequence, k, goal))
+        return np.linspace(0.0, gap, LOOKS)
+
+    def _beyond(self, P: Array, usual: Array) -> float:
+        """The least a with P <= a usual."""
+        from scipy.linalg import eigh
+
+        tiny = 1e-13 * np.diag(np.diag(usual))
+        return float(eigh(P, usual + tiny, eigvals_only=True)[-1])
+
+    def _phase(self, t: float) -> int:
+        """Which sample of the period is taken at a time of the plan."""
+        phase = (t - self.plan.schedule.times) / self.plan.schedule.period
+        return int(np.argmin(np.abs(phase - np.round(phase))))

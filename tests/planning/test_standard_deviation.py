@@ -1,0 +1,175 @@
+"""Goals that are standard deviations: planned, bounded by tangents, kept when samples are late, saved and refused."""
+
+import json
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.files import load_plan, save_plan
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.plan import accuracy_of
+from sampling_design.planning.plan_record import deviation_of
+from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.spread import Spread
+from tests.oracles import planning as oracle
+
+OSCILLATOR = sd.Plant(
+    [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], states=["position", "velocity"], outputs=["y", "rate"]
+)
+TERMS = {"y": {"noise_deviation": 0.2}, "rate": {"noise_deviation": 0.3, "price": 0.0}}
+GIVEN = {"period": 6.4, "raster": 0.8, "w_intensity": [0.01, 0.02]}
+ONE = {**GIVEN, "sensors": {"y": TERMS["y"]}}
+
+
+def goal(tolerance, **more):
+    return {"tolerance": tolerance, "kind": "standard deviation", **more}
+
+
+def truth(times, seen, row, period=6.4, just_before=2e-3):
+    """The worst just before each sample and on the raster, by the plain filter."""
+    at = np.unique(np.concatenate([np.arange(0.0, period, 0.2), np.mod(np.asarray(times) - just_before, period)]))
+    plant = OSCILLATOR
+    return oracle.deviation(plant.A, plant.C, np.eye(2), times, seen, period, row, at, [0.01, 0.02], [0.2, 0.3]).max()
+
+
+@pytest.fixture(scope="module")
+def found():
+    wanted = sd.PlanRequirement({"position": goal(0.29)}, **ONE)
+    return sd.plan(OSCILLATOR, wanted, certificate=False)
+
+
+def every(count, steps=8):
+    """All choices of so many samples of the first sensor, one of them at step 0."""
+    return [(0, *rest) for rest in combinations(range(1, steps), count - 1)]
+
+
+def best_of_all(count):
+    return min(truth(np.array(at) * 0.8, [[True, False]] * count, [1.0, 0.0]) for at in every(count))
+
+
+def test_the_cheapest_plan_is_that_of_a_search_through_all_choices(found):
+    count = next(k for k in range(1, 9) if best_of_all(k) <= 0.29)
+    assert found.samples == count == found.bound.cost.value
+    assert found.status == "complete"
+    assert found.verify()
+    anew = truth(found.schedule.times, [[True, False]] * found.samples, [1.0, 0.0])
+    assert anew <= found.reached[0] <= anew * 1.02  # the oracle looks every 0.2 s
+
+
+def test_the_best_of_so_many_is_within_its_gap_of_all_choices():
+    most = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(1.0)}, samples=3, **ONE), certificate=False)
+    best = best_of_all(3)
+    assert most.bound.ratio.level <= best * (1 + 1e-9)
+    assert most.reached[0] <= best * 1.02
+    assert most.gap <= 0.1
+    assert most.verify()
+
+
+def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
+    problem = pose_plan(
+        OSCILLATOR, sd.PlanRequirement({"position": goal(1.0), "velocity": goal(1.0)}, sensors=TERMS, **GIVEN)
+    )
+    spread = Spread(problem, motion_of(problem))
+    rng = np.random.default_rng(5)
+    for g in (0, 1):
+        z = rng.uniform(size=problem.allowed.shape) * (rng.uniform(size=problem.allowed.shape) < 0.5)
+        tangent = spread.tangent(z, g)
+        for _ in range(12):
+            chosen = rng.uniform(size=z.shape) < rng.uniform(0.2, 0.9)
+            before, _ = spread.variances(chosen[None])
+            back = (tangent.end - np.arange(problem.steps)) % problem.steps
+            line = tangent.reach**2 - float(np.sum(tangent.peaks * chosen[back]))
+            assert line <= before[0, g, tangent.end] * (1 + 1e-9)
+        step, inside = 1e-5, z > 0
+        more = np.where(inside, z + step * rng.uniform(size=z.shape), z)
+        rise = spread.tangent_at(more, g, tangent.end)
+        value = [t.reach**2 - float(np.sum(t.peaks * t.point)) for t in (tangent, rise)]
+        slope = float(np.sum(tangent.peaks * (rise.point - tangent.point)))
+        assert value[1] - value[0] == pytest.approx(-slope, rel=1e-3)
+
+
+def test_late_and_lost_samples_are_as_the_plain_filter_has_them(found):
+    bears = found.robustness
+    worst = int(np.argmax(bears.lost_ratio))
+    laps = 12
+    times = np.concatenate([found.schedule.times + 6.4 * k for k in range(laps)])
+    keep = np.ones(times.size, dtype=bool)
+    keep[(laps - 2) * found.samples + worst] = False
+    anew = truth(times[keep], [[True, False]] * int(keep.sum()), [1.0, 0.0], 6.4 * laps)
+    assert anew <= bears.lost_ratio[worst] * 0.29 <= anew * 1.03
+
+
+def test_the_next_sample_keeps_the_deviation_for_ever(found):
+    answer = sd.next_sample(found)
+    assert answer.proven
+    later = found.schedule.times[found.schedule.times > answer.latest + 1e-9]
+    laps = [found.schedule.times + 6.4 * k for k in range(1, 12)]
+    times = np.concatenate([[0.0] if found.schedule.times[0] == 0 else [], [answer.latest], later, *laps])
+    times = np.unique(np.round(times, 9))
+    assert truth(times, [[True, False]] * times.size, [1.0, 0.0], 6.4 * 12) <= 0.29 * (1 + 1e-6)
+
+
+def test_both_kinds_are_planned_together():
+    wanted = sd.PlanRequirement(
+        {"position": 0.8, "velocity": goal(0.6, at="after each sample")},
+        w_bound=0.02,
+        **{**ONE, "sensors": {"y": {"noise_bound": 0.4, "noise_deviation": 0.2}}},
+    )
+    both = sd.plan(OSCILLATOR, wanted, certificate=False, robustness=False, search_seconds=0.3)
+    assert both.keeps
+    assert both.verify()
+    assert both.accuracy is not None
+    assert both.deviation is not None
+
+
+def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
+    path = save_plan(found, tmp_path / "plan.json")
+    again = load_plan(path)
+    assert again.verify()
+    assert again.bound.cost.value == found.bound.cost.value
+    tree = json.loads(path.read_text())
+    for change, words in (
+        ({"point": [[99, 0, 0.5]]}, "touches beside the raster"),
+        ({"knots": [0]}, "must be a motion .* or a tangent"),
+        ({"goal": 7}, "must be a motion .* of a goal"),
+    ):
+        path.write_text(json.dumps({**tree, "attacks": [{**tree["attacks"][0], **change}, *tree["attacks"][1:]]}))
+        with pytest.raises(FileFormatError, match=words):
+            load_plan(path)
+    raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.attacks)
+    assert not replace(found, bound=PlanBound(raised, found.bound.ratio, found.bound.cost)).verify()
+    assert not replace(found, reached=found.reached * 0.99).verify()
+
+
+def test_what_is_missing_or_out_of_reach_is_said():
+    with pytest.raises(ArgumentError, match="`w_intensity` is missing: accuracy of position needs it"):
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, period=6.4, sensors=TERMS))
+    with pytest.raises(ArgumentError, match="have no `noise_deviation`"):
+        sd.plan(
+            OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "sensors": {"y": {"noise_bound": 1.0}}})
+        )
+    with pytest.raises(ArgumentError, match="`w_intensity` must not be negative"):
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "w_intensity": [0.1, -1.0]}))
+    with pytest.raises(ArgumentError, match="`kind` must be one of 'guaranteed', 'standard deviation'"):
+        sd.PlanRequirement({"position": {"tolerance": 1.0, "kind": "likely"}})
+    with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time keeps"):
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.05)}, **ONE))
+
+
+def test_choices_that_say_nothing_of_a_goal_are_refused():
+    mixed = {"y": {"noise_bound": 0.2}, "rate": {"noise_deviation": 0.3}}
+    wanted = sd.PlanRequirement({"position": 0.8, "velocity": goal(0.6)}, w_bound=0.02, sensors=mixed, **GIVEN)
+    problem = pose_plan(OSCILLATOR, wanted)
+    for sensor, judge, words in ((0, deviation_of, "`noise_deviation`"), (1, accuracy_of, "`noise_bound`")):
+        with pytest.raises(NotDetectableError, match=f"reads no sensor that has a {words}"):
+            judge(problem, np.arange(2) == np.full((8, 1), sensor))
+    closed = {"y": {"noise_deviation": 0.2, "hours": {"Mon": [["08:00", "08:01"]]}}}
+    hourly = {"period": 7 * 86400.0, "raster": 3600.0, "w_intensity": 1.0}
+    hours = {"start": "2026-03-03", "hours": {"Tue": [["08:00", "10:00"]]}}
+    with pytest.raises(InfeasibleRequirementError, match="No sensor that may be measured has a"):
+        pose_plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.8)}, sensors=closed, calendar=hours, **hourly))

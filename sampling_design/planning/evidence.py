@@ -13,7 +13,7 @@ from sampling_design.planning.bounds import CostBranch, CostProof, CostTree, pro
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.motion import Motion
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.spread import Spread
+from sampling_design.planning.spread import RasterFilter
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -97,7 +97,7 @@ def _filtered(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> Hid
     z = np.roll(attack.touches, -((attack.end + 1) % problem.steps), axis=0)[::-1]
     if not problem.goals[attack.goal].spread or np.any(z < 0) or np.any(z > 1):
         return None
-    found = Spread(problem, motion).tangent_at(z, attack.goal, attack.end)
+    found = RasterFilter(problem, motion).tangent_at(z, attack.goal, attack.end)
     return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=attack.end)
 
 

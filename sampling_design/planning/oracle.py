@@ -9,7 +9,7 @@ from sampling_design.planning.adversary import Flight, RasterWindow, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
 from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
-from sampling_design.planning.spread import Spread
+from sampling_design.planning.spread import RasterFilter
 from sampling_design.planning.work import CONE, FAINT, Work
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ class Oracle:
         self.work = Work()
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
         spread = any(goal.spread for goal in problem.goals)
-        self.spread = Spread(problem, motion, self.work) if spread else None
+        self.spread = RasterFilter(problem, motion, self.work) if spread else None
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:

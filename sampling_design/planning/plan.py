@@ -34,7 +34,7 @@ from sampling_design.recovery.deviation import StandardDeviation
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
-Proof: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
+GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
@@ -202,7 +202,7 @@ class _Planning:
         ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys, search.find)
         return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
 
-    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[Proof, Array]]:
+    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[GoalProofs, Array]]:
         """More of what is allowed, spread out, until the tolerances are proven: the search judged too well.
 
         It does where a motion that no disturbance drives neither fades nor is seen well.
@@ -215,7 +215,7 @@ class _Planning:
         more = np.argwhere(everything & ~chosen)
         more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
         low, high = 0, len(more)
-        best: tuple[Mask, tuple[Proof, Array]] | None = None
+        best: tuple[Mask, tuple[GoalProofs, Array]] | None = None
         while best is None or low < high:
             count = high if best is None else (low + high) // 2
             trial = chosen.copy()
@@ -246,7 +246,7 @@ class _Planning:
         self.search.add(attacks, 0.0)
         return judged > before * (1 + BLIND)
 
-    def _nearest(self, chosen: Mask, proof: Proof, ratios: Array) -> Plan:
+    def _nearest(self, chosen: Mask, proof: GoalProofs, ratios: Array) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
         Raises
@@ -300,7 +300,7 @@ class _Planning:
         ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys, search.find)
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
 
-    def _ratios(self, chosen: Mask) -> tuple[Proof, Array]:
+    def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
         proof = proof_of(self.problem, chosen)
         return proof, reached(self.problem, chosen, *proof) / [g.tolerance for g in self.problem.goals]
@@ -405,12 +405,12 @@ class _Planning:
             {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
         )
 
-    def _record(self, chosen: Mask, proof: Proof, bound: PlanBound, sure: bool = True) -> Plan:
+    def _record(self, chosen: Mask, proof: GoalProofs, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
         return _plan(self.problem, chosen, proof, bound, "complete" if complete else "budget")
 
 
-def proof_of(problem: PlanProblem, chosen: Mask) -> Proof:
+def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
     """The proof of a choice: accuracy for what is guaranteed, and standard deviations."""
     return accuracy_of(problem, chosen), deviation_of(problem, chosen)
 
@@ -435,7 +435,7 @@ def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: st
     return _plan(problem, chosen, proof_of(problem, chosen), bound, status)
 
 
-def _plan(problem: PlanProblem, chosen: Mask, proof: Proof, bound: PlanBound, status: str) -> Plan:
+def _plan(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBound, status: str) -> Plan:
     return Plan(
         problem.plant,
         problem.requirement,

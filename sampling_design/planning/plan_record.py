@@ -19,7 +19,7 @@ from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
-from sampling_design.planning.spread import Spread
+from sampling_design.planning.spread import RasterFilter
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.deviation import StandardDeviation, standard_deviation
@@ -311,7 +311,7 @@ def reached(
         values[bounded] = _bounded(problem, proof, bounded)
     if deviation is not None:
         spread = [k for k, goal in enumerate(problem.goals) if goal.spread]
-        on_raster = Spread(problem, motion_of(problem)).worst(chosen[None])[0]
+        on_raster = RasterFilter(problem, motion_of(problem)).worst(chosen[None])[0]
         for k, worst in zip(spread, deviation.worst.tolist(), strict=True):
             goal = problem.goals[k]
             values[k] = worst if goal.at == "all times" else float(on_raster[k]) * goal.tolerance

@@ -224,7 +224,7 @@ class PlanRequirement(Record):
     sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None
-    w_intensity: Bound = None
+    w_intensity: DisturbanceBound = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}

@@ -2,7 +2,7 @@
 
     P <- F P F' + Q from step to step,    P <- (P^-1 + sum over sensors of z_ij h_j h_j')^-1 at step i,  z_ij in [0, 1]
 
-From nothing unknown, P = 0, every lap bounds the periodic limit from below, whatever the error once was. A row's
+From nothing unknown, P = 0, every period bounds the periodic limit from below, whatever the error once was. A row's
 variance is convex in z, since the information is concave in it and in itself. So a tangent at any z, fractions too, is
 below it everywhere: it bounds what any choice can reach, and asks every choice for enough of what it weighs.
 """
@@ -27,23 +27,23 @@ WIDE = 1e4
 SETTLED = 1e-9
 """Relative change of the largest variance over a period at which it counts as its limit."""
 
-LAPS = 400
+PERIODS = 400
 """Periods that are followed, at most."""
 
-TANGENT_LAPS = 40
+TANGENT_PERIODS = 40
 """The same for a tangent, whose steps are kept."""
 
 BEYOND = 1e120
 """A covariance that is larger is as good as infinite."""
 
 ENOUGH = 1e6
-"""Variance, in squares of the tolerance, beyond which no more laps are followed."""
+"""Variance, in squares of the tolerance, beyond which no more periods are followed."""
 
 MOST_REACH = 1e9
 """What is known no better than this many tolerances is not known."""
 
 
-class Spread:
+class RasterFilter:
     """Variances of the goals that are standard deviations, on the raster of one problem."""
 
     def __init__(self, problem: PlanProblem, motion: Motion, work: Work | None = None):
@@ -53,7 +53,7 @@ class Spread:
         self.F, self.Q = F[0], symmetrise(Q[0])
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
 
-    def variances(self, chosen: Mask, *, wide: bool = True, laps: int = LAPS) -> tuple[Array, Array]:
+    def variances(self, chosen: Mask, *, wide: bool = True, periods: int = PERIODS) -> tuple[Array, Array]:
         """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
         n, (B, M, p) = self.motion.n, chosen.shape
         P = np.tile(np.eye(n) * (WIDE if wide else 0.0), (B, 1, 1))
@@ -61,7 +61,7 @@ class Spread:
         lost = np.zeros(B, dtype=bool)
         before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
         last = np.full((B, len(self.rows)), np.inf if wide else 0.0)
-        for _ in range(laps):
+        for _ in range(periods):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
                 P = self.F @ P @ self.F.T + self.Q
@@ -109,23 +109,23 @@ class Spread:
         wanted = self._wanted(goal, z[None] > 0)[0]
         if not wanted.any():
             return None
-        laps = self._laps(z, g)
-        last = laps[-1][1 if own(goal) else 0]
+        periods = self._periods(z, g)
+        last = periods[-1][1 if own(goal) else 0]
         values = np.einsum("i,mij,j->m", self.rows[g], last, self.rows[g])
-        return self._tangent(z, g, int(np.argmax(np.where(wanted, values, -1.0))), laps)
+        return self._tangent(z, g, int(np.argmax(np.where(wanted, values, -1.0))), periods)
 
     def tangent_at(self, z: Array, g: int, end: int) -> HiddenMotion | None:
         """The same at one step: reach^2 less the sum of `peaks` over what is measured is below the variance."""
-        return self._tangent(z, g, end, self._laps(z, g))
+        return self._tangent(z, g, end, self._periods(z, g))
 
-    def _tangent(self, z: Array, g: int, end: int, laps: list[tuple[Array, Array]]) -> HiddenMotion | None:
+    def _tangent(self, z: Array, g: int, end: int, periods: list[tuple[Array, Array]]) -> HiddenMotion | None:
         goal, M = self.problem.goals[g], len(z)
         row = self.rows[g] / goal.tolerance
         i, at_sample = end % M, own(goal)
         lam, slope = row.copy(), np.zeros(z.shape)
-        value = float(lam @ laps[-1][1 if at_sample else 0][i] @ lam)
+        value = float(lam @ periods[-1][1 if at_sample else 0][i] @ lam)
         skip = not at_sample
-        for _, after in reversed(laps):
+        for _, after in reversed(periods):
             for k in range(i, -1, -1):
                 if not skip:  # dV/dz = -(h'P lam)^2, and lam before the samples is (I - H'z H P) lam
                     gain = self.motion.S @ after[k] @ lam
@@ -140,14 +140,14 @@ class Spread:
         point = np.roll(z[::-1], (end + 1) % M, axis=0)
         return HiddenMotion(g, reach, end, at_sample, turned, None, point)
 
-    def _laps(self, z: Array, g: int) -> list[tuple[Array, Array]]:
-        """Covariances before and after every step's samples, lap by lap from P = 0."""
+    def _periods(self, z: Array, g: int) -> list[tuple[Array, Array]]:
+        """Covariances before and after every step's samples, period by period from P = 0."""
         n, M = self.motion.n, len(z)
         P, last = np.zeros((n, n)), 0.0
         row = self.rows[g] / self.problem.goals[g].tolerance
         information = np.einsum("mp,pi,pj->mij", z, self.motion.S, self.motion.S)
-        some, laps = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
-        for _ in range(TANGENT_LAPS):
+        some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
+        for _ in range(TANGENT_PERIODS):
             self.work.add((M * FILTER[0], FILTER[1]), M * n)
             before, after = np.zeros((M, n, n)), np.zeros((M, n, n))
             for i in range(M):
@@ -158,13 +158,13 @@ class Spread:
                     P = (P + P.T) / 2
                 after[i] = P
                 if np.abs(P).max() > BEYOND:
-                    return laps or [(before, after)]
-            laps.append((before, after))
+                    return periods or [(before, after)]
+            periods.append((before, after))
             now = float(row @ P @ row)
             if abs(now - last) <= SETTLED * now or now > ENOUGH:
                 break
             last = now
-        return laps
+        return periods
 
 
 def own(goal: Goal) -> bool:

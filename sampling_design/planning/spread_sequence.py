@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sampling_design._linalg import discounted_flow
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import Goal
-from sampling_design.planning.spread import LAPS, SETTLED, WIDE, own
+from sampling_design.planning.spread import PERIODS, SETTLED, WIDE, own
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -116,7 +116,7 @@ class SpreadSequence:
         schedule = self.plan.schedule
         masks = self.plan.chosen[self.plan.chosen.any(axis=1)]
         P, last, back = np.eye(len(self.A)) * WIDE, np.zeros(0), 0
-        for lap in range(LAPS):
+        for period in range(PERIODS):
             after = []
             for mask, gap in zip(masks, schedule.gaps, strict=True):
                 P = self._read(P, mask)
@@ -124,7 +124,7 @@ class SpreadSequence:
                 P = self._flow(P, float(gap))
             now = np.array([np.trace(X) for X in after])
             change = float(np.max(np.abs(now - last) / now)) if last.size else 1.0
-            back = back if back or change > FORGOTTEN else (lap + 1) * len(schedule)
+            back = back if back or change > FORGOTTEN else (period + 1) * len(schedule)
             if change <= SETTLED:
                 break
             last = now

@@ -15,7 +15,7 @@ from sampling_design.planning.motion import motion_of
 from sampling_design.planning.plan import accuracy_of
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.spread import Spread
+from sampling_design.planning.spread import RasterFilter
 from tests.oracles import planning as oracle
 
 OSCILLATOR = sd.Plant(
@@ -74,7 +74,7 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
     problem = pose_plan(
         OSCILLATOR, sd.PlanRequirement({"position": goal(1.0), "velocity": goal(1.0)}, sensors=TERMS, **GIVEN)
     )
-    spread = Spread(problem, motion_of(problem))
+    spread = RasterFilter(problem, motion_of(problem))
     rng = np.random.default_rng(5)
     for g in (0, 1):
         z = rng.uniform(size=problem.allowed.shape) * (rng.uniform(size=problem.allowed.shape) < 0.5)
@@ -96,11 +96,11 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
 def test_late_and_lost_samples_are_as_the_plain_filter_has_them(found):
     bears = found.robustness
     worst = int(np.argmax(bears.lost_ratio))
-    laps = 12
-    times = np.concatenate([found.schedule.times + 6.4 * k for k in range(laps)])
+    periods = 12
+    times = np.concatenate([found.schedule.times + 6.4 * k for k in range(periods)])
     keep = np.ones(times.size, dtype=bool)
-    keep[(laps - 2) * found.samples + worst] = False
-    anew = truth(times[keep], [[True, False]] * int(keep.sum()), [1.0, 0.0], 6.4 * laps)
+    keep[(periods - 2) * found.samples + worst] = False
+    anew = truth(times[keep], [[True, False]] * int(keep.sum()), [1.0, 0.0], 6.4 * periods)
     assert anew <= bears.lost_ratio[worst] * 0.29 <= anew * 1.03
 
 
@@ -108,8 +108,8 @@ def test_the_next_sample_keeps_the_deviation_for_ever(found):
     answer = sd.next_sample(found)
     assert answer.proven
     later = found.schedule.times[found.schedule.times > answer.latest + 1e-9]
-    laps = [found.schedule.times + 6.4 * k for k in range(1, 12)]
-    times = np.concatenate([[0.0] if found.schedule.times[0] == 0 else [], [answer.latest], later, *laps])
+    periods = [found.schedule.times + 6.4 * k for k in range(1, 12)]
+    times = np.concatenate([[0.0] if found.schedule.times[0] == 0 else [], [answer.latest], later, *periods])
     times = np.unique(np.round(times, 9))
     assert truth(times, [[True, False]] * times.size, [1.0, 0.0], 6.4 * 12) <= 0.29 * (1 + 1e-6)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -15,12 +16,13 @@ import pytest
 import scipy.signal
 
 import sampling_design as sd
-from sampling_design._door import door, doors
+from sampling_design._door import _Foreign, _kinds, door, doors, hints_of
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.baselines import standard_mhe
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
+from tests.house.test_renames import DOORS
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 GAPS = sd.PeriodicSchedule([0.7, 1.6, 0.9])
@@ -168,6 +170,36 @@ def test_a_state_space_system_is_taken_wherever_a_plant_is(system):
     assert sd.certificate_exists(system, GAPS, 0.1).exists
     assert sd.window_sigma(system, GAPS, 4.0).lower == sd.window_sigma(OSCILLATOR, GAPS, 4.0).lower
     assert sd.split_modes(plant=system).retained.n_states == 2
+
+
+def test_no_verb_that_takes_a_plant_was_forgotten():
+    """What each door makes of a state-space system where its annotation names a plant, linear or not."""
+    system = control.ss([[0, 1], [-1, 0]], [[0], [0]], [[1, 0]], [[0]])
+    asked = {
+        "largest_box": "how far uncertain parameters may go: a system has none",
+        "split_sparse": "for matrices that are never dense: a system's are, and split_modes takes it",
+    }
+    beside = {"critical_length": (system,), "EstimateRecord.collect": None}  # what else they take hides it from a check
+    for name, verb in DOORS.items():
+        for argument, hint in hints_of(verb.__wrapped__).items():
+            if argument == "return" or not re.search(
+                r"\b(Plant|NonlinearPlant|UncertainPlant|SparsePlant)\b", str(hint)
+            ):
+                continue
+            if name in beside:
+                assert beside[name] is None or verb(*beside[name]) == pytest.approx(np.pi)
+                continue
+            taken = [take(argument, system) for _, take in _kinds(hint)]
+            assert any(isinstance(found, _Foreign) for found in taken) or name in asked, f"{name}({argument}=)"
+
+
+def test_a_nonlinear_verb_takes_a_linear_plant():
+    mine = sd.NonlinearMovingHorizonEstimator(OSCILLATOR, horizon=3.0)
+    system = control.ss(OSCILLATOR.A, [[0], [0]], OSCILLATOR.C, [[0]])
+    for given in (OSCILLATOR, system):
+        made = sd.NonlinearMovingHorizonEstimator(given, horizon=3.0)
+        assert made.plant.n_states == mine.plant.n_states == 2
+        assert made.plant.f([1.0, 2.0]).tolist() == [2.0, -1.0]
 
 
 def test_its_unit_of_time_is_the_schedule_s():

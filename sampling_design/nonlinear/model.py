@@ -158,6 +158,20 @@ class NonlinearPlant(LinearInclusion, Record):
         varies = takes_time(self.dynamics) or takes_time(self.measurement)
         return PlantFunctions(built[0], built[1], built[2], varies)
 
+    @classmethod
+    def _foreign(cls, system: object) -> Callable[[object, str], NonlinearPlant] | None:
+        """How the door makes one of a linear plant or of a system of another library; None: it is neither."""
+        made = Plant._foreign(system)
+        if made is None and not isinstance(system, Plant):
+            return None
+
+        def linear(value: object, unit: str) -> NonlinearPlant:
+            from sampling_design.nonlinear.conversion import from_linear
+
+            return from_linear(value if isinstance(value, Plant) else Plant(value, time_unit=unit))  # type: ignore[arg-type]
+
+        return linear
+
     @property
     def varies(self) -> bool:
         """Whether f or h depend on time."""

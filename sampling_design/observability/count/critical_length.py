@@ -120,6 +120,8 @@ def _complex_vector(value: npt.ArrayLike) -> Complex:
 
 
 def _eigenvalues(plant: Plant | npt.ArrayLike) -> Complex:
+    if Plant._foreign(plant) is not None:  # a system of another library; the door takes it for a list of eigenvalues
+        return _eigenvalues(Plant(plant, time_unit="s"))  # type: ignore[arg-type]
     if not isinstance(plant, Plant):
         values = _complex_vector(plant)
         size = float(np.max(np.abs(values), initial=0.0))

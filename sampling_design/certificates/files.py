@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
+AnyCertificate: TypeAlias = Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate
 _RATES = ("eta", "c_w", "c_y", "margin")
 
 
@@ -48,9 +51,7 @@ def times_from_dict(data: Tree) -> Schedule | PeriodicSchedule:
 
 
 @door
-def load_certificate(
-    path: str | os.PathLike[str], plant: Plant | None = None
-) -> Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate:
+def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -> AnyCertificate:
     """Read a certificate from its JSON file.
 
     Parameters
@@ -84,9 +85,7 @@ def load_certificate(
     return found
 
 
-def certificate_from_dict(
-    data: Tree, where: str = "certificate"
-) -> Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate:
+def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertificate:
     """Return the certificate in plain data.
 
     Raises
@@ -108,24 +107,23 @@ def certificate_from_dict(
         raise FileFormatError(
             f"{where}: holds an interval. Use Interval.load (sampling_design.recovery.interval).", where
         )
-    plant = plant_from_dict(data["plant"], where)
-    if isinstance(found, grammar.OfFamily):
-        return _of_family(data, plant, found)
-    if isinstance(found, Inclusion):
-        return InclusionCertificate(
-            plant,
-            GapRange(found.shortest, found.longest),
-            **_values(data),
-            model=None if isinstance(found.model, Region) else uncertain_from_dict(plant, data["model"]),
-            model_data=data["model"],
-            nodes=found.nodes,
-            P=found.P,
-            multipliers=found.multipliers,
-        )
-    return _sampled(data, plant) if isinstance(found, grammar.Sampled) else _detectable(data, plant)
+    return READERS[type(found)](data, plant_from_dict(data["plant"], where), found)
 
 
-def _sampled(data: Tree, plant: Plant) -> Certificate:
+def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
+    return InclusionCertificate(
+        plant,
+        GapRange(found.shortest, found.longest),
+        **_values(data),
+        model=None if isinstance(found.model, Region) else uncertain_from_dict(plant, data["model"]),
+        model_data=data["model"],
+        nodes=found.nodes,
+        P=found.P,
+        multipliers=found.multipliers,
+    )
+
+
+def _sampled(data: Tree, plant: Plant, found: grammar.Sampled) -> Certificate:
     return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
@@ -139,7 +137,7 @@ def _of_family(data: Tree, plant: Plant, found: grammar.OfFamily) -> FamilyCerti
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 
-def _detectable(data: Tree, plant: Plant) -> DetectabilityCertificate:
+def _detectable(data: Tree, plant: Plant, found: grammar.Detectability) -> DetectabilityCertificate:
     values = {key: data[key] for key in ("P", *_RATES, "method")}
     solver = None if data["solver"] is None else SolverRecord(**data["solver"])
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
@@ -154,3 +152,12 @@ def _values(data: Tree) -> Tree:
         "witness": None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
         "solver": SolverRecord(**data["solver"]),
     }
+
+
+READERS: dict[type, Callable[..., AnyCertificate]] = {
+    grammar.Sampled: _sampled,
+    grammar.OfFamily: _of_family,
+    grammar.Detectability: _detectable,
+    Inclusion: _inclusion,
+}
+"""What the auditor read of a file -> the record that it is for everybody else."""

@@ -29,11 +29,9 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     import numpy as np
 
-    from . import detectability, families, inclusion, recovered, sampled
-    from .grammar import OfFamily, Sampled, certificate
-    from .inclusion_file import Inclusion
-    from .interval_file import OfInterval
+    from .grammar import certificate
     from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
+    from .proofs import PROOFS
     from .strict import Altered, BadFile
     from .work import MOST_WORK, Work
 
@@ -41,24 +39,7 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     try:
         c = certificate(data)
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
-            if isinstance(c, Sampled):
-                inequality, slack = sampled.prove(c, work)
-                reason = f"{inequality} for every real window start and every later t, slack {slack:.3g}"
-            elif isinstance(c, OfFamily):
-                inequality, slack = families.prove(c, work)
-                subject = "for every schedule of the family, every real window start and every later t"
-                reason = f"{inequality} {subject}, slack {slack:.3g}"
-            elif isinstance(c, Inclusion):
-                inequality, slack = inclusion.prove(c)
-                subject = "for every plant of the model, all gaps in the range and every real window start"
-                reason = f"{inequality} {subject}, slack {slack:.3g}"
-            elif isinstance(c, OfInterval):
-                inequality, slack = recovered.prove(c, work)
-                reason = f"{inequality} for every row and every trajectory within the bounds, slack {slack:.3g}"
-            else:
-                how, slack = detectability.prove(c)
-                inequality = detectability.INEQUALITY
-                reason = f"P > 0 and {inequality}, {how}"
+            found = PROOFS[type(c)](c, work)
     except Altered as error:
         return Verdict(BAD_FILE, "digest", str(error))
     except BadFile as error:
@@ -67,7 +48,7 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
         return refused(error)
     except (np.linalg.LinAlgError, OverflowError) as error:
         return Verdict(UNDECIDED, "range", f"these numbers are beyond the range of doubles ({error})")
-    return Verdict(PROVEN, inequality, reason, slack)
+    return Verdict(PROVEN, found.inequality, found.reason, found.slack)
 
 
 def check(data: Mapping[str, object], work: "Work | None" = None) -> "Tree":

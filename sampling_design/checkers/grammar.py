@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .inclusion_file import INCLUSION, Inclusion, inclusion
-from .interval_file import INTERVAL, OfInterval, of_interval
+from .inclusion_file import INCLUSION, inclusion
+from .interval_file import INTERVAL, of_interval
 from .parts import (
     AROUND,
     FORMAT,
@@ -235,26 +235,19 @@ class Detectability:
 _witness = table({"t": nonnegative, "start": nonnegative, "direction": list_of(number), "ratio": positive})
 _graph = table({"words": list_of(list_of(number)), "edges": list_of(list_of(anything, 5)), "P": list_of(matrix())})
 _sampled = {**AROUND, **MATRICES, **NUMBERS, "times": anything, "witness": or_nothing(_witness), "solver": SOLVER}
-CLAIMS: dict[str, Reader] = {
-    "assumption-7": table(_sampled, whole="the certificate"),
-    "family": table({**_sampled, "graph": _graph}, whole="the certificate"),
-    "detectability": table(
-        {
-            **AROUND,
-            **RATES,
-            **{"P": matrix(), "c_w": positive, "c_y": positive, "method": word(*METHODS)},
-            "solver": or_nothing(SOLVER),
-        },
-        whole="the certificate",
-    ),
-    "inclusion": INCLUSION,
-    "interval": INTERVAL,
-}
-"""What a file of each claim holds, no more and no less."""
+_detectability = table(
+    {
+        **AROUND,
+        **RATES,
+        **{"P": matrix(), "c_w": positive, "c_y": positive, "method": word(*METHODS)},
+        "solver": or_nothing(SOLVER),
+    },
+    whole="the certificate",
+)
 
 
-def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectability | Inclusion | OfInterval:
-    """Return the certificate in the plain data of a file, or raise BadFile."""
+def certificate(data: Mapping[str, object]) -> object:
+    """Return the certificate in the plain data of a file, as the record of its claim, or raise BadFile."""
     data = plain(data)
     if data.get("format") != FORMAT:
         raise refuse("format", f"must be {FORMAT!r}, got {data.get('format')!r:.60}. Is this a certificate file?")
@@ -262,21 +255,20 @@ def certificate(data: Mapping[str, object]) -> Sampled | OfFamily | Detectabilit
     if not isinstance(claim, str) or claim not in CLAIMS:
         known = ", ".join(map(repr, CLAIMS))
         raise BadFile(f"`claim` must be {known} here, got {claim!r:.60}")
-    read = CLAIMS[claim](data, "")
+    read = CLAIMS[claim].table(data, "")
     if data["digest"] != digest(data):
         raise Altered("the digest does not fit the content: something was altered after it was written")
-    plant = plant_of(read["plant"])
-    if claim == "detectability":
-        numbers = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
-        return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
-    if claim == "inclusion":
-        return inclusion(data, plant)
-    if claim == "interval":
-        return of_interval(data, plant)
+    return CLAIMS[claim].record(read, data, plant_of(read["plant"]))
+
+
+def _sampled_of(read: Tree, data: Tree, plant: Plant) -> Sampled:
     weights = weights_of(read, plant)
-    if claim == "assumption-7":
-        return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))
-    return of_family(read, plant, weights)
+    return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))
+
+
+def _detectability_of(read: Tree, data: Tree, plant: Plant) -> Detectability:
+    numbers = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
+    return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
 
 
 def witness_of(read: Tree | None, n: int) -> Witness | None:
@@ -426,3 +418,24 @@ def edge_of(value: list[object], place: str, nodes: int, p: int) -> Edge:
     if not (source < nodes and 0 < target < nodes and low <= high):
         raise refuse(place, f"must join two of {nodes} nodes, not back to the start, in a time low <= high")
     return Edge(source, target, low, high, tuple(outputs))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a file of a claim holds, no more and no less, and its judged content: `record(read, data, plant)`."""
+
+    table: Reader
+    record: Callable[[Tree, Tree, Plant], object]
+
+
+CLAIMS: dict[str, Claim] = {
+    "assumption-7": Claim(table(_sampled, whole="the certificate"), _sampled_of),
+    "family": Claim(
+        table({**_sampled, "graph": _graph}, whole="the certificate"),
+        lambda read, data, plant: of_family(read, plant, weights_of(read, plant)),
+    ),
+    "detectability": Claim(_detectability, _detectability_of),
+    "inclusion": Claim(INCLUSION, lambda read, data, plant: inclusion(data, plant)),
+    "interval": Claim(INTERVAL, lambda read, data, plant: of_interval(data, plant)),
+}
+"""Every claim; `proofs.py` says for each how it is proven."""

@@ -261,16 +261,6 @@ def certificate(data: Mapping[str, object]) -> object:
     return CLAIMS[claim].record(read, data, plant_of(read["plant"]))
 
 
-def _sampled_of(read: Tree, data: Tree, plant: Plant) -> Sampled:
-    weights = weights_of(read, plant)
-    return Sampled(plant, weights, times_of(read["times"], plant), witness_of(read["witness"], plant.n))
-
-
-def _detectability_of(read: Tree, data: Tree, plant: Plant) -> Detectability:
-    numbers = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
-    return Detectability(plant, sized(read["P"], "P", plant.n), **numbers)
-
-
 def witness_of(read: Tree | None, n: int) -> Witness | None:
     """The witness, its direction of the plant's size."""
     if read is None:
@@ -425,16 +415,27 @@ class Claim:
     """What a file of a claim holds, no more and no less, and its judged content: `record(read, data, plant)`."""
 
     table: Reader
-    record: Callable[[Tree, Tree, Plant], object]
+    record: Callable[..., object]
 
 
+_RATES = ("eta", "c_w", "c_y", "margin")
 CLAIMS: dict[str, Claim] = {
-    "assumption-7": Claim(table(_sampled, whole="the certificate"), _sampled_of),
+    "assumption-7": Claim(
+        table(_sampled, whole="the certificate"),
+        lambda read, data, plant: Sampled(
+            plant, weights_of(read, plant), times_of(read["times"], plant), witness_of(read["witness"], plant.n)
+        ),
+    ),
     "family": Claim(
         table({**_sampled, "graph": _graph}, whole="the certificate"),
         lambda read, data, plant: of_family(read, plant, weights_of(read, plant)),
     ),
-    "detectability": Claim(_detectability, _detectability_of),
+    "detectability": Claim(
+        _detectability,
+        lambda read, data, plant: Detectability(
+            plant, sized(read["P"], "P", plant.n), **{key: read[key] for key in _RATES}
+        ),
+    ),
     "inclusion": Claim(INCLUSION, lambda read, data, plant: inclusion(data, plant)),
     "interval": Claim(INTERVAL, lambda read, data, plant: of_interval(data, plant)),
 }

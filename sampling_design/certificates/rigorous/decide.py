@@ -266,7 +266,7 @@ def of_family(data: Tree, clock: Clock) -> Decision:
     return family(data, targets(data), clock)
 
 
-CLAIMS: dict[str, Callable[[Tree, Clock], Decision]] = {
+CLAIMS: dict[str, Callable[..., Decision]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: of_family,
     DETECTABILITY_CLAIM: detectability,

@@ -139,6 +139,14 @@ def test_label(name: str, printed: bool) -> str:
     return f"{sentence}{mark} <small>`{path.removeprefix('tests/')}`</small>"
 
 
+BESIDE = {
+    "estimators": ("estimators.online.curve.estimate_curve",),
+    "plotting": ("plotting.draw", "plotting.save"),
+    "explorer": ("explorer.scene", "explorer.serve", "explorer.Bench", "explorer.explore"),
+}
+"""What a room offers beside the front door."""
+
+
 def room_page(room: str) -> str:
     """Return the page of one room: a table of its functions, its README, then its names."""
     import sampling_design
@@ -147,8 +155,10 @@ def room_page(room: str) -> str:
     readme = (Path(sampling_design.__file__).parent / room / "README.md").read_text()
     heading, _, rest = readme.partition("\n")
     lines = [heading, "", *functions_table(room), rest.strip("\n"), ""]
-    if modules:
+    if modules or room in BESIDE:
         lines += ["## Interface", ""]
+    for place in BESIDE.get(room, ()):
+        lines += interface_of(place, named(place))
     for module, names in modules.items():
         lines += [f"### `{module.replace('.', '/')}.py`", ""]
         for name in names:
@@ -165,19 +175,37 @@ def room_page(room: str) -> str:
 
 
 def functions_table(room: str) -> list[str]:
-    """Return the table that opens a room's page: what it offers at the front door, and what that does."""
-    import sampling_design
-
-    names = names_of(room)
-    if not names:
-        return []
+    """Return the table that opens a room's page: what it offers, and what that does."""
+    if room == "cli":
+        return commands_table()
     lines = ["| name | does |", "|---|---|"]
-    for name in names:
-        thing = getattr(sampling_design, name)
+    for place in (*names_of(room), *BESIDE.get(room, ())):
+        thing, name = named(place), place.rpartition(".")[2]
         mark = "" if isinstance(thing, type) else "()"
-        first = (inspect.getdoc(thing) or "").split("\n\n")[0].replace("\n", " ").split("::")[0]
-        told = re.sub(r"(?<!`)([|<>*_\\$])", r"\\\1", first.replace("``", "`"))
-        lines.append(f"| {{py:obj}}`{name}{mark} <sampling_design.{name}>` | {told} |")
+        lines.append(f"| {{py:obj}}`{name}{mark} <sampling_design.{place}>` | {first_sentence(thing)} |")
+    return [*lines, ""]
+
+
+def named(place: str) -> object:
+    """Return what stands at a place below the package."""
+    module, _, name = place.rpartition(".")
+    return getattr(importlib.import_module(f"sampling_design.{module}".rstrip(".")), name)
+
+
+def first_sentence(thing: object) -> str:
+    """Return what a docstring begins with, as Markdown."""
+    first = (inspect.getdoc(thing) or "").split("\n\n")[0].replace("\n", " ").split("::")[0]
+    return re.sub(r"(?<!`)([|<>*_\\$])", r"\\\1", first.replace("``", "`"))
+
+
+def commands_table() -> list[str]:
+    """Return the table of the commands, each with a link to its flags."""
+    from sampling_design.cli.app import app
+
+    lines = ["| command | does |", "|---|---|"]
+    for command in app.registered_commands:
+        told = first_sentence(command.callback)
+        lines.append(f"| [`{command.name}`](../command-line.md#sampling-design-{command.name}) | {told} |")
     return [*lines, ""]
 
 

@@ -83,7 +83,8 @@ def _broken(place: Path, name: str, content: bytes) -> dict[str, Path]:
 
 
 COMMANDS = {
-    "new": ((), {"--rhythm": "24", "--decay": "2,3", "--open": "7-19", "--samples": "3", "--period": "48"}),
+    "new": ((), {"--rhythm": "24", "--decay": "2,3", "--open": "7-19", "--samples": "3", "--period": "48",
+                  "--within": "0.5", "--noise": "0.1", "--push": "0.01", "--start": "2026-03-02", "--zone": "UTC"}),
     "info": (("plant",), {"--window": "4"}),
     "design": (("plant", "requirement"), {"--samples": "3", "--branches": "1", "--start": "2026-01-01"}),
     "sigma": (("plant", "schedule"), {"--window": "4", "--rigorous": None}),

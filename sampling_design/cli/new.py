@@ -1,26 +1,27 @@
-"""The command that writes a first plant and a first requirement, with comments, from what a newcomer knows."""
+"""The command that writes a first plant and what it shall keep, with comments, from what a newcomer knows."""
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 
 import sampling_design as sd
 from sampling_design._files import read_text, write_text
-from sampling_design._units import SECONDS, check_time_unit
+from sampling_design._units import check_time_unit
 from sampling_design.cli.settings import Settings
-from sampling_design.errors import ArgumentError
+from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.opening import OpeningCalendar
+from sampling_design.planning.requirement_file import write_plan_requirement
 
-Array = npt.NDArray[np.float64]
-
-MOST_DAYS = 400
 PLANT = {
     "format": "A plant: x' = A x + B u + G w, y = C x + D u + v. Times are in time_unit, rates in its inverse.",
     "A": "Each motion has its own rows: a level stays, a rhythm turns, what decays fades.",
@@ -35,42 +36,80 @@ REQUIREMENT = {
     "samples": "How many in a period: exactly, at_least, at_most. Without it, as many as the count asks for.",
     "forbidden": "Half-open intervals in which nobody samples.",
 }
+PLAN = {
+    "format": 'What a plan must keep at the least cost. Times are numbers in the plant\'s unit, or text as "15 min".',
+    "period": "The plan repeats after this; without it, after a week of the calendar.",
+    "raster": "Samples lie on whole multiples of it: a finer one finds cheaper plans and takes longer.",
+    "spacing": "Least time between two samples.",
+    "aim": 'Least cost that keeps every tolerance; "most accurate" needs samples = ... or cost_limit = ...',
+    "visit_price": "Of every visit, whatever is measured then.",
+    "w_bound": "The disturbance w(t) of each state is never stronger than this.",
+    "[accuracy.": 'How well this must be known, in its unit; at = "after each sample" asks less. Also row = [...].',
+    "[sensors.": "Price of one measurement; noise_bound: no reading errs more. Also hours, longest_use, spacing.",
+    "[calendar]": "The place: local date of the first period, time zone; holidays are closed dates.",
+    "[calendar.hours]": "Opening hours by weekday; days that are not named are closed.",
+}
+
+
+@dataclass(frozen=True)
+class Motions:
+    """What moves in a plant, and what shows it, as it was typed."""
+
+    name: Annotated[str, typer.Option(help="Name of the plant.")] = ""
+    unit: Annotated[str, typer.Option(help="Unit of time: ms, s, min, h, d or wk.")] = "h"
+    rhythm: Annotated[str, typer.Option(help="Periods of what goes round for ever, with commas between.")] = ""
+    decay: Annotated[str, typer.Option(help="Times in which what fades falls to a third, with commas between.")] = ""
+    level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True
+    sensors: Annotated[str, typer.Option(help="Names of the sensors; each shows the sum of all motions.")] = "sensor"
+
+    def plant(self) -> sd.Plant:
+        """The sum of a level, rhythms and decaying motions."""
+        rhythms, decays = positive_numbers("--rhythm", self.rhythm), positive_numbers("--decay", self.decay)
+        if not rhythms and not decays:
+            raise ArgumentError("`new` needs to know what moves: give --rhythm PERIODS, --decay TIMES, or both.")
+        level, sensors = self.level, [s.strip() for s in self.sensors.split(",")]
+        n = level + 2 * len(rhythms) + len(decays)
+        A, row, names, at = np.zeros((n, n)), np.zeros(n), ["level"] * level, int(level)
+        row[:at] = 1.0
+        for k, length in enumerate(rhythms, 1):
+            rate = 2 * np.pi / length
+            A[at, at + 1], A[at + 1, at], row[at] = rate, -rate, 1.0
+            names += [f"rhythm_{k}", f"rhythm_{k}_quadrature"]
+            at += 2
+        for k, time in enumerate(decays, 1):
+            A[at, at], row[at] = -np.log(3.0) / time, 1.0
+            names.append(f"decaying_{k}")
+            at += 1
+        C = np.tile(row, (len(sensors), 1))
+        return sd.Plant(
+            A, C, time_unit=self.unit, states=sd.Signals(names), outputs=sd.Signals(sensors), name=self.name
+        )
+
+    def span(self) -> float:
+        """The longest rhythm, or twice the longest decay."""
+        rhythms = positive_numbers("--rhythm", self.rhythm)
+        return max(rhythms) if rhythms else 2.0 * max(positive_numbers("--decay", self.decay))
 
 
 def new(
     settings: Settings,
-    target: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for plant.toml and requirement.toml.")],
-    name: Annotated[str, typer.Option(help="Name of the plant.")] = "",
-    unit: Annotated[str, typer.Option(help="Unit of time: ms, s, min, h, d or wk.")] = "h",
-    rhythm: Annotated[str, typer.Option(help="Periods of what goes round for ever, with commas between.")] = "",
-    decay: Annotated[str, typer.Option(help="Times in which what fades falls to a third, with commas between.")] = "",
-    level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True,
-    sensors: Annotated[str, typer.Option(help="Names of the sensors; each shows the sum of all motions.")] = "sensor",
-    period: Annotated[float | None, typer.Option(help="The schedule repeats after this; default: one rhythm.")] = None,
-    samples: Annotated[int | None, typer.Option(help="So many samples in a period.")] = None,
-    spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None,
-    open_hours: Annotated[str, typer.Option("--open", help="Hours of the day with samples, as 7-19.")] = "",
-    weekend: Annotated[bool, typer.Option("--weekend/--no-weekend", help="Samples on Saturday and Sunday too.")] = True,
+    target: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")],
+    motions: Motions,
+    asked: AskedFor,
     force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
 ) -> None:
     """Write a first plant and requirement, with comments, from flags; at a terminal, what is missing is asked.
 
+    With --within, --noise and --push (and --prices, --start, --zone) also plan.toml, what `plan` makes a calendar of.
+
     Example: sampling-design new out/mine --rhythm 24 --decay 2 --sensors blood --samples 4 --open 7-22
     """
-    unit = check_time_unit(unit)
-    if not rhythm and not decay and sys.stdin.isatty() and not settings.quiet:
-        rhythm = typer.prompt(f"Periods of what goes round for ever [{unit}], with commas between", "24", err=True)
-        decay = typer.prompt(f"Times in which what fades falls to a third [{unit}]", "", err=True)
-        open_hours = open_hours or typer.prompt("Hours of the day with samples, as 7-19", "", err=True)
-    rhythms, decays = _positive("--rhythm", rhythm), _positive("--decay", decay)
-    if not rhythms and not decays:
-        raise ArgumentError("`new` needs to know what moves: give --rhythm PERIODS, --decay TIMES, or both.")
-    plant = _plant(name or target.name, unit, rhythms, decays, level, [s.strip() for s in sensors.split(",")])
-    span = period if period is not None else max(rhythms) if rhythms else 2.0 * max(decays)
-    requirement = sd.Requirement(
-        window=span, period=span, samples=samples, spacing=spacing, forbidden=_closed(unit, span, open_hours, weekend)
-    )
-    paths = [target / "plant.toml", target / "requirement.toml"]
+    motions = replace(motions, name=motions.name or target.name, unit=check_time_unit(motions.unit))
+    if not motions.rhythm and not motions.decay and sys.stdin.isatty() and not settings.quiet:
+        motions, asked = _asked(motions, asked)
+    plant, span = motions.plant(), motions.span()
+    wanted, planned = requirement(asked, plant.time_unit, span), plan_requirement(asked, plant, span)
+    paths = [target / "plant.toml", target / "requirement.toml", *([target / "plan.toml"] if planned else [])]
     there = [str(path) for path in paths if path.exists()]
     if there and not force:
         raise ArgumentError(f"`DIR` holds {' and '.join(there)} already. Take another folder, or --force.")
@@ -79,76 +118,127 @@ def new(
     except OSError as error:
         raise ArgumentError(f"`DIR` {target} cannot be made a folder ({error.strerror}).") from None
     settings.wrote(_commented(sd.write_plant(plant, paths[0]), PLANT))
-    settings.wrote(_commented(sd.write_requirement(requirement, paths[1]), REQUIREMENT))
+    settings.wrote(_commented(sd.write_requirement(wanted, paths[1]), _dated(asked.start)))
     told = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
-    settings.show({"plant": plant.to_dict(), "requirement": requirement.to_dict()}, told)
+    data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
+    if planned is not None:
+        settings.wrote(_commented(write_plan_requirement(planned, paths[2]), PLAN))
+        told = f"Next: sampling-design plan {paths[0]} {paths[2]} -o {target / 'out'}"
+        data["plan"] = planned.to_dict()
+    settings.show(data, told)
 
 
-def _positive(flag: str, text: str) -> list[float]:
-    """Positive numbers with commas between."""
-    try:
-        values = [float(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        values = [-1.0]
-    if not all(0 < value < np.inf for value in values):
-        raise ArgumentError(f"`{flag}` must be positive numbers with commas between, got {text!r:.40}.")
-    return values
+def _dated(start: str) -> dict[str, str]:
+    """The comments of a requirement, with the date of time zero where it was said."""
+    zero = f"midnight of {start}" if start else "midnight, of a Monday"
+    return {**REQUIREMENT, "format": REQUIREMENT["format"].replace("midnight, of a Monday", zero)}
 
 
-def _plant(
-    name: str, unit: str, rhythms: list[float], decays: list[float], level: bool, sensors: list[str]
-) -> sd.Plant:
-    """The sum of a level, rhythms and decaying motions."""
-    n = level + 2 * len(rhythms) + len(decays)
-    A, row, names, at = np.zeros((n, n)), np.zeros(n), ["level"] * level, int(level)
-    row[:at] = 1.0
-    for k, length in enumerate(rhythms, 1):
-        rate = 2 * np.pi / length
-        A[at, at + 1], A[at + 1, at], row[at] = rate, -rate, 1.0
-        names += [f"rhythm_{k}", f"rhythm_{k}_quadrature"]
-        at += 2
-    for k, time in enumerate(decays, 1):
-        A[at, at], row[at] = -np.log(3.0) / time, 1.0
-        names.append(f"decaying_{k}")
-        at += 1
-    C = np.tile(row, (len(sensors), 1))
-    return sd.Plant(A, C, time_unit=unit, states=sd.Signals(names), outputs=sd.Signals(sensors), name=name)
+def _asked(motions: Motions, asked: AskedFor) -> tuple[Motions, AskedFor]:
+    """Ask at the terminal for what was not said; a slip is told at once, and asked again."""
+    unit = motions.unit
+    rhythm = _ask(f"Periods of what goes round for ever [{unit}], with commas between", "24", _numbers("--rhythm"))
+    motions = replace(motions, rhythm=rhythm)
+    decay = _ask(
+        f"Times in which what fades falls to a third [{unit}], if anything does", "",
+        lambda text: replace(motions, decay=text).plant(),
+    )  # fmt: skip
+    motions = replace(motions, decay=decay)
+    if motions.sensors == "sensor":
+        told = _ask("Names of the sensors", "sensor", lambda text: replace(motions, sensors=text).plant())
+        motions = replace(motions, sensors=told)
+    plant = motions.plant()
+    states, outputs = plant.states.names, plant.outputs.names
+    if not asked.open_hours:
+        hours = _ask('When somebody is there, as 7-19 or "Mon-Fri 8-17" (empty: always)', "", lambda t: week(t, True))
+        asked = replace(asked, open_hours=hours)
+    if not asked.within:
+        known = ", ".join((*states, *outputs))
+        asked = replace(asked, within=_ask(
+            f"How well what must be known at all times, as 0.5 or {states[0]}=0.5, of {known} (empty: no plan)", "",
+            lambda t: by_name("--within", t, (*states, *outputs), outputs[:1]),
+        ))  # fmt: skip
+    if not asked.within.strip():
+        return motions, asked
+
+    def named(key: str, told: str, question: str, default: str, names: Sequence[str]) -> str:
+        return told or _ask(question, default, lambda text: by_name(f"--{key}", text, names, names))
+
+    one, state = outputs[0], states[0]
+    asked = replace(
+        asked,
+        noise=named("noise", asked.noise, f"No reading errs more than, as 0.1 or {one}=0.1", "0.1", outputs),
+        push=named(
+            "push", asked.push, f"No state is pushed more than, per {unit}, as 0.01 or {state}=0.01", "0.01", states
+        ),
+        prices=named("prices", asked.prices, f"Price of one measurement, as 12 or {one}=12", "1", outputs),
+    )
+    if not asked.start:
+        today = date.today()
+        monday = (today + timedelta(days=7 - today.weekday())).isoformat()
+        asked = replace(asked, start=_ask("First day (local date)", monday, lambda t: OpeningCalendar(t)))
+    if not asked.zone:
+        asked = replace(asked, zone=_ask("Time zone", "UTC", lambda t: OpeningCalendar(asked.start, t)))
+    return motions, asked
 
 
-def _closed(unit: str, period: float, hours: str, weekend: bool) -> Array:
-    """The forbidden intervals of a period: closed hours of every day, and whole days of the weekend."""
-    day = 86400.0 / SECONDS[unit]
-    days = int(np.ceil(period / day * (1 - 1e-12)))
-    first, last = 0.0, 24.0
-    if hours:
-        found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*-\s*(\d+(?:\.\d+)?)\s*", hours)
-        first, last = (float(found[1]), float(found[2])) if found else (1.0, 0.0)
-        if not 0 <= first < last <= 24:
-            raise ArgumentError(f"`--open` must be two hours of a day, as 7-19, got {hours!r:.40}.")
-    if (hours or not weekend) and days > MOST_DAYS:
-        raise ArgumentError(f"`--open` closes every day: a period of {days} days is too long, at most {MOST_DAYS}.")
-    spans: list[list[float]] = []
-    for k in range(days if hours or not weekend else 0):
-        shut = [[0.0, 24.0]] if not weekend and k % 7 >= 5 else [[0.0, first], [last, 24.0]]
-        for a, b in shut:
-            start, stop = (k + a / 24) * day, min((k + b / 24) * day, period)
-            if stop <= start:
-                continue
-            if spans and abs(spans[-1][1] - start) <= 1e-9 * day:
-                spans[-1][1] = stop
-            else:
-                spans.append([start, stop])
-    return np.array(spans).reshape(-1, 2)
+def _numbers(flag: str) -> Callable[[str], object]:
+    return lambda text: positive_numbers(flag, text)
+
+
+def _ask(question: str, default: str, read: Callable[[str], object]) -> str:
+    """Return an answer that can be read; another is said to be none, and asked for again."""
+    while True:
+        text = str(typer.prompt(question, default, err=True, show_default=bool(default)))
+        try:
+            read(text)
+        except (ArgumentError, FileFormatError) as slip:
+            typer.echo(f"{slip}", err=True)
+        else:
+            return text
 
 
 def _commented(path: Path, comments: dict[str, str]) -> Path:
-    """Put a comment above each line that begins what it explains."""
-    lines = []
-    for line in read_text(path).splitlines():
+    """Put a comment above the first line that begins what it explains."""
+    lines, left = [], dict(comments)
+    for line in flat(read_text(path)).splitlines():
         key = line.split(" = ")[0]
-        lines += [f"# {comments[key]}"] if key in comments else []
+        found = next((k for k in left if key == k or (k.endswith(".") and key.startswith(k))), None)
+        lines += [] if found is None else [f"# {left.pop(found)}"]
         lines.append(line)
     return write_text(path, "\n".join(lines) + "\n")
+
+
+WIDE = 110
+
+
+def flat(text: str) -> str:
+    """Return TOML with short arrays on one line each, and long ones with an item on each line."""
+    lines: list[str] = []
+    for line in text.splitlines():
+        inside = bool(lines) and lines[-1].startswith("\0")
+        if inside:
+            lines[-1] += "\n" + line
+        else:
+            lines.append(f"\0{line}" if line.endswith(" = [") else line)
+        if inside and line == "]":
+            lines[-1] = _array(lines[-1][1:])
+    found = "\n".join(lines) + "\n"
+    return found if "\0" not in found and tomllib.loads(found) == tomllib.loads(text) else text
+
+
+def _array(text: str) -> str:
+    """One array, written with an indent of four for each depth."""
+    head, *body, _ = text.split("\n")
+    items: list[str] = []
+    for line in body:
+        fresh = line.startswith("    ") and not line.startswith("     ") and line.strip() not in ("]", "],")
+        items += [line.strip()] if fresh else []
+        if not fresh:
+            items[-1] += ("" if items[-1].endswith("[") else " ") + line.strip()
+    items = [item.rstrip(",").replace(", ]", "]") for item in items]
+    whole = head + ", ".join(items) + "]"
+    return whole if len(whole) <= WIDE else "\n".join([head, *(f"    {item}," for item in items), "]"])
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (new,)

@@ -7,9 +7,9 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 from rich.console import Console
@@ -113,7 +113,10 @@ class Settings:
         if not self.as_json:
             console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
-                console.print(table, markup=False) if isinstance(table, str) else console.print(table)
+                if isinstance(table, str):  # a command to copy stays one line
+                    console.print(table, markup=False, soft_wrap=table.startswith("Next: "))
+                else:
+                    console.print(table)
         sys.stdout.flush()  # a full disk is found out here, not on Python's way out
         if self.files:
             self.notice("Written: " + ", ".join(str(f) for f in self.files))
@@ -171,8 +174,10 @@ def _is_number(text: str) -> bool:
 
 
 def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
-    """Give `function(settings, ...)` the common flags in place of its first parameter."""
-    own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+    """Give `function(settings, ...)` the common flags in place of its first parameter, and a record's in its place."""
+    asked = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+    groups = {p.name: p.annotation for p in asked if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
+    own = [flag for p in asked for flag in (_flags(p.annotation) if p.name in groups else [p])]
     flags_of_this = [name for name in _COMMON if name != "budget" or function.__name__ not in NO_BUDGET]
     common = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
@@ -186,6 +191,8 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
         whole("seed", flags["seed"])
         if "budget" in flags:
             positive("budget", flags["budget"])
+        for name, kind in groups.items():
+            arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
         function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
@@ -194,6 +201,15 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command
+
+
+def _flags(kind: type) -> list[inspect.Parameter]:
+    """The fields of a record as flags of their own."""
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
+        for f in fields(kind)
+    ]
 
 
 def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: str) -> None:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli.new import _closed, _positive
+from sampling_design.cli.new import flat
+from sampling_design.cli.wishes import AskedFor, by_name, closed, plan_requirement, positive_numbers, requirement, week
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.requirement_file import read_plan_requirement
 
 
 def test_what_it_writes_is_what_was_said(shell, tmp_path):
@@ -35,12 +37,129 @@ def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):
 
 
 def test_weekends_are_closed_and_other_units_are_converted():
-    spans = _closed("h", 168.0, "8-16", False)
+    hours = week("8-16", weekend=False)
+    spans = closed("h", 168.0, hours)
     assert spans[-1].tolist() == [112.0, 168.0]
     assert len(spans) == 6
-    np.testing.assert_allclose(_closed("min", 168.0 * 60, "8-16", False), 60 * spans)
-    assert _closed("s", 10.0, "", True).shape == (0, 2)
-    assert _closed("s", 10.0, "0-24", True).shape == (0, 2)
+    np.testing.assert_allclose(closed("min", 168.0 * 60, hours), 60 * spans)
+    assert closed("s", 10.0, week("", weekend=True)).shape == (0, 2)
+    assert closed("s", 10.0, week("0-24", weekend=True)).shape == (0, 2)
+    assert closed("h", 48.0, hours, first=4).tolist() == [[0.0, 8.0], [16.0, 48.0]]  # a Friday, then Saturday
+
+
+def test_hours_are_said_as_people_say_them():
+    told = week("Mon-Wed 8:30-12, 13-17.5, Sat 9-12", weekend=True)
+    assert list(told) == ["Mon", "Tue", "Wed", "Sat"]
+    assert told["Tue"] == (("08:30", "12:00"), ("13:00", "17:30"))
+    assert "Sat" not in week("Mon-Wed 8:30-12, Sat 9-12", weekend=False)
+    assert week("", weekend=False)["Fri"] == (("00:00", "24:00"),)
+    # every minute of a fortnight is forbidden, or the place is open
+    shut, opened = (
+        closed("min", 14 * 1440.0, told, first=2),
+        sd.PlanRequirement({"x": 1.0}, calendar={"start": "2026-03-04", "hours": told}).calendar,
+    )
+    for minute in range(0, 14 * 1440, 15):
+        assert opened.is_open(minute) != any(a <= minute < b for a, b in shut)
+
+
+def test_a_period_holds_whole_days_of_opening():
+    assert requirement(AskedFor(open_hours="7-19"), "h", 12.42).period == 24.0
+    assert requirement(AskedFor(weekend=False), "h", 30.0).period == 168.0
+    assert requirement(AskedFor(weekend=False), "d", 8.0).period == 14.0
+    assert requirement(AskedFor(open_hours="7-19"), "h", 48.0).period == 48.0
+    assert requirement(AskedFor(), "h", 12.42).period == 12.42
+    with pytest.raises(ArgumentError, match="must be whole weeks, since opening hours repeat so: a multiple of 168 h"):
+        requirement(AskedFor(weekend=False, period=24.0), "h", 24.0)
+
+
+LABORATORY = (
+    "--rhythm", 24, "--decay", 6, "--sensors", "blood,saliva", "--within", "level=0.4, rhythm_1=0.6", "--noise",
+    "blood=0.1,saliva=0.3", "--prices", "blood=12,saliva=3", "--visit", 5, "--push", "level=0.002", "--start",
+    "2026-03-04", "--zone", "Europe/Berlin", "--open", "Mon-Fri 8-17, Sat 9-12", "--holidays", "2026-04-03",
+)  # fmt: skip
+
+
+def test_a_plan_is_asked_for_in_one_command(shell, tmp_path):
+    done = shell("new", tmp_path, *LABORATORY)
+    assert done.code == 0
+    assert f"Next: sampling-design plan {tmp_path / 'plant.toml'} {tmp_path / 'plan.toml'}" in done.out
+    asked = read_plan_requirement(tmp_path / "plan.toml")
+    assert {name: goal.tolerance for name, goal in asked.accuracy.items()} == {"level": 0.4, "rhythm_1": 0.6}
+    assert [(t.price, t.noise_bound) for t in asked.sensors.values()] == [(12.0, 0.1), (3.0, 0.3)]
+    assert asked.w_bound == [0.002, 0.0, 0.0, 0.0]
+    assert (asked.visit_price, asked.raster, asked.aim) == (5.0, "1 h", "cheapest")
+    assert (asked.calendar.zone, list(asked.calendar.hours), asked.calendar.holidays) == (
+        "Europe/Berlin", ["Mon", "Tue", "Wed", "Thu", "Fri", "Sat"], ("2026-04-03",)
+    )  # fmt: skip
+    text = (tmp_path / "plan.toml").read_text()
+    keys = [line for line in text.splitlines() if line and not line.startswith("#")]
+    assert 'Sat = [["09:00", "12:00"]]' in keys
+    assert text.count("\n# ") + 1 == 9  # one comment for each kind of line, none twice
+    first = sd.read_requirement(tmp_path / "requirement.toml").forbidden[0]
+    assert first.tolist() == [0.0, 8.0]
+    assert "midnight of 2026-03-04" in (tmp_path / "requirement.toml").read_text()
+
+
+def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    flags = (
+        "--decay",
+        12,
+        "--sensors",
+        "probe",
+        "--within",
+        "level=0.9",
+        "--noise",
+        0.1,
+        "--push",
+        0.01,
+        "--prices",
+        2,
+    )
+    place = ("--start", "2026-03-02", "--zone", "Europe/Berlin", "--period", 48, "--raster", "4 h", "--open", "8-17")
+    assert shell("new", "lab", *flags, *place).code == 0
+    limits = ("--periods", 2, "--search-seconds", 3)
+    assert shell("plan", "lab/plant.toml", "lab/plan.toml", "-o", "lab/out", *limits).code == 0
+    form = (tmp_path / "lab/out/form.csv").read_text().splitlines()
+    assert form[0] == "date,probe"
+    assert [line.split(",")[1] for line in form[1:]] == [""] * len(form[1:])
+    said = shell("next", "lab/out/plan.json", "--now", "2026-03-03T08:00")
+    assert said.code == 0
+    assert "Tue 03 Mar" in said.out
+    (tmp_path / "filled.csv").write_text("\n".join([form[0], *(f"{line}1.0" for line in form[1:]), ""]))
+    log = shell("log", "lab/out/plant.toml", "lab/out/dates.csv", "filled.csv")
+    assert log.code == 0
+    bounds = ("--schedule", "lab/out/schedule.csv", "--w", 0.01, "--v", 0.1, "--initial-error", 5)
+    done = shell("estimate", "lab/out/plant.toml", "filled.csv", *bounds, "-o", "lab/out")
+    assert done.code == 0, done.err
+    assert "level" in done.out
+    assert (tmp_path / "lab/out/estimates.png").is_file()
+
+
+def test_a_plan_without_dates_repeats_after_a_rhythm():
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["probe"])
+    asked = AskedFor(within="0.5", noise="0.1", push="0.01")
+    found = plan_requirement(asked, plant, 24.0)
+    assert (found.period, found.calendar, found.raster) == (24.0, None, None)
+    assert list(found.accuracy) == ["probe"]
+    assert plan_requirement(AskedFor(), plant, 24.0) is None
+    with pytest.raises(
+        ArgumentError, match=r"`--prices` belongs to a plan\. Say how well what must be known: --within\."
+    ):
+        plan_requirement(AskedFor(prices="3"), plant, 24.0)
+    with pytest.raises(ArgumentError, match="`--within` makes a plan, which needs --push: how strong"):
+        plan_requirement(AskedFor(within="0.5", noise="0.1"), plant, 24.0)
+    with pytest.raises(ArgumentError, match="`--start` is missing: opening hours and holidays of a plan need a date"):
+        plan_requirement(AskedFor(within="0.5", noise="0.1", push="0.01", open_hours="8-17"), plant, 24.0)
+    with pytest.raises(ArgumentError, match=r"unknown key 'levl' in `--within`\. Did you mean 'level'"):
+        plan_requirement(AskedFor(within="levl=0.5", noise="0.1", push="0.01"), plant, 24.0)
+
+
+def test_arrays_stand_on_a_line_each_and_mean_the_same():
+    text = 'a = [\n    1.0,\n    2.0,\n]\nb = [\n    [\n        "x",\n        "y",\n    ],\n]\nc = "no"\n'
+    assert flat(text).splitlines() == ["a = [1.0, 2.0]", 'b = [["x", "y"]]', 'c = "no"']
+    odd = text.replace('"x"', '"x, ]"')  # a name that looks like the end of an array: left as it was
+    assert flat(odd) == odd
 
 
 def test_the_files_are_designed_for(shell, tmp_path):
@@ -51,12 +170,30 @@ def test_the_files_are_designed_for(shell, tmp_path):
 
 
 def test_a_terminal_is_asked(shell, tmp_path, monkeypatch):
-    asked, answers = [], iter(["24", "3", "7-19"])
+    asked, answers = [], iter(["24", "3", "sensor", "7-19", ""])
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     monkeypatch.setattr("typer.prompt", lambda text, *_, **__: asked.append(text) or next(answers))
     assert shell("new", tmp_path).code == 0
-    assert len(asked) == 3
+    assert len(asked) == 5
     assert sd.read_plant(tmp_path / "plant.toml").n_states == 4
+    assert not (tmp_path / "plan.toml").exists()
+
+
+def test_a_terminal_is_asked_again_after_a_slip_and_down_to_the_plan(shell, tmp_path, monkeypatch):
+    answers = iter([
+        "dayly", "24", "", "blood,blood", "blood", "8 to 5", "Mon-Fri 8-17", "levl=0.4", "level=0.4", "-1", "0.1",
+        "0.002", "12", "next week", "2026-03-02", "Berlin", "Europe/Berlin",
+    ])  # fmt: skip
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("typer.prompt", lambda *_, **__: next(answers))
+    done = shell("new", tmp_path)
+    assert done.code == 0
+    assert next(answers, "all were taken") == "all were taken"
+    for slip in ("positive numbers", "twice", "two hours of a day", "Did you mean 'level'", "`--noise` must be"):
+        assert slip in done.err
+    asked = read_plan_requirement(tmp_path / "plan.toml")
+    assert (asked.calendar.start, asked.calendar.zone) == ("2026-03-02T00:00", "Europe/Berlin")
+    assert asked.w_bound == [0.002] * 3
 
 
 def test_nothing_is_written_over_unless_forced(shell, tmp_path):
@@ -76,7 +213,9 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
         (("--rhythm", "daily"), "`--rhythm` must be positive numbers"),
         (("--rhythm", "24", "--open", "19-7"), "`--open` must be two hours of a day"),
         (("--rhythm", "24", "--unit", "fortnight"), "time"),
-        (("--rhythm", "24", "--period", "1e6", "--open", "7-19"), "at most 400"),
+        (("--rhythm", "24", "--period", "24000", "--open", "7-19"), "at most 400"),
+        (("--rhythm", "24", "--within", "0.5"), "which needs --noise"),
+        (("--rhythm", "24", "--within", "0.5", "--noise", "0.1", "--push", "0", "--start", "soon"), "start"),
         (("--rhythm", "24", "--sensors", "a,a"), "twice"),
     ],
 )
@@ -89,20 +228,25 @@ def test_a_slip_is_one_sentence_and_writes_nothing(shell, tmp_path, flags, said)
 
 def test_what_the_flags_refuse(tmp_path, monkeypatch):
     with pytest.raises(ArgumentError, match="must be positive numbers with commas between"):
-        _positive("--decay", "-1")
+        positive_numbers("--decay", "-1")
     with pytest.raises(ArgumentError, match="must be two hours of a day, as 7-19"):
-        _closed("h", 24.0, "7", True)
+        week("7", weekend=True)
+    with pytest.raises(ArgumentError, match=r"has hours of .* that overlap, got"):
+        week("8-12, Mon 11-13", weekend=True)
+    for text in ("one", "0.1, 0.2", "blood=1, blood=2", "blood=1, 2", "-1", "nan"):
+        with pytest.raises(ArgumentError, match="must be a number, or blood=NUMBER with commas between"):
+            by_name("--noise", text, ("blood", "urine"), ("blood",))
     with pytest.raises(ArgumentError, match="closes every day: a period of"):
-        _closed("h", 24.0 * 500, "7-19", True)
-    from sampling_design.cli.new import new
+        closed("h", 24.0 * 500, week("7-19", weekend=True))
+    from sampling_design.cli.new import Motions, new
     from sampling_design.cli.settings import Settings
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     with pytest.raises(ArgumentError, match="needs to know what moves"):
-        new(Settings("new"), tmp_path / "x")
+        new(Settings("new"), tmp_path / "x", Motions(), AskedFor())
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="cannot be made a folder"):
-        new(Settings("new"), tmp_path / "file" / "x", rhythm="24")
+        new(Settings("new"), tmp_path / "file" / "x", Motions(rhythm="24"), AskedFor())
     (tmp_path / "plant.toml").write_text("")
     with pytest.raises(ArgumentError, match=r"already\. Take another folder, or --force"):
-        new(Settings("new"), tmp_path, rhythm="24")
+        new(Settings("new"), tmp_path, Motions(rhythm="24"), AskedFor())

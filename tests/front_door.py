@@ -10,6 +10,7 @@ import contextlib
 import functools
 import inspect
 import io
+import os
 import resource
 import signal
 import sys
@@ -516,6 +517,7 @@ def main() -> None:
     calls = every_single_fault() if asked[:1] == ["all"] else drawn(int(asked[0]), int(asked[1]))
     only = asked[2] if len(asked) > 2 else ""
     calls = [c for c in calls if only in c.door.name]
+    os.chdir(tempfile.mkdtemp(prefix="front-door-cwd-"))
     found: dict[str, list[str]] = {}
     ends: Counter[str] = Counter()
     for call in calls:

@@ -31,9 +31,9 @@ DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
 STIFF = Plant([[-40.0, 5.0, 0.0], [0.0, 0.3, 2.0], [0.0, -2.0, 0.3]], [[1.0, 1.0, 0.0]])
 
 
-def sigma_at(plant, times, start):
+def sigma_at(plant, times, start, digits=50):
     """Sigma of the samples at `times` for the state at `start`, in fifty digits."""
-    with mpmath.workdps(50):
+    with mpmath.workdps(digits):
         G = mpmath.zeros(plant.n_states)
         for t in times:
             row = mpmath.matrix(plant.C.tolist()) * mpmath.expm(
@@ -228,12 +228,50 @@ def test_too_many_open_cells_end_the_attempt(monkeypatch):
 
 
 @pytest.mark.parametrize("rate", [3.0, 10.0, 20.0])
-def test_growth_within_a_window_hides_nothing_from_balls(rate):
+def test_growth_within_a_window_hides_nothing(rate, monkeypatch):
     S = np.array([[1.0, 0.3], [-0.2, 1.0]])
     plant = Plant(np.linalg.solve(S, np.diag([rate, 0.0]) @ S), [[1.0, 0.4]])
+    for asked in (False, True):
+        found = window_sigma(plant, PeriodicSchedule([2.5]), 10.0, rigorous=asked)
+        assert found.closed
+        assert found.rigorous
+        assert found.lower == pytest.approx(0.16590 if rate > 3 else 0.16587, abs=1e-5)  # 120 digits say so too
+        assert found.lower <= found.upper == pytest.approx(found.lower, rel=2e-3)
+    monkeypatch.setitem(sys.modules, "flint", None)
     plain = window_sigma(plant, PeriodicSchedule([2.5]), 10.0)
     assert plain.lower < 0.15  # rounding of e^30 and more
-    found = window_sigma(plant, PeriodicSchedule([2.5]), 10.0, rigorous=True)
+    assert plain.status in ("rounding", "below rounding")
+    assert plain.status == "rounding" or "ball arithmetic sees: extra `rigorous`" in plain.explain()
+
+
+@pytest.mark.parametrize("growth", [40.0, 100.0, 150.0])
+@pytest.mark.parametrize("shape", ["two", "coupled", "turning"])
+def test_sigma_beside_growth_is_what_many_digits_say(shape, growth):
+    """Attained to ten digits, and no other window is below the bound."""
+    rng, window = np.random.default_rng(int(growth)), 3.0
+    block = np.diag([growth / window, -0.1, 0.2])
+    if shape == "two":
+        block = block[:2, :2]
+    elif shape == "turning":
+        block[1:, 1:] = [[0.0, 1.5], [-1.5, 0.0]]
+    else:
+        block += np.diag([0.7, 0.4], 1)
+    S = np.linalg.qr(rng.standard_normal(block.shape))[0] @ np.diag(10.0 ** rng.uniform(-1, 1, len(block)))
+    plant = Plant(S @ block @ np.linalg.inv(S), rng.standard_normal((1, len(block))) @ np.linalg.inv(S))
+    schedule = PeriodicSchedule([0.8, 0.5, 0.6])
+    found = window_sigma(plant, schedule, window)
     assert found.closed
-    assert found.lower == pytest.approx(0.16590 if rate > 3 else 0.16587, abs=1e-5)  # 120 digits say so too
-    assert found.lower <= found.upper == pytest.approx(found.lower, rel=2e-3)
+    start = found.witness.t - window
+    assert found.upper == pytest.approx(float(sigma_at(plant, found.witness.samples, start, 250)), rel=1e-10)
+    assert 0 < found.lower <= found.upper <= found.lower * (1 + 2e-3)
+    times = schedule.between(0.0, 12.0).times
+    for start in rng.uniform(schedule.first, schedule.first + schedule.period, 4):
+        held = times[(times >= start) & (times <= start + window)]
+        assert found.lower <= sigma_at(plant, held, mpmath.mpf(start), 250)
+
+
+def test_what_no_window_sees_stays_zero_beside_growth():
+    """A mode that no output sees: 0, and not what rounding leaves of it."""
+    found = window_sigma(Plant(np.diag([30.0, -0.1]), [[1.0, 0.0]]), PeriodicSchedule([1.0]), 3.0)
+    assert (found.lower, found.upper, found.status) == (0.0, 0.0, "below rounding")
+    assert "zero to rounding" in found.explain()

@@ -23,6 +23,8 @@ SHAVES = (1e-6, 1e-4, 0.01, 0.1, 0.5)
 """Fractions taken off the bound that floats found, one after the other, until what is left is proven."""
 PLACES = 33
 """Positions per piece at which sigma is looked at where floats saw nothing."""
+ZOOMS = 3
+"""Nearer looks around the least of them, each `PLACES`/2 times as near."""
 BITS = (160, 400, 1200)
 """Precisions: the inverse of an ill-conditioned Gramian may need the second, growth beyond e^100 the third."""
 
@@ -114,11 +116,12 @@ def see_in_balls(
 def _seen(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Clock
 ) -> SeenInBalls:
-    """The least of the windows that are looked at, at the precision that is set."""
+    """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
     flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
     best = SeenInBalls(0, float(pieces.left[0]), np.inf, np.zeros(plant.n_states))
-    for g in range(len(pieces)):
-        left, right = _ends(schedule, pieces, g)
+
+    def look(g: int, left: Fraction, right: Fraction) -> None:
+        nonlocal best
         span = slice(int(pieces.first[g]), int(pieces.stop[g]))
         Y, step = rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
         E = flow.over(fraction(step))[0]
@@ -129,6 +132,15 @@ def _seen(
                 best = SeenInBalls(g, float(left + k * step), sigma, vectors[:, -1])
             Y = E * Y * E.transpose()
             clock.check()
+
+    for g in range(len(pieces)):
+        look(g, *_ends(schedule, pieces, g))
+    left, right = _ends(schedule, pieces, best.piece)
+    near = right - left
+    for _ in range(ZOOMS):
+        near = near * 2 / (PLACES - 1)
+        at = min(max(Fraction(best.start), left), right)
+        look(best.piece, max(left, at - near / 2), min(right, at + near / 2))
     return best
 
 

@@ -33,7 +33,7 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Bracket:
-    """What the search found, in window starts; `status` as in `WindowSigma`."""
+    """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of the rows within a window."""
 
     lower: float
     upper: float
@@ -47,6 +47,7 @@ class Bracket:
     sigma: Array
     owner: Indices
     piece_lower: Array
+    growth: float = 1.0
 
 
 def require_moderate(plant: Plant) -> None:
@@ -75,7 +76,7 @@ class _Pieced:
         half = (plant.A + plant.A.T) / 2
         growth = np.linalg.eigvalsh(half)
         self.forward, self.backward = max(0.0, float(growth[-1])), max(0.0, -float(growth[0]))
-        singular, right, size = self._references()
+        singular, right, size, self.growth = self._references()
         self.zero = singular[:, -1] <= n * _EPS * singular[:, 0]
         safe = np.where(self.zero, 1.0, singular[:, -1])
         spread = np.where(self.zero[:, None], 1.0, singular)
@@ -85,12 +86,13 @@ class _Pieced:
         grade = ALLOWANCE * max(1.0, float(np.linalg.norm(plant.A, 1)) * span / 200)
         self.kept = np.maximum(0.0, 1 - 3 * grade * size / safe)
 
-    def _references(self) -> tuple[Array, Array, Array]:
-        """Singular values, right vectors and rounding size of each piece's O at its right end."""
+    def _references(self) -> tuple[Array, Array, Array, float]:
+        """Singular values, right vectors, rounding size of each O at its piece's right end; the largest |e^{A tau}|."""
         pieces, n, p = self.pieces, self.plant.n_states, self.plant.n_outputs
         count = pieces.stop - pieces.first
         most = max(1, int(count.max(initial=0)))
         singular, right, size = np.zeros((len(pieces), n)), np.zeros((len(pieces), n, n)), np.zeros(len(pieces))
+        growth = 1.0
         step = max(1, _CHUNK // (most * n * max(n, p)))
         for low in range(0, len(pieces), step):
             part = slice(low, low + step)
@@ -109,6 +111,7 @@ class _Pieced:
                     f"`window` must be short enough for e^(A T) to be a number, and its square, got {pieces.window!r}: "
                     "its unstable modes overflow. Refer sigma to a shorter window."
                 )
+            growth = max(growth, float(np.max(np.where(there, np.max(np.abs(flow), axis=(-1, -2)), 0.0), initial=0.0)))
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
             rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
             rows = np.concatenate(
@@ -117,7 +120,7 @@ class _Pieced:
             _, singular[part], right[part] = np.linalg.svd(np.linalg.qr(rows, mode="r"))
             squares = np.sum(np.where(weight, np.sum(self.plant.C**2, axis=1), 0.0), axis=-1)
             size[part] = np.sqrt(np.sum(squares * np.sum(flow**2, axis=(-1, -2)), axis=-1))
-        return singular, right, size
+        return singular, right, size, growth
 
     def at(self, owner: Indices, start: Array) -> tuple[Array, Array]:
         """|F| = 1/sigma, and an upper bound on |A^2 F|, at window starts on the pieces `owner`."""
@@ -271,6 +274,7 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
         sigma=sigma[order],
         owner=owner[order],
         piece_lower=search.piece_lower,
+        growth=search.pieced.growth,
     )
 
 

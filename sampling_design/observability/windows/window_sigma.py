@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import overload
 
 import numpy as np
@@ -29,6 +30,11 @@ Progress = Callable[[float, str], None]
 
 RTOL, OVER_BOX = 0.001, 0.01
 """Default widths of the bracket, relative: of one plant, and over a box of plants."""
+HIDING = 1e3
+"""Growth within a window from which on a sigma that doubles lose is asked of balls: n eps |O| is then far above the
+n eps |C| below which sigma counts as zero."""
+HANDED_OVER = 20.0
+"""Seconds that balls have for what was only asked of floats."""
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
     "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
@@ -211,7 +217,7 @@ class WindowSigma(SigmaBracket, Table, Gridded):
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
             return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
         if self.status == "below rounding":
-            hidden = "" if self.rigorous else " What growth hides from doubles, rigorous=True (--rigorous) sees."
+            hidden = "" if self.rigorous else " What growth hides from doubles, ball arithmetic sees: extra `rigorous`."
             state = short(self.witness.direction)
             return f"{where}; it does not see the state {state}: sigma is zero to rounding.{hidden}"
         length = f"{short(self.window)} {self.time_unit}"
@@ -302,7 +308,9 @@ def window_sigma(
     (h^2/8) max |A^2 F|, an error of second order, relative to 1/sigma itself whatever the condition
     of O. Intervals are halved, all at once, until each is closed.
     *Numerical aspects.* The lower bound is reduced by the named allowance of `bracket.ALLOWANCE`.
-    Sigma counts as zero below n eps |O|; then lower = 0 and the witness holds the unseen direction.
+    Sigma counts as zero below n eps |O|; then lower = 0 and the witness holds the unseen direction. Where the rows grow
+    within the window, so that this says little, sigma is asked of ball arithmetic (extra `rigorous`), which growth
+    does not hide it from; it then counts as zero below n eps |C|, and `rigorous` of the record is true.
     Events that coincide to rounding (`pieces.SAME_TIME`) are one event.
 
     References
@@ -341,8 +349,15 @@ def window_sigma(
         result = _record(found, length, tolerance, part, scaled)
         if rigorous:
             result = _in_balls(result, part, aligned, pieces, seconds / len(parts))
+        elif _hidden(found) and find_spec("flint") is not None:
+            result = _in_balls(result, part, aligned, pieces, min(seconds, HANDED_OVER) / len(parts))
         scaled = result
     return result
+
+
+def _hidden(found: Bracket) -> bool:
+    """Whether growth within the window may be all that hides sigma from doubles."""
+    return found.status in ("below rounding", "rounding") and found.growth > HIDING
 
 
 def _in_balls(

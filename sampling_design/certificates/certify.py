@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
@@ -17,7 +17,7 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import LOOK_WORK, Efforts
+from sampling_design.certificates.exact.efforts import LATER, LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.exact.weight_choice import (
@@ -32,8 +32,8 @@ from sampling_design.certificates.exact.weight_choice import (
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
-from sampling_design.certificates.form.verdict import verdict_of
-from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.certificates.form.verdict import replays, verdict_of
+from sampling_design.certificates.rigorous.decide import replays_in_balls, verify_rigorously
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
@@ -165,18 +165,13 @@ class _Proof:
         anywhere, at_samples = self.peaks
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
-            verdict = verdict_of(made.to_dict(), efforts.check())
-            if verdict.inequality == "witness" and not verdict.passed:  # true, but its replay is lost in rounding
-                made = replace(made, witness=None)
-                verdict = verdict_of(made.to_dict(), efforts.check())
+            plain, stands = replace(made, witness=None), replays
+            verdict = verdict_of(plain.to_dict(), efforts.check())
             handed = verdict.verdict == "undecided" and room == 1.0 and not efforts.balls.over
             if handed and find_spec("flint") is not None:
-                verdict = verify_rigorously(made.to_dict(), np.inf, efforts.balls)
-                if verdict.inequality == "witness" and not verdict.passed:
-                    made = replace(made, witness=None)
-                    verdict = verify_rigorously(made.to_dict(), np.inf, efforts.balls)
-            if verdict.passed:
-                return made
+                verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.balls), replays_in_balls
+            if verdict.passed:  # a witness is true, but its replay may be lost in rounding
+                return made if stands(made.to_dict()) else plain
             if efforts.floats.over:
                 break
             if verdict.time is None or verdict.start is None:
@@ -429,18 +424,23 @@ def _best_proven(
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
-    for stage in ("best", "spare", "round"):
-        if stage == "round":
-            low = min((choice.eta for choice in choices), default=0.0)
-            rates = [low] if eta is not None else [low, low / 10]
-            some = round_choices(canon, rates, budget) if low else []
-        else:
-            some = [choice for choice in choices if choice.spare == (stage == "spare")]
-        try:
-            if some:
-                return _first_proven(problem, canon, some, eta, budget, began)
-        except UndecidedError as error:
-            failed.append(error)
+    stages: list[tuple[Efforts, Iterable[list[Choice]]]] = [
+        (Efforts(), [[choice for choice in choices if not choice.spare]]),
+        (Efforts(LATER), [[choice for choice in choices if choice.spare]]),
+    ]
+    if choices:
+        low = min(choice.eta for choice in choices)
+        rates = [low] if eta is not None else [low, low / 10]
+        stages.append((Efforts(LATER), round_choices(canon, rates, budget)))
+    for efforts, groups in stages:
+        for some in groups:
+            try:
+                if some:
+                    return _first_proven(problem, canon, some, eta, budget, began, efforts)
+            except UndecidedError as error:
+                failed.append(error)
+            if efforts.floats.over:
+                break
     if failed:
         raise failed[0]
     raise UndecidedError(
@@ -455,11 +455,11 @@ def _first_proven(
     eta: float | None,
     budget: float,
     began: float,
+    efforts: Efforts,
 ) -> Certificate:
     """The first of these choices whose proof closes, the nearest ones in the order of their exact horizons."""
     plant, schedule, weights = problem
     failed: list[UndecidedError] = []
-    efforts = Efforts()
     proofs: list[tuple[float, int, _Proof, Choice]] = []
     for choice in choices:
         rate = choice.eta / canon.time if eta is None else eta

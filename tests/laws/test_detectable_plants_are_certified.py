@@ -80,8 +80,8 @@ def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
         return closed(proof, solver, plainly)
 
     def asked(canon, rates, budget):
-        found = choices(canon, rates, budget)
-        rounder.extend(np.linalg.cond(choice.P2) for choice in found)
+        found = list(choices(canon, rates, budget))
+        rounder.extend(np.linalg.cond(choice.P2) for some in found for choice in some)
         return found
 
     monkeypatch.setattr(room._Proof, "closed", fails)

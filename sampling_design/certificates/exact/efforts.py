@@ -7,17 +7,19 @@ from sampling_design.checkers.work import Work
 LOOK_WORK = 2e6
 """Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
 what they have met by then is tried."""
-CHECK_WORK, BALL_WORK, ONE_CHECK = 5e6, 2e6, 2.5e6
-"""Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats; once more
-as much for the spare choices."""
+CHECK_WORK, BALL_WORK, ONE_CHECK = 6e6, 1e6, 4e6
+"""Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats."""
+LATER = 0.5
+"""Share of that for the spare choices, and for the round ones: what closes there closes soon."""
 
 
 class Efforts:
-    """What all the looks and proofs for one certificate may do together."""
+    """What all the looks and proofs for one certificate may do together, or those of later choices."""
 
-    def __init__(self) -> None:
-        self.looks, self.floats, self.balls = Work(2 * LOOK_WORK), Work(CHECK_WORK), Work(BALL_WORK)
+    def __init__(self, share: float = 1.0) -> None:
+        self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK)
+        self.balls, self.one = Work(share * BALL_WORK), share * ONE_CHECK
 
     def check(self) -> Work:
         """What the next check in floats may do."""
-        return self.floats.share(ONE_CHECK)
+        return self.floats.share(self.one)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -68,9 +68,10 @@ DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
-SEARCH_WORK, RATE_WORK = 4e6, 3e6
-"""Work, about microseconds, after which the search of weights (of a rate alone) ends with the best that it has: any
-shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on every machine."""
+SEARCH_WORK, RATE_WORK, ROUND_WORK = 4e6, 3e6, 4e6
+"""Work, about microseconds, after which the search of weights (of a rate alone, of round shapes) ends with the best
+that it has: any shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on
+every machine."""
 STEP_WORK = 30
 """Work of one step of a descent, per variable, beside that of its windows."""
 MODERATE = float(np.log(1e6))
@@ -133,13 +134,13 @@ class Setting:
 class WeightSearch:
     """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
 
-    def __init__(self, canon: Canonical, roundness: float = LEAST_ROUND) -> None:
+    def __init__(self, canon: Canonical, roundness: float = LEAST_ROUND, work: Work | None = None) -> None:
         self.canon, self.roundness = canon, roundness
         self.known: dict[float, Setting] = {}
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
-        self.work = Work(SEARCH_WORK)
+        self.work = Work(SEARCH_WORK) if work is None else work
 
     @property
     def late(self) -> bool:
@@ -439,18 +440,19 @@ def _spare(search: WeightSearch, guesses: list[Choice], budget: float) -> list[C
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
 
-def round_choices(canon: Canonical, rates: list[float], budget: float) -> list[Choice]:
+def round_choices(canon: Canonical, rates: list[float], budget: float) -> Iterator[list[Choice]]:
     """First guesses of less and less condition at these rates: for where nothing better can be proven."""
-    found: list[Choice] = []
+    work = Work(ROUND_WORK)
     for share in ROUNDER:
-        search = WeightSearch(canon, share)
+        search = WeightSearch(canon, share, work)
+        found: list[Choice] = []
         for rate in rates:
             try:
-                guess = search.best_guess(rate, budget)
+                guess = None if search.late else search.best_guess(rate, budget)
             except (SolverError, np.linalg.LinAlgError):
                 continue
             found += [] if guess is None else [replace(guess, spare=True)]
-    return found
+        yield found
 
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:

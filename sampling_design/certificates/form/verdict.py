@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from sampling_design._record import Plain, Record, short
 from sampling_design.checkers import check
+from sampling_design.checkers.grammar import Sampled, certificate
+from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.sampled import replay
 from sampling_design.checkers.strict import Tree
 from sampling_design.checkers.work import Work
 
@@ -63,6 +68,18 @@ class Verification(Record):
     def explain(self) -> str:
         """Say the verdict."""
         return f"{self.verdict.capitalize()}: {self.reason}"
+
+
+def replays(data: Tree) -> bool:
+    """Whether the checker finds the witness of a certificate on one schedule to reach its ratio, beyond rounding."""
+    content = certificate(data)
+    assert isinstance(content, Sampled)
+    try:
+        with np.errstate(all="ignore"):
+            replay(content)
+    except (Refused, np.linalg.LinAlgError, OverflowError):
+        return False
+    return True
 
 
 def verdict_of(data: Tree, work: Work | None = None) -> Verification:

@@ -205,6 +205,16 @@ def assumption_7(data: Tree, clock: Clock) -> Decision:
     return Decision(names, "every real window start and every later t", slack)
 
 
+def replays_in_balls(data: Tree) -> bool:
+    """Whether the witness of a certificate on one schedule certainly reaches its ratio."""
+    try:
+        with precision(), np.errstate(all="ignore"):
+            attained(data)
+    except (Unproven, np.linalg.LinAlgError):
+        return False
+    return True
+
+
 def attained(data: Tree) -> None:
     """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     weights = BallWeights(data)

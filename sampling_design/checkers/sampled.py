@@ -227,7 +227,7 @@ class Windows(Frame):
         while inflation > 1e-12:
             inflation *= min(0.1, 0.3 / worst)
             Z, Y = np.zeros((N, self.n, self.n)), self.start
-            for lap in range(1, (PERIODS if self.schedule.periodic else 1) + 1):
+            for turn in range(1, (PERIODS if self.schedule.periodic else 1) + 1):
                 before, whole, added = Y, self.I, np.zeros_like(self.I)
                 self.spend(N * 8)
                 for i in range(N):
@@ -239,7 +239,7 @@ class Windows(Frame):
                     Z[i] = Y = later
                 if np.linalg.norm(Y - before) <= inflation / 2:  # then one period maps Z below itself
                     break
-                if lap % JUMP == 0:
+                if turn % JUMP == 0:
                     Y = settled(whole, added, Y)
             worst = max(largest(Z).max(), largest(self.along(Z, once[after])[0]).max())
             for scale in (1 / worst) ** np.array([0.95, 0.8, 0.5, 0.2, 0.0]) if worst < 1 else ():

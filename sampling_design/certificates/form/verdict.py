@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -70,7 +71,7 @@ class Verification(Record):
         return f"{self.verdict.capitalize()}: {self.reason}"
 
 
-def replays(data: Tree) -> bool:
+def replays(data: Mapping[str, object]) -> bool:
     """Whether the checker finds the witness of a certificate on one schedule to reach its ratio, beyond rounding."""
     content = certificate(data)
     assert isinstance(content, Sampled)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 
@@ -205,11 +205,11 @@ def assumption_7(data: Tree, clock: Clock) -> Decision:
     return Decision(names, "every real window start and every later t", slack)
 
 
-def replays_in_balls(data: Tree) -> bool:
+def replays_in_balls(data: Mapping[str, object]) -> bool:
     """Whether the witness of a certificate on one schedule certainly reaches its ratio."""
     try:
         with precision(), np.errstate(all="ignore"):
-            attained(data)
+            attained(dict(data))
     except (Unproven, np.linalg.LinAlgError):
         return False
     return True

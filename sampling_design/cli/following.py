@@ -15,10 +15,11 @@ import sampling_design as sd
 from sampling_design._files import Growing
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, rows_table, save_picture, table
-from sampling_design.estimators.estimate_file import EstimateColumns, EstimateTable, check_radii
+from sampling_design.estimators.estimate_file import EstimateColumns, EstimateTable, Numbers, check_radii, numbers_of
 from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimator import Estimate, Progress
+from sampling_design.estimators.online.in_order import AHEAD
 from sampling_design.estimators.online.tally import Tally
 
 Array = npt.NDArray[np.float64]
@@ -57,11 +58,13 @@ def followed(
             for estimate in _told(_each(estimator, record, picture), len(record), progress):
                 last, t = estimate, estimate.t + start
                 tally.add(t, estimate)
-                for each in (rows, columns):
-                    if each is not None:
-                        each.add(estimate, t)
-                if isinstance(picture, _Extremes):
-                    picture.envelope.add(t, estimate, np.asarray(_own_radii(estimate, kind)))
+                if rows is not None or columns is not None:  # always where there is a picture
+                    numbers = numbers_of(estimate, kind, t)
+                    for each in (rows, columns):
+                        if each is not None:
+                            each.put(estimate, numbers)
+                    if isinstance(picture, _Extremes):
+                        picture.take(numbers, estimate)
         if columns is not None and folder is not None:
             with Growing(folder / "estimates.json") as file:
                 columns.write(file, settings.named({}), after)
@@ -72,6 +75,7 @@ def followed(
         settings.wrote(folder / "estimates.json")
         seen = replace(record, times=record.times + start, origin=origin)
         if isinstance(picture, _Extremes):
+            picture.let_go()
             settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=seen))
         else:
             settings.wrote(save_picture(picture.curve(seen, start), folder / "estimates.png"))
@@ -86,6 +90,19 @@ class _Extremes:
 
     def __init__(self, envelope: EstimateEnvelope):
         self.envelope = envelope
+        self._held: list[tuple[float, Array, list[float], bool, bool]] = []
+
+    def take(self, numbers: Numbers, estimate: Estimate) -> None:
+        """Take in an estimate and its numbers as they are written."""
+        self._held.append((numbers.t, estimate.x, numbers.around, estimate.certified, estimate.failed))
+        if len(self._held) == AHEAD:
+            self.let_go()
+
+    def let_go(self) -> None:
+        """Give the envelope what is held."""
+        if self._held:
+            self.envelope.add(*(np.array(column) for column in zip(*self._held, strict=True)))
+            self._held = []
 
     def before(self, t: float) -> None:
         """Nothing: only samples are drawn."""
@@ -105,7 +122,9 @@ def _each(
     estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: Following | _Extremes | None
 ) -> Iterator[Estimate]:
     """Estimates at every row."""
-    for t, y, u in record:
+    for k, (t, y, u) in enumerate(record):
+        if k % AHEAD == 0:
+            estimator.expect(record.times[k : k + AHEAD])
         if picture is not None:
             picture.before(t)
         estimate = estimator.update(t, y, u)

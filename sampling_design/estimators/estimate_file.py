@@ -5,14 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from datetime import datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, NamedTuple
 
 from sampling_design._door import door
 from sampling_design._files import Growing
@@ -26,6 +28,9 @@ from sampling_design.plants.plant import Plant
 
 PIECE = 1 << 20
 """Characters that are written at a time."""
+
+TOGETHER = 512
+"""Rows of columns that are written at a time."""
 
 RADII = ("intervals", "ellipsoids")
 
@@ -90,11 +95,14 @@ class EstimateTable:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add a row; `t` is the time that it gets, where that is not the estimate's own."""
-        time = float(estimate.t if t is None else t)
-        cells = [_dated(self._zero, time, self.plant.time_unit)] if self._zero else []
-        cells += [repr(time), estimate.status, str(int(estimate.certified)), cell_of(estimate.cost)]
-        for value, radius in zip(estimate.x.tolist(), _radii(estimate, self.radii), strict=True):
-            cells += [cell_of(value), cell_of(radius)]
+        self.put(estimate, numbers_of(estimate, self.radii, t))
+
+    def put(self, estimate: Estimate, numbers: Numbers) -> None:
+        """Add a row of numbers that are texts already."""
+        cells = [_dated(self._zero, numbers.t, self.plant.time_unit)] if self._zero else []
+        cells += [numbers.time, estimate.status, "1" if estimate.certified else "0", numbers.cost]
+        for pair in zip(numbers.x, numbers.radii, strict=True):
+            cells += pair
         self._rows.writerow(cells)
         if self._text.tell() > PIECE:
             self._write()
@@ -115,6 +123,8 @@ class EstimateColumns:
 
     def __init__(self, plant: Plant, radii: str = "intervals"):
         self.plant, self.radii, self.tally = plant, check_radii(radii), Tally(plant.time_unit)
+        self._held: list[tuple[str, ...]] = []
+        self._begun = False
 
     def __enter__(self) -> EstimateColumns:
         with ExitStack() as stack:
@@ -129,22 +139,35 @@ class EstimateColumns:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add what is said of one estimate."""
-        time = float(estimate.t if t is None else t)
-        mark = ",\n    " if self.tally.count else "\n    "
-        self.tally.add(time, estimate)
-        texts = (
-            repr(time),
-            _listed(estimate.x.tolist()),
-            _listed(_radii(estimate, self.radii)),
-            _number(estimate.radius),
-            _number(estimate.cost),
-            json.dumps(estimate.status),
-            _TRUTH[bool(estimate.certified)],
-            _TRUTH[bool(estimate.on_schedule)],
-            json.dumps(estimate.note, ensure_ascii=False),
+        self.put(estimate, numbers_of(estimate, self.radii, t))
+
+    def put(self, estimate: Estimate, numbers: Numbers) -> None:
+        """Add what is said of one estimate, whose numbers are texts already."""
+        self.tally.add(numbers.t, estimate)
+        self._held.append(
+            (
+                numbers.time,
+                _listed(numbers.x),
+                _listed(numbers.radii),
+                numbers.radius or "null",
+                numbers.cost or "null",
+                _quoted(estimate.status),
+                _TRUTH[bool(estimate.certified)],
+                _TRUTH[bool(estimate.on_schedule)],
+                _quoted(estimate.note),
+            )
         )
-        for spool, text in zip(self._spools.values(), texts, strict=True):
-            spool.write(mark + text)
+        if len(self._held) == TOGETHER:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Write the rows that are held."""
+        held, self._held = self._held, []
+        if held:
+            mark = ",\n    " if self._begun else "\n    "
+            self._begun = True
+            for spool, column in zip(self._spools.values(), zip(*held, strict=True), strict=True):
+                spool.write(mark + ",\n    ".join(column))
 
     def write(self, file: Growing | IO[str], before: Mapping[str, object], after: Mapping[str, object]) -> None:
         """Write everything as JSON: the entries `before`, the record's, the entries `after`."""
@@ -152,6 +175,7 @@ class EstimateColumns:
         def put(text: str) -> None:
             file.write(text.encode()) if isinstance(file, Growing) else file.write(text)
 
+        self._let_go()
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
         contradictions = [each.to_dict() for each in self.tally.contradictions]
         put(json.dumps(head, indent=2, allow_nan=False, ensure_ascii=False).removesuffix("\n}"))
@@ -169,13 +193,40 @@ class EstimateColumns:
 _TRUTH = {True: "true", False: "false"}
 
 
-def _number(value: float) -> str:
-    """A number in JSON; null where it is not known."""
-    return cell_of(value) or "null"
+class Numbers(NamedTuple):
+    """The numbers of an estimate as texts, empty where they are not known; time and radii also as they are."""
+
+    t: float
+    around: list[float]
+    time: str
+    x: list[str]
+    radii: list[str]
+    radius: str
+    cost: str
 
 
-def _listed(values: Iterable[float]) -> str:
-    return "[\n      " + ",\n      ".join(map(_number, values)) + "\n    ]"
+def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> Numbers:
+    """Return the numbers of an estimate, with radii of a kind (`RADII`), at its own time or another."""
+    time = float(estimate.t if t is None else t)
+    size, variances = estimate.radius, estimate.covariance.diagonal().tolist()
+    if kind == "intervals":
+        around = estimate.radii.tolist()
+    elif math.isfinite(size) and size >= 0:  # as `ellipsoid_radii`, without its arrays
+        size = math.sqrt(size)
+        around = [size * math.sqrt(max(value, 0.0)) for value in variances]
+    else:
+        around = estimate.ellipsoid_radii.tolist()
+    x, radii = [cell_of(value) for value in estimate.x.tolist()], [cell_of(value) for value in around]
+    return Numbers(time, around, repr(time), x, radii, cell_of(estimate.radius), cell_of(estimate.cost))
+
+
+@lru_cache(maxsize=64)
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _listed(texts: list[str]) -> str:
+    return "[\n      " + ",\n      ".join([text or "null" for text in texts]) + "\n    ]"
 
 
 def check_radii(radii: str) -> str:
@@ -189,11 +240,6 @@ def check_radii(radii: str) -> str:
     if not isinstance(radii, str) or radii not in RADII:
         raise ArgumentError(f"`radii` must be one of {', '.join(RADII)}, got {radii!r}.")
     return radii
-
-
-def _radii(estimate: Estimate, kind: str) -> list[float]:
-    found = estimate.radii if kind == "intervals" else estimate.ellipsoid_radii
-    return [float(each) for each in found]
 
 
 @door

@@ -76,6 +76,15 @@ class WindowedEstimator(OpenLoopEstimator):
             gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
         self.table.known([gap for gap in gaps if gap > 0])
 
+    def _expect(self, times: Array) -> None:
+        kept = np.array([node.t for node in self.state.nodes])
+        nodes, start = np.concatenate([kept, times]), times - self.horizon
+        inside = (start > kept[0]) & (start < times)
+        at = np.searchsorted(nodes, start[inside], side="right") - 1
+        parts = (np.diff(times, prepend=kept[-1]), start[inside] - nodes[at], nodes[at + 1] - start[inside])
+        gaps = np.concatenate(parts)
+        self.table.known(gaps[gaps > 0].tolist())
+
     def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
         return self._between(state, state.last.t, t)
 

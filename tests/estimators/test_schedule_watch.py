@@ -110,3 +110,12 @@ def test_a_family_that_remembers_no_gap_is_asked_for_the_last_one_alone():
         fits = [watch.sample_fits(times[: k + 1], np.ones(1), k == 1) for k in range(1, 7)]
         whole = [times[1] <= 1.5 and family.contains(Schedule(times[1 : k + 1])) for k in range(1, 7)]
         assert np.logical_and.accumulate(fits).tolist() == whole
+
+
+def test_rounded_stamps_far_from_zero_keep_a_range_of_gaps():
+    """Stamps to a thousandth, whose differences are gaps of the range but for their own rounding."""
+    gaps = np.random.default_rng(2).integers(300, 1201, 400) / 1000
+    times = np.round(1e4 + np.cumsum(gaps), 3).tolist()
+    watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
+    assert all(watch.sample_fits(times[: k + 1], np.ones(1), False) for k in range(1, 400))
+    assert not watch.sample_fits([*times, times[-1] + 1.2001], np.ones(1), False)

@@ -195,3 +195,30 @@ def one_by_one(planned, actual):
         near = int(np.argmin(np.abs(actual - t)))
         match.append(near if -before[k] <= actual[near] - t < after[k] and near not in match else -1)
     return match
+
+
+@pytest.mark.parametrize("kind", ["window", "filter"])
+def test_times_told_ahead_change_nothing_but_the_cost(kind):
+    """Also where some of them never come, and others come late."""
+    rng = np.random.default_rng(5)
+    times = np.cumsum(rng.uniform(0.2, 0.9, 60))
+
+    def estimator():
+        cost = sd.CostFunction(eta=0.1)
+        if kind == "filter":
+            return sd.KalmanFilter(PLANT, cost=cost, maximum_delay=2.0, **BOUNDS)
+        return sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=cost, **BOUNDS)
+
+    told, untold = estimator(), estimator()
+    told.expect([*times, -5.0, times[7] + 0.01])
+    made = len(told.table)
+    for k, t in enumerate(times):
+        row = (float(t), [np.cos(t), -np.sin(t)], [0.001 * k])
+        one, other = told.update(*row), untold.update(*row)
+        assert np.allclose(one.x, other.x, rtol=1e-12, atol=1e-12)
+        assert np.allclose(one.covariance, other.covariance, rtol=1e-11)
+        assert one.radius == pytest.approx(other.radius, rel=1e-9, nan_ok=True)
+    assert made > 60
+    assert len(told.table) <= made + 60
+    with pytest.raises(ArgumentError, match="`times` must"):
+        told.expect([np.nan])

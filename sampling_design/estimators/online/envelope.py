@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Record, short
-from sampling_design.estimators.online.estimator import Estimate
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
+
+Truths = npt.NDArray[np.bool_]
 
 STRETCHES = 600
 
@@ -38,7 +39,7 @@ class EstimateEnvelope(Record):
     highest: Array
     lower: Array
     upper: Array
-    failed: npt.NDArray[np.bool_]
+    failed: Truths
 
     @classmethod
     def over(cls, plant: Plant, start: float, end: float, stretches: int = STRETCHES) -> EstimateEnvelope:
@@ -47,21 +48,16 @@ class EstimateEnvelope(Record):
         lowest, highest, lower, upper = np.full((4, stretches, plant.n_states), np.nan)
         return cls(plant, edges, lowest, highest, lower, upper, np.zeros(stretches, dtype=bool))
 
-    def add(self, t: float, estimate: Estimate, radii: Array) -> None:
-        """Take in an estimate at t."""
-        k = self.stretch(t)
-        x = estimate.x
-        self.lowest[k], self.highest[k] = np.fmin(self.lowest[k], x), np.fmax(self.highest[k], x)
-        if estimate.certified:
-            known = np.isfinite(radii)
-            self.lower[k, known] = np.fmin(self.lower[k], x - radii)[known]
-            self.upper[k, known] = np.fmax(self.upper[k], x + radii)[known]
-        self.failed[k] |= estimate.failed
-
-    def stretch(self, t: float) -> int:
-        """Number of the stretch that a time lies in."""
-        share = (t - self.edges[0]) / (self.edges[-1] - self.edges[0])
-        return min(max(int(share * self.failed.size), 0), self.failed.size - 1)
+    def add(self, times: Array, x: Array, radii: Array, certified: Truths, failed: Truths) -> None:
+        """Take in estimates x (N, n) at some times, with their radii (N, n) and whether they are proven or failed."""
+        share = (times - self.edges[0]) / (self.edges[-1] - self.edges[0])
+        at = np.clip((share * self.failed.size).astype(np.intp), 0, self.failed.size - 1)
+        np.fmin.at(self.lowest, at, x)
+        np.fmax.at(self.highest, at, x)
+        around = np.where(np.isfinite(radii) & certified[:, None], radii, np.nan)
+        np.fmin.at(self.lower, at, x - around)
+        np.fmax.at(self.upper, at, x + around)
+        np.logical_or.at(self.failed, at, failed)
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("stretches", str(self.failed.size)), ("time", f"{short(self.edges[0])} to {short(self.edges[-1])}")]

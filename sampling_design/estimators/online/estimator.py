@@ -243,7 +243,7 @@ class Estimate(Record):
     @cached_property
     def ellipsoid_radii(self) -> Array:
         """Half-widths of the ellipsoid, one per state."""
-        return freeze(half_widths(np.asarray(self.radius), np.diag(self.covariance)))
+        return freeze(half_widths(np.asarray(self.radius), self.covariance.diagonal()))
 
     @property
     def failed(self) -> bool:
@@ -320,9 +320,10 @@ def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
 
 def half_widths(radius: Array, variance: Array) -> Array:
     """Return sqrt(radius variance): 0 where the variance is 0 and there is a radius, NaN where there is none."""
-    spread = np.sqrt(np.maximum(variance, 0.0))
-    with np.errstate(invalid="ignore"):
-        return np.where((spread > 0) | np.isnan(radius), np.sqrt(radius) * spread, 0.0)
+    size, spread = np.sqrt(radius), np.sqrt(np.maximum(variance, 0.0))
+    if np.isfinite(size).all():
+        return np.asarray(size * spread)
+    return np.multiply(size, spread, where=(spread > 0) | np.isnan(radius), out=np.zeros(spread.shape))
 
 
 def _finite(value: float) -> float | None:

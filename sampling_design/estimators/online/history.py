@@ -91,6 +91,11 @@ class InputHistory(Sequence[tuple[float, Array]]):
         """How many lie before t."""
         return bisect_left(self._log, t, self._start, self._end, key=_first) - self._start
 
+    def last_until(self, t: float) -> Array | None:
+        """The value in force at t, None before the first."""
+        at = bisect_right(self._log, t, self._start, self._end, key=_first)
+        return self._log[at - 1][1] if at > self._start else None
+
     def added(self, at: int, t: float, u: Array) -> InputHistory:
         """Return these inputs with one more, at place `at`."""
         if at < len(self):
@@ -135,7 +140,9 @@ class State(NamedTuple):
 
     def input_at(self, t: float, before: bool = False) -> Array | None:
         """Return the input in force at t (just before t where `before`), None if there is none yet."""
-        k = (self.inputs.before(t) if before else self.inputs.until(t)) - 1
+        if not before:
+            return self.inputs.last_until(t)
+        k = self.inputs.before(t) - 1
         return self.inputs[k][1] if k >= 0 else None
 
     def trimmed(self, memory: float, least: int = 0) -> State:
@@ -168,24 +175,20 @@ class Drift:
     def between(self, state: State, a: float, b: float) -> Array:
         """Return the integral over [a, b]; u is zero before the first input."""
         inputs = state.inputs
-        if not len(inputs) or b <= a:
+        if b <= a or not len(inputs):
             return self.none
         total, start = self.none, a
         if state.reached is not None and state.reached[0] == a and state.reached[1] <= b:
             _, start, total = state.reached
             if start == b:
                 return total
-        k, last = inputs.until(start), inputs.before(b)
-        if last - k > 1:
-            edges = [start, *(t for t, _ in inputs[k:last]), b]
-            self.table.get([right - left for left, right in pairwise(edges)])  # in one batch
-        while True:
-            end = inputs[k][0] if k < last else b
-            flow = self.table.one(end - start)
+        edges = [start, *(t for t, _ in inputs[inputs.until(start) : inputs.before(b)]), b]
+        if len(edges) > 2:
+            self.table.known([right - left for left, right in pairwise(edges)])  # in one batch
+        for left, right in pairwise(edges):
+            flow, u = self.table.one(right - left), inputs.last_until(left)
             if total is not self.none:
-                total = flow.F @ total
-            if k:
-                total = total + flow.inputs @ inputs[k - 1][1]
-            start, k = end, k + 1
-            if k > last:
-                return total
+                total = flow.F.dot(total)
+            if u is not None:
+                total = total + flow.inputs.dot(u)
+        return total

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator
-from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +22,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Told, told
 
 Array = npt.NDArray[np.float64]
+
+
+AHEAD = 512
+"""Samples of a record whose gaps are made at once."""
 
 
 @doors
@@ -135,6 +137,10 @@ class OnlineEstimator(ABC):
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
             return Taken(t, y, None, limits)
+        u = np.array(sample.u, dtype=np.float64, ndmin=1) if type(sample.u) is np.ndarray else None
+        if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
+            u.flags.writeable = False
+            return Taken(t, y, u, limits)
         u = np.atleast_1d(_checks.floats("u", sample.u))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
@@ -182,6 +188,26 @@ class OnlineEstimator(ABC):
             raise ArgumentError(f"`t` must be at least {first!r}, the oldest time kept, got {when!r}.")
         return self._predict(self.state, when)
 
+    def expect(self, times: npt.ArrayLike) -> None:
+        """Prepare for samples at some times: all gaps to come are known at once, at a fraction of the cost of each.
+
+        Estimates are the same without it, but for rounding.
+
+        Parameters
+        ----------
+        times : (N,) array
+            Those that come next; what is not later than the last sample is passed over.
+        """
+        given = _checks.vector("times", times)
+        later = given[given > self.state.last.t]
+        if later.size:
+            self._expect(np.unique(later))
+
+    def _expect(self, times: Array) -> None:
+        """Prepare for samples at increasing times after the last."""
+        gaps = np.diff(times, prepend=self.state.last.t)
+        self.table.known(gaps.tolist())
+
     def stream(self, samples: Iterable[object]) -> Iterator[Estimate]:
         """Yield the estimate after each (t, y, u); nothing but the last two windows is kept."""
         for item in samples:
@@ -205,11 +231,19 @@ class OnlineEstimator(ABC):
         samples = listed(record, self.plant)
         every = max(1, len(samples) // 100)
         found = []
-        for k, estimate in enumerate(self.stream(samples)):
-            found.append(estimate)
+        for k, item in enumerate(samples):
+            if k % AHEAD == 0:
+                self.expect(_stamps(samples[k : k + AHEAD]))
+            found.append(self.update(*triple(item)))
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
         return EstimateRecord.collect(self.plant, found)
+
+
+def _stamps(samples: list[object]) -> list[float]:
+    """The time stamps of samples, where they say something."""
+    times = [item[0] for item in samples if isinstance(item, (tuple, list)) and item]
+    return [t for t in times if isinstance(t, float) and math.isfinite(t)]
 
 
 def listed(record: object, plant: Measured) -> list[object]:
@@ -246,7 +280,7 @@ def triple(item: object) -> Sample:
 
 def _with_input(state: State, sample: Taken) -> State:
     """Return the state that also knows the input from `sample.t` on."""
-    at = bisect_left(state.inputs, sample.t, key=itemgetter(0))
+    at = state.inputs.before(sample.t)
     if at < len(state.inputs) and state.inputs[at][0] == sample.t:
         t, u = state.inputs[at]
         if not np.array_equal(u, sample.u):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -199,7 +200,7 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
 
 def cell_of(value: float) -> str:
     """A number as a file holds it; an empty cell where it is not known."""
-    return repr(float(value)) if np.isfinite(value) else ""
+    return repr(float(value)) if math.isfinite(value) else ""
 
 
 def write_csv(path: str | os.PathLike[str], header: list[str], body: list[list[str]]) -> Path:

@@ -15,7 +15,13 @@ import sampling_design as sd
 from sampling_design._files import Growing
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, rows_table, save_picture, table
-from sampling_design.estimators.estimate_file import EstimateColumns, EstimateTable, Numbers, check_radii, numbers_of
+from sampling_design.estimators.estimate_file import (
+    EstimateColumns,
+    EstimateTable,
+    WrittenNumbers,
+    check_radii,
+    numbers_of,
+)
 from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimator import Estimate, Progress
@@ -92,7 +98,7 @@ class _Extremes:
         self.envelope = envelope
         self._held: list[tuple[float, Array, list[float], bool, bool]] = []
 
-    def take(self, numbers: Numbers, estimate: Estimate) -> None:
+    def take(self, numbers: WrittenNumbers, estimate: Estimate) -> None:
         """Take in an estimate and its numbers as they are written."""
         self._held.append((numbers.t, estimate.x, numbers.around, estimate.certified, estimate.failed))
         if len(self._held) == AHEAD:

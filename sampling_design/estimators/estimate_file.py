@@ -97,7 +97,7 @@ class EstimateTable:
         """Add a row; `t` is the time that it gets, where that is not the estimate's own."""
         self.put(estimate, numbers_of(estimate, self.radii, t))
 
-    def put(self, estimate: Estimate, numbers: Numbers) -> None:
+    def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
         """Add a row of numbers that are texts already."""
         cells = [_dated(self._zero, numbers.t, self.plant.time_unit)] if self._zero else []
         cells += [numbers.time, estimate.status, "1" if estimate.certified else "0", numbers.cost]
@@ -141,7 +141,7 @@ class EstimateColumns:
         """Add what is said of one estimate."""
         self.put(estimate, numbers_of(estimate, self.radii, t))
 
-    def put(self, estimate: Estimate, numbers: Numbers) -> None:
+    def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
         """Add what is said of one estimate, whose numbers are texts already."""
         self.tally.add(numbers.t, estimate)
         self._held.append(
@@ -193,7 +193,7 @@ class EstimateColumns:
 _TRUTH = {True: "true", False: "false"}
 
 
-class Numbers(NamedTuple):
+class WrittenNumbers(NamedTuple):
     """The numbers of an estimate as texts, empty where they are not known; time and radii also as they are."""
 
     t: float
@@ -205,7 +205,7 @@ class Numbers(NamedTuple):
     cost: str
 
 
-def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> Numbers:
+def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> WrittenNumbers:
     """Return the numbers of an estimate, with radii of a kind (`RADII`), at its own time or another."""
     time = float(estimate.t if t is None else t)
     size, variances = estimate.radius, estimate.covariance.diagonal().tolist()
@@ -217,7 +217,7 @@ def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> Numbers
     else:
         around = estimate.ellipsoid_radii.tolist()
     x, radii = [cell_of(value) for value in estimate.x.tolist()], [cell_of(value) for value in around]
-    return Numbers(time, around, repr(time), x, radii, cell_of(estimate.radius), cell_of(estimate.cost))
+    return WrittenNumbers(time, around, repr(time), x, radii, cell_of(estimate.radius), cell_of(estimate.cost))
 
 
 @lru_cache(maxsize=64)

@@ -92,6 +92,7 @@ class KalmanFilter(WindowedEstimator):
         self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
         self._set_up(plant, weights, None, input_side)
         self.memory = self.maximum_delay = _checks.nonnegative("maximum_delay", maximum_delay)
+        self.horizon = np.inf
         self._set_bounds(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 

@@ -18,12 +18,11 @@ from itertools import product
 
 import numpy as np
 
-from . import intervals as iv
-from . import programs
 from .inclusion_file import Box, Inclusion, Parameter, Region, Vertices, moved
-from .intervals import Interval
 from .numbers import EPS, SAFE, symmetric
 from .outcome import Refused, Undecided
+from .robust import definite_robustly
+from .slopes import Parts, enclosed
 from .strict import Array, Mask
 
 FLOW = "[P' + A'P + PA + eta P, PG; G'P, -Qw] < 0"
@@ -32,10 +31,11 @@ RESOLUTION = 1e-3  # lam is stated to within this share
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 BELOW = 1e-10  # share by which R~ is taken smaller than its floats, so that its own inequality has room
 MOST_PARAMETERS = 10  # of a box whose corners are tried one by one; beyond that multipliers are needed
-CORNERS = 6  # entries of a cell's Jacobian whose corners are tried; the others are a perturbation
+CORNERS = 6  # directions of a cell's Jacobian whose corners are tried; the others are a perturbation
+MORE_CORNERS, FEW = 10, 16  # the same where no more than so many cells are judged at once
+SMALL = 1e-3  # share of the widest direction below which one is left to the perturbation
 MOST_MATRICES = 1_500_000  # matrices of one proof over cells
 BATCH = 40_000
-Parts = tuple[Array, Array]
 
 
 def prove(c: Inclusion) -> tuple[str, float]:
@@ -192,7 +192,21 @@ def flows(c: Inclusion, P: Array, Qw: Array) -> float:
             below, above = bounds(form, terms, spread(stack, EA, EG))
             return below.reshape(k, m).min(axis=1), above.reshape(k, m).min(axis=1)
 
-        return Cells(c, c.model, P).prove(FLOW, judge, True, len(both))
+        def robust(M: Array, E: Array, moving: Array) -> tuple[Array, int]:
+            k, m, n = len(M), len(both), c.plant.n
+            stack, none = np.tile(both, (k, 1, 1)), np.zeros((k * m, n, n))
+            slopes, sizes = (np.tile(X, (k, 1, 1)) for X in (slope, size))
+            M, E = np.repeat(M, m, axis=0), np.repeat(E, m, axis=0)
+            D = np.repeat(moving, m, axis=1)
+            top = np.abs(M) + E + np.abs(D).sum(axis=0)
+            form, _ = flow_forms(stack, slopes, sizes, M[:, :, :n], M[:, :, n:], Qw, c.weights.eta)
+            _, terms = flow_forms(stack, slopes, sizes, top[:, :, :n], top[:, :, n:], Qw, c.weights.eta)
+            moves = [flow_forms(stack, none, none, d[:, :, :n], d[:, :, n:], 0 * Qw, 0.0)[0] for d in D]
+            stacked = np.array(moves).reshape(len(D), *form.shape)
+            left, spent = definite_robustly(form, terms, stacked, spread(stack, E[:, :, :n], E[:, :, n:]))
+            return left.reshape(k, m).min(axis=1), spent
+
+        return Cells(c, c.model, P).prove(FLOW, judge, True, len(both), robust)
     if c.multipliers is not None:
         return multiplied(c, both, slope, size, taus, Qw)
     slack = 1.0
@@ -281,26 +295,27 @@ def jumps(c: Inclusion, P: Array, Rt: Array) -> float:
 # --- the cells of a nonlinear plant's region -------------------------------------------------------------------------
 
 
-def halves(x: Interval) -> Parts:
-    """A middle and a radius of each interval: certainly within; radius 0 where both ends are one number."""
-    whole = np.isfinite(x.low) & np.isfinite(x.high)
-    middle = np.where(whole, x.low / 2 + x.high / 2, 0.0)
-    with np.errstate(invalid="ignore"):
-        radius = np.maximum(np.nextafter(x.high - middle, np.inf), np.nextafter(middle - x.low, np.inf))
-    return middle, np.where(whole, np.where(x.low == x.high, 0.0, radius), np.inf)
-
-
 class Cells:
     """The region of a nonlinear plant, halved until the Jacobians of every cell are proven."""
 
     def __init__(self, c: Inclusion, region: Region, P: Array) -> None:
         self.c, self.region = c, region
-        self.n, self.q, self.p = c.plant.n, c.plant.G.shape[1], len(c.plant.C)
+        self.n = c.plant.n
         root = np.sqrt(np.einsum("kii->i", P) / len(P))
-        self.rows, self.x = root, root
-        self.order = [(key, k) for key in ("x", "u", "w") for k in range(len(region.low[key]))]
+        self.x = root
+        rate = np.abs(np.diag(c.plant.A)) + c.weights.eta + 1 / c.longest
+        self.pace = np.sqrt(rate)
+        self.push = np.sqrt(np.diag(c.weights.Qw))
+        self.sight = 1 / np.sqrt(1 / np.diag(c.weights.R) + 1 / np.diag(c.weights.Qv))
 
-    def prove(self, name: str, judge: Callable[[Array, Array, Array, Array], Parts], of_f: bool, each: int) -> float:
+    def prove(
+        self,
+        name: str,
+        judge: Callable[[Array, Array, Array, Array], Parts],
+        of_f: bool,
+        each: int,
+        robust: Callable[[Array, Array, Array], tuple[Array, int]] | None = None,
+    ) -> float:
         """Prove that `judge` is positive for every Jacobian in the region; return the least slack.
 
         `judge` takes A, its radius, G, its radius (C and its radius twice for outputs) and bounds a relative slack.
@@ -315,10 +330,16 @@ class Cells:
                 break
             M, E, moving = self.spread(low, high, of_f)
             good = np.zeros(len(low), bool)
-            for first in range(0, len(low), BATCH):
-                part = slice(first, first + BATCH)
+            most = BATCH if robust is None else max(1, BATCH // (8 * each))
+            for first in range(0, len(low), most):
+                part = slice(first, first + most)
                 parts = M[part], E[part], moving[:, part]
-                good[part], spent, slack = self.judged(parts, judge, of_f, each, spent, slack)
+                if robust is None:
+                    good[part], spent, slack = self.judged(parts, judge, of_f, each, spent, slack)
+                    continue
+                left, tried = robust(*parts)
+                good[part], spent = left > 0, spent + tried
+                slack = min(slack, float(left[left > 0].min(initial=1.0)))
             if good.all():
                 break
             low, high = low[~good], high[~good]
@@ -343,59 +364,14 @@ class Cells:
         return M, E + np.abs(moving).sum(axis=0)
 
     def spread(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
-        """Middles, radii, and matrices (D, cells, rows, columns) of which any multiples in [-1, 1] may be added.
-
-        A derivative of one atom moves all outputs together in which it occurs: one matrix for each, of rank one.
-        """
-        inputs: dict[str, list[Interval]] = {"x": [], "u": [], "w": []}
-        for k, (name, _) in enumerate(self.order):
-            inputs[name].append(Interval(low[:, k], high[:, k]))
-        program, along = (self.region.f, ("x", "w")) if of_f else (self.region.h, ("x",))
-        done = programs.every(program, inputs, along)
-        outputs = programs.forms(program, done)
-        columns = [("x", k) for k in range(self.n)] + [("w", k) for k in range(self.q if of_f else 0)]
-        shape = (len(low), len(outputs), len(columns))
-        M, E, size = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        moved: dict[tuple[str, int, int], Array] = {}
-        for i, form in enumerate(outputs):
-            for key, factor in form.items():
-                slopes = done[key[1]][1] if key[0] == "atom" else {key: iv.number(1.0, factor)}
-                c, dc = halves(factor)
-                for column, slope in slopes.items():
-                    if column not in columns:
-                        continue
-                    j, (g, dg) = columns.index(column), halves(slope)
-                    M[:, i, j] += c * g
-                    size[:, i, j] += np.abs(c) * (np.abs(g) + dg)
-                    E[:, i, j] += np.where(dc > 0, dc * (np.abs(g) + dg), 0.0)
-                    if np.any(dg > 0):
-                        alone = sum(key in other for other in outputs) == 1
-                        own = ("row", i, j) if alone else (*key, j)
-                        moved.setdefault(own, np.zeros(shape))[:, i, j] += c * dg
-        moving = np.array(list(moved.values())).reshape(len(moved), *shape)
-        with np.errstate(invalid="ignore"):
-            terms = EPS * (len(program.code) + 4) * size
-        exact = (E == 0) & (np.abs(moving).sum(axis=0) == 0) & (self.single(outputs, done, columns))
-        return M, E + np.where(exact, 0.0, np.where(np.isnan(terms), np.inf, terms)), moving
-
-    @staticmethod
-    def single(outputs: list[programs.Form], done: list[programs.Both], columns: list[tuple[str, int]]) -> Mask:
-        """Entries (rows, columns) that one product with a factor of 1 or -1, or none, makes: these are not rounded."""
-        count = np.zeros((len(outputs), len(columns)))
-        for i, form in enumerate(outputs):
-            for key, factor in form.items():
-                for column in done[key[1]][1] if key[0] == "atom" else (key,):
-                    if column in columns:
-                        one = factor.known() and abs(factor.low[0]) == 1 if len(factor.low) else True
-                        bare = key[0] != "atom" and factor.known() if len(factor.low) else True
-                        count[i, columns.index(column)] += 1 if one or bare else 2
-        found: Mask = count <= 1
-        return found
+        """Middles, radii, and matrices of which any multiples in [-1, 1] may be added; see `slopes.py`."""
+        return enclosed(self.region, low, high, of_f)
 
     def effect(self, E: Array, of_f: bool) -> Array:
-        """Sizes of the radii in units in which P is about the identity."""
-        left = self.x if of_f else np.ones(E.shape[1])
-        right = np.concatenate([self.x, np.ones(E.shape[2] - self.n)])
+        """Sizes of the radii in units in which the diagonals of what is proven are about 1."""
+        if not of_f:
+            return np.asarray(E * self.sight[:, None] / self.x)
+        left, right = self.x / self.pace, np.concatenate([self.x * self.pace, self.push])
         return np.asarray(E * left[:, None] / right)
 
     def judged(
@@ -416,7 +392,8 @@ class Cells:
         E, M, moving = E[finite], M[finite], moving[:, finite]
         worth = np.array([self.effect(np.abs(D), of_f).max() for D in moving])
         order = np.argsort(-worth)
-        wide = [int(k) for k in order[:CORNERS] if worth[k] > 1e-12 * (worth.max() + 1e-300)]
+        most = CORNERS if len(M) > FEW else MORE_CORNERS
+        wide = [int(k) for k in order[:most] if worth[k] > SMALL * worth.max(initial=0.0)]
         others = [k for k in range(len(moving)) if k not in wide]
         signs = np.array(list(product((-1.0, 1.0), repeat=len(wide)))).reshape(2 ** len(wide), len(wide))
         size = np.abs(moving[wide]).sum(axis=0)
@@ -459,22 +436,30 @@ class Cells:
             amount, reason = float(above[k]), f"{name} fails by {-above[k]:.3g} of its terms at x = [{where}]"
             raise Refused(name, reason, amount, direction=x.tolist())
 
+    @staticmethod
+    def finite(low: Array, high: Array) -> Mask:
+        """Sides of cells that can be halved."""
+        found: Mask = np.isfinite(low) & np.isfinite(high) & (low < high)
+        return found
+
     def halved(self, name: str, low: Array, high: Array, of_f: bool) -> Parts:
         """Both halves of each cell, along the side that narrows the Jacobian most."""
         best, side = np.full(len(low), np.inf), np.full(len(low), -1)
-        for j in range(low.shape[1]):
-            finite = np.isfinite(low[:, j]) & np.isfinite(high[:, j]) & (low[:, j] < high[:, j])
-            if not finite.any():
-                continue
+        sides = [j for j in range(low.shape[1]) if np.any(self.finite(low, high)[:, j])]
+        pairs = []
+        for j in sides:
+            finite = self.finite(low, high)[:, j]
             middle = np.where(finite, low[:, j] / 2 + high[:, j] / 2, 0.0)
             left, right = high.copy(), low.copy()
             left[:, j], right[:, j] = np.where(finite, middle, high[:, j]), np.where(finite, middle, low[:, j])
-            cost = sum(
-                np.square(np.minimum(self.effect(self.jacobians(a, b, of_f)[1], of_f), 1e100)).sum(axis=(1, 2))
-                for a, b in ((low, left), (right, high))
-            )
-            better = finite & (np.asarray(cost) < best)
-            best, side = np.where(better, cost, best), np.where(better, j, side)
+            pairs += [(low, left), (right, high)]
+        if pairs:
+            lows, highs = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+            size = np.minimum(self.effect(self.jacobians(lows, highs, of_f)[1], of_f), 1e100)
+            costs = np.square(size).sum(axis=(1, 2)).reshape(len(sides), 2, len(low)).sum(axis=1)
+            for j, cost in zip(sides, costs, strict=True):
+                better = self.finite(low, high)[:, j] & (cost < best)
+                best, side = np.where(better, cost, best), np.where(better, j, side)
         if np.any(side < 0):
             raise Undecided(name, f"{name} could not be decided: a cell of the region cannot be halved")
         rows = np.arange(len(low))

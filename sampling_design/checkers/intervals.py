@@ -89,7 +89,7 @@ def rising(function: Callable[[Interval], Interval], x: Interval) -> Interval:
 
 def inverse(x: Interval) -> Interval:
     """1/x; all numbers where x may be 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = outwards(1 / x.high, 1 / x.low)
     return where((x.low > 0) | (x.high < 0), found, nothing(x))
 

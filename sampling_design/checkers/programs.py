@@ -140,6 +140,51 @@ def forms(program: Program, done: list[Both]) -> list[Form]:
     return [found[k] for k in program.outputs]
 
 
+def relative(program: Program, done: list[Both]) -> list[Slopes]:
+    """Derivatives of log|value| of every instruction; all numbers where a value may be 0.
+
+    A product's is a sum: that of exp(a) b/c is a' + b'/b - c'/c, as narrow as these are however far the value ranges.
+    """
+    found: list[Slopes] = []
+    for at, each in enumerate(program.code):
+        name, (value, slopes) = each.word, done[at]
+        parts = [found[k] for k in each.places] if name not in INPUTS else []
+        direct = {key: times(part, iv.inverse(value)) for key, part in slopes.items()}
+        if name == "exp":
+            form = dict(done[each.places[0]][1])
+        elif name in SCALED:
+            form = {key: iv.number(SCALED[name], value) * part for key, part in parts[0].items()}
+        elif name == "power":
+            form = {key: iv.number(each.value, value) * part for key, part in parts[0].items()}
+        elif name in ("mul", "div"):
+            form = added(parts[0], parts[1], 1 if name == "mul" else -1)
+        elif name in ("add", "sub"):
+            form = weighed(done[each.places[0]][0], done[each.places[1]][0], parts, 1 if name == "add" else -1)
+        else:
+            form = direct
+        found.append({key: common(form[key], part) if key in form else part for key, part in direct.items()})
+    return found
+
+
+SCALED = {"neg": 1.0, "twice": 1.0, "square": 2.0, "inverse": -1.0, "sqrt": 0.5}
+
+
+def weighed(a: Interval, b: Interval, parts: list[Slopes], sign: int) -> Slopes:
+    """(a' + s b')/(a + s b) = (a'/a)/(1 + s b/a) + (b'/b)/(1 + s a/b)."""
+    shares = []
+    for over, under in ((b, a), (a, b)):
+        ratio = over * iv.inverse(under)
+        shares.append(iv.inverse(one(a) + (ratio if sign > 0 else -ratio)))
+    weighted = [{key: part * share for key, part in form.items()} for form, share in zip(parts, shares, strict=True)]
+    return added(weighted[0], weighted[1], 1)
+
+
+def common(a: Interval, b: Interval) -> Interval:
+    """What both hold of one number."""
+    low, high = np.maximum(a.low, b.low), np.minimum(a.high, b.high)
+    return Interval(np.minimum(low, high), np.maximum(low, high))
+
+
 def chained(value: Interval, slope: Interval, inner: Slopes) -> Both:
     """The chain rule."""
     return value, {key: times(slope, part) for key, part in inner.items()}

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Plain, short
+from sampling_design.checkers.inclusion_file import region as region_of
+from sampling_design.checkers.parts import Plant as FilePlant
+from sampling_design.checkers.slopes import enclosed
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn, ends
-from sampling_design.plants.inclusion import Members
+from sampling_design.plants.inclusion import Hull, Members
 from sampling_design.plants.plant import Plant
 
 if TYPE_CHECKING:
@@ -26,6 +30,8 @@ POINTS = 600
 """Random points of the region whose Jacobians are members, and as many on its faces."""
 SAME = 1e-9
 """Jacobians this near, relative to the largest entries, are one."""
+ROUNDING = 1e-9
+"""Radii below this share of an entry are rounding."""
 SUSPECTS = 12
 """Linearisations in which a refusal looks for what has no certificate."""
 
@@ -75,8 +81,7 @@ def model_of(plant: NonlinearPlant) -> dict[str, Plain]:
 def points_of(plant: NonlinearPlant, rng: np.random.Generator, count: int = POINTS) -> tuple[Array, Array, Array]:
     """x, u and w at points of the region and the boxes."""
     region, n, m = plant.region, plant.n_states, plant.n_inputs
-    names = ("states", "inputs", "disturbances")
-    boxes = [(region.lower, region.upper), plant.bounds["inputs"], plant.bounds["disturbances"]]
+    names, boxes = ("states", "inputs", "disturbances"), boxes_of(plant)
     low, high = (np.concatenate([box[k] for box in boxes]) for k in (0, 1))
     scales = np.concatenate([plant.signals[name].scales for name in names])
     z = drawn(low, high, scales, count, rng)
@@ -111,6 +116,48 @@ def members_of(plant: NonlinearPlant, rng: np.random.Generator) -> Members:
         raise ArgumentError("`region` must hold states at which the model has derivatives, got none among its points.")
     AG, C = distinct(AG), distinct(C)
     return Members(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
+
+
+def hull_of(plant: NonlinearPlant, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+    """Return what interval arithmetic says over cells of the region, halved where it helps; None if not finite."""
+    low, high = (np.concatenate([np.ravel(bounds[k]) for bounds in boxes_of(plant)])[None] for k in (0, 1))
+    centre = plant.centre
+    model = region_of(model_of(plant), FilePlant(centre.A, centre.C, centre.G, centre.time_unit))
+
+    def cells(low: Array, high: Array) -> tuple[Array, Array]:
+        M, E, moves = enclosed(model, low, high, True)
+        return M, with_entries(M, moves, E)
+
+    with np.errstate(all="ignore"):
+        C, EC, shifts = enclosed(model, low, high, False)
+        for _ in range(halvings):
+            tried = []
+            for j in np.flatnonzero(np.isfinite(low[0]) & np.isfinite(high[0]) & (low[0] < high[0])):
+                middle, left, right = low[:, j] / 2 + high[:, j] / 2, high.copy(), low.copy()
+                left[:, j] = right[:, j] = middle
+                tried.append((np.concatenate([low, right]), np.concatenate([left, high])))
+            if not tried:
+                break
+            every = cells(*(np.concatenate([pair[k] for pair in tried]) for k in (0, 1)))[1]
+            costs = np.nan_to_num(size(every), nan=np.inf).reshape(len(tried), -1).sum(axis=1)
+            low, high = tried[int(np.argmin(costs))]
+        M, moves = cells(low, high)
+    if not all(np.isfinite(X).all() for X in (M, moves, C, EC, shifts)):
+        return None
+    return Hull(M, moves, C[0], with_entries(C, shifts, EC)[:, 0])
+
+
+def with_entries(middle: Array, moves: Array, radii: Array) -> Array:
+    """Moves, and one for each entry of which some radius is more than rounding."""
+    beyond = (radii > ROUNDING * (np.abs(moves).sum(axis=0) + np.abs(middle))).any(axis=0)
+    own = [np.where((np.indices(beyond.shape) == at[:, None, None]).all(axis=0), radii, 0.0)
+           for at in np.argwhere(beyond)]  # fmt: skip
+    return np.concatenate([moves, np.array(own).reshape(len(own), *radii.shape)])
+
+
+def boxes_of(plant: NonlinearPlant) -> list[tuple[Array, Array]]:
+    """Least and largest x, u and w."""
+    return [(plant.region.lower, plant.region.upper), plant.bounds["inputs"], plant.bounds["disturbances"]]
 
 
 def distinct(stack: Array) -> Array:

@@ -17,7 +17,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
 from sampling_design.nonlinear.region import StateRegion
-from sampling_design.plants.inclusion import LinearInclusion, Members
+from sampling_design.plants.inclusion import Hull, LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
 
 if TYPE_CHECKING:
@@ -364,22 +364,25 @@ class NonlinearPlant(LinearInclusion, Record):
         upper: npt.ArrayLike,
         rows: npt.ArrayLike | None = None,
         offsets: npt.ArrayLike | None = None,
+        about: npt.ArrayLike | None = None,
     ) -> NonlinearPlant:
         """Return the same plant with the states lower <= x <= upper, rows x <= offsets as the region of certificates.
+
+        `about` is the state at which certificates linearise, by default the middle of the box.
 
         Raises
         ------
         ArgumentError
             If sizes differ or the box is empty.
         """
-        return replace(self, region=StateRegion(lower, upper, rows, offsets))
+        return replace(self, region=StateRegion(lower, upper, rows, offsets, about))
 
     # --- what certificates need ---------------------------------------------------------------------------------------
 
     @cached_property
     def centre(self) -> Plant:
-        """The linearisation in the middle of the region."""
-        found = self.linearise(self.region.middle, StateRegion(*self.bounds["inputs"]).middle)
+        """The linearisation about a state of the region."""
+        found = self.linearise(self.region.about, StateRegion(*self.bounds["inputs"]).middle)
         return replace(found, name=self.name)
 
     @property
@@ -409,6 +412,12 @@ class NonlinearPlant(LinearInclusion, Record):
         from sampling_design.nonlinear.jacobians import members_of
 
         return members_of(self, rng)
+
+    def hull(self, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+        """What interval arithmetic says of the Jacobians over cells of the region."""
+        from sampling_design.nonlinear.jacobians import hull_of
+
+        return hull_of(self, halvings, size)
 
     def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
         """Linearisations at points of the region, corners first."""

@@ -28,17 +28,21 @@ class StateRegion(Record):
         Infinite entries mean no bound.
     rows : (m, n) array, optional
     offsets : (m,) array, optional
+    about : (n,) array, optional
+        Where certificates linearise; default the middle of the box. It decides what a sample is taken to show of a
+        nonlinear output: with C0 there, 2 C'R~C0 - C0'R~C0 stands for C'R~C, so that C0 should not be the larger one.
 
     Raises
     ------
     ArgumentError
-        If sizes differ or the box is empty.
+        If sizes differ, the box is empty or `about` lies outside.
     """
 
     lower: Array
     upper: Array
     rows: Array = None  # type: ignore[assignment]
     offsets: Array = None  # type: ignore[assignment]
+    about: Array = None  # type: ignore[assignment]
 
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
@@ -48,6 +52,7 @@ class StateRegion(Record):
             upper: npt.ArrayLike,
             rows: npt.ArrayLike | None = None,
             offsets: npt.ArrayLike | None = None,
+            about: npt.ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -60,6 +65,10 @@ class StateRegion(Record):
         offsets = _checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, _frozen(value))
+        about = self.middle if self.about is None else _checks.vector("about", self.about, n)
+        if not (np.all(lower <= about) and np.all(about <= upper)):
+            raise ArgumentError("`about` must lie between `lower` and `upper` of the region.")
+        object.__setattr__(self, "about", _frozen(about))
 
     def holds(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether states (..., n) lie in the region."""

@@ -6,7 +6,7 @@ The paper cites its model and does not print it. Each parameter below says wheth
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -19,6 +19,8 @@ from sampling_design.plants.plant import Signals
 
 if TYPE_CHECKING:
     from casadi import SX
+
+    Dynamics = Callable[[SX, SX, SX], list[SX]]
 
 DAY = 86400.0
 """Seconds in a day; every rate below is per second."""
@@ -161,6 +163,25 @@ def thyroid(
     >>> float(f"{rest[1]:.3e}")
     2.161e-08
     """
+    values, unit = constants_of(patient, w_reading, changes)
+
+    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
+        return [DAY * rate for rate in rates(x, u, (w[0] * unit, w[1] * unit), values)]
+
+    return loop(
+        dynamics,
+        lambda x, u, v: [x[1] + v[0], x[2] + v[1], x[4] + v[2]],
+        patient,
+        unit,
+        _STATES,
+        {"states": (0.0, np.inf)},
+    )
+
+
+def constants_of(
+    patient: bool, w_reading: Literal["per_second", "per_day"], changes: Mapping[str, float]
+) -> tuple[dict[str, float], float]:
+    """Values of the parameters, and seconds per unit of time of w."""
     if w_reading not in ("per_second", "per_day"):
         raise ArgumentError(f'`w_reading` must be "per_second" or "per_day", got {w_reading!r}.')
     known_keys("the parameters of the model", changes, PARAMETERS)
@@ -169,19 +190,27 @@ def thyroid(
         values["G_T"] *= PATIENT_SECRETION
     values.update(changes)
     unit = 1.0 if w_reading == "per_second" else 1 / DAY
+    return values, unit
 
-    def dynamics(x: SX, u: SX, w: SX) -> list[SX]:
-        return [DAY * rate for rate in rates(x, u, (w[0] * unit, w[1] * unit), values)]
 
+def loop(
+    dynamics: Dynamics,
+    measurement: Dynamics,
+    patient: bool,
+    unit: float,
+    states: Signals,
+    bounds: Mapping[str, tuple[float, float]],
+) -> NonlinearPlant:
+    """The loop with its signals and boxes."""
     return NonlinearPlant(
         dynamics,
-        lambda x, u, v: [x[1] + v[0], x[2] + v[1], x[4] + v[2]],
+        measurement,
         {"states": 6, "inputs": 2, "disturbances": 2, "outputs": 3, "noises": 3},
         time_unit="d",
         name="pituitary-thyroid loop" + (" (hypothyroid)" if patient else " (healthy)"),
         source="structure and constants from public implementations of the loop; what is reconstructed is marked",
         signals={
-            "states": _STATES,
+            "states": states,
             "outputs": _OUTPUTS,
             "inputs": _INPUTS,
             "disturbances": Signals(
@@ -190,7 +219,7 @@ def thyroid(
             "noises": Signals(("v1", "v2", "v3"), _OUTPUTS.units, NOISE_BOUND),
         },
         bounds={
-            "states": (0.0, np.inf),
+            **bounds,
             "outputs": (0.0, np.inf),
             "disturbances": (-PROCESS_BOUND, PROCESS_BOUND),
             "noises": (-NOISE_BOUND, NOISE_BOUND),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,17 @@ class Columns(NamedTuple):
     at: tuple[int, ...]
 
 
+class Hull(NamedTuple):
+    """Sets that together hold the whole inclusion: (A, G) side by side at the middle of each (K, n, n + q), what may
+    be added to it times any numbers in [-1, 1] (D, K, n, n + q); C at the middle of one set (p, n), its moves.
+    """
+
+    middle: Array
+    moves: Array
+    output: Array
+    output_moves: Array
+
+
 class LinearInclusion(ABC):
     """A plant of which certificates know a set: two trajectories with the same parameters and inputs differ by Dx with
 
@@ -67,6 +79,13 @@ class LinearInclusion(ABC):
     @property
     def columns(self) -> Columns | None:
         """The changes for which multipliers take the place of members that are too many; None where they are not."""
+        return None
+
+    def hull(self, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+        """Sets of few directions that hold the inclusion, proven; None where the members say more.
+
+        `size` of moves (D, K, n, n + q) says which sets (K,) are large, and which way to halve them.
+        """
         return None
 
     @property

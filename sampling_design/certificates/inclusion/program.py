@@ -20,6 +20,10 @@ Block = tuple[str, sparse.csc_matrix, Array]
 
 MARGIN = 1e-5
 """Of flow and jump, relative to P: solvers miss their inequalities by some 1e-8, and P is rounded afterwards."""
+BEARABLE, PACE = 1e3, 4.0
+"""Rates per longest gap beyond which flow conditions are posed in their own size; the rate that counts as 1 there."""
+LEAST_SLACKEST, MOST_SLACKEST = 0.01, 4.0
+"""Ends of P for the largest slack: the lower one is that part of the slack."""
 SMALLEST = 1e-7
 """Information below this fraction of the nominal counts as none: the solver's tolerance, with room."""
 
@@ -71,6 +75,24 @@ class Posed:
         )
 
 
+def flow_scale(posed: Posed) -> Array:
+    """N^-1/2, N the size of A + A' where rates are fast, in all coordinates that flow conditions have; else I.
+
+    A congruence with it changes no definiteness. Rates up to `BEARABLE` per longest gap are left as they are.
+    """
+    n, full = posed.n, np.eye(posed.dynamics.shape[2] + len(posed.seen))
+    A = posed.dynamics[:, :, :n].mean(axis=0)
+    if np.max(np.abs(np.linalg.eigvalsh((A + A.T) / 2)), initial=0.0) > BEARABLE:
+        full[:n, :n] = own_size(A)
+    return full
+
+
+def own_size(A: Array) -> Array:
+    """(I + |A + A'|/(2 pace))^-1/2, |.| of a symmetric matrix that of its eigenvalues."""
+    values, vectors = np.linalg.eigh((A + A.T) / 2)
+    return np.asarray(vectors @ np.diag(1 / np.sqrt(1 + np.abs(values) / PACE)) @ vectors.T)
+
+
 class InclusionProgram:
     """The blocks of a program that do not depend on what is minimised."""
 
@@ -82,6 +104,7 @@ class InclusionProgram:
         self.count = posed.nodes.size
         self.ends = 2 * (self.count - 1)
         self.width = self.count * self.pairs + self.ends * len(posed.seen) + 2
+        self.scale = flow_scale(posed)
         self.fixed = [*self._flow(), *self._jump()]
 
     def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
@@ -104,7 +127,7 @@ class InclusionProgram:
         if side is not None:
             full[:, :n, n : n + side.shape[2]] = side
             full[:, n : n + side.shape[2], :n] = np.swapaxes(side, 1, 2)
-        return np.asarray(_conic.svec(full).T)
+        return np.asarray(_conic.svec(self.scale.T @ full @ self.scale).T)
 
     def _flow(self) -> list[Block]:
         p, n = self.posed, self.posed.n
@@ -137,7 +160,8 @@ class InclusionProgram:
         full[:, :size, :size] = -p.seen[:, :, None] * p.seen[:, None, :]
         for k in range(m):
             full[k, size + k, size + k] = 1.0
-        return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(full).T))]
+        scaled = self.scale.T @ full @ self.scale
+        return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(scaled).T))]
 
     def _jump(self) -> list[Block]:
         p, found = self.posed, []
@@ -209,6 +233,47 @@ class InclusionProgram:
         if x is None or x[-2] <= 0:
             return None, np.inf, record
         return x, float(x[-1] / x[-2]), record
+
+    def slackest(self) -> tuple[Array | None, float, SolverRecord]:
+        """The most t with every flow condition >= t I in its own size and t I/100 <= P <= 4 I; the point and t."""
+        shape = vector(np.eye(self.posed.n))
+        blocks = []
+        for i in range(self.count):
+            at, one = i * self.pairs, np.eye(self.pairs)
+            blocks.append(self._block([(at, -one)], MOST_SLACKEST * shape))
+            blocks.append(self._block([(at, one), (self.width - 2, -LEAST_SLACKEST * shape[:, None])], 0 * shape))
+        return self._with_slack(self._pinned(blocks, (self.width - 1,)))
+
+    def within(self, ratio: float) -> tuple[Array | None, float, SolverRecord]:
+        """The same with s I <= P <= ratio s I, s <= 1."""
+        shape = vector(np.eye(self.posed.n))
+        last = self.width - 1
+        blocks: list[Block] = [
+            ("nonnegative", sparse.csc_matrix(([1.0], ([0], [last])), shape=(1, self.width)), np.ones(1))
+        ]
+        for i in range(self.count):
+            at, one = i * self.pairs, np.eye(self.pairs)
+            blocks.append(self._block([(at, -one), (last, ratio * shape[:, None])], 0 * shape))
+            blocks.append(self._block([(at, one), (last, -shape[:, None])], 0 * shape))
+        return self._with_slack(blocks)
+
+    def _with_slack(self, blocks: list[Block]) -> tuple[Array | None, float, SolverRecord]:
+        """The largest variable before the last, which is taken from all flow conditions."""
+        n, size = self.posed.n, self.posed.dynamics.shape[2]
+        one = np.zeros((size, size))
+        one[:n, :n] = np.eye(n)
+        flows, at = len(self.posed.dynamics) * self.ends, self.width - 2
+        column = sparse.csc_matrix(vector(one)[:, None])
+        fixed = [
+            (kind, sparse.hstack([A[:, :at], column, A[:, at + 1 :]]).tocsc() if i < flows else A, right)
+            for i, (kind, A, right) in enumerate(self.fixed)
+        ]
+        cost = np.zeros(self.width)
+        cost[at] = -1.0
+        found = _conic.solve_cone_program(cost, [*fixed, *blocks], budget=self.budget)
+        point = np.asarray(found.x, dtype=np.float64)
+        good = _conic.usable(found.record) and point[at] > SMALLEST
+        return (point if good else None), float(point[at]) if good else 0.0, found.record
 
     def _pinned(self, blocks: list[Block], columns: tuple[int, ...]) -> list[Block]:
         """Unused variables are held at 0."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,11 @@ from sampling_design.certificates.form.horizon import output_information
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.certificates.inclusion.program import InclusionProgram, Posed
+from sampling_design.certificates.inclusion.stiff import FASTEST, flow_slacks, jump_slacks, pace, solve_stiff
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.errors import SamplingDesignError
 from sampling_design.evidence import SolverRecord
-from sampling_design.plants.inclusion import LinearInclusion, Members
+from sampling_design.plants.inclusion import Hull, LinearInclusion, Members
 from sampling_design.schedules.gap_range import GapRange
 
 Array = npt.NDArray[np.float64]
@@ -33,10 +35,10 @@ ROUNDS = 12
 """How often members that violate a solution may join the program."""
 JOINING = 4
 """Members that join at once."""
+HULL_CORNERS, HALVINGS = 10, 3
+"""Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
 DIGITS = (7, 9, 11, 15)
 """Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
-TOGETHER = 256
-"""Members whose eigenvalues are found in one batch."""
 ROOM = 1e-6
 """By which P1 and P2 stand off from P, relatively."""
 
@@ -84,9 +86,11 @@ class InclusionSearch:
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self.extra: list[Array] = []
         self._roots: dict[float, Array] = {}
+        self._sampled = (self.members, self.chosen, self.shown)
+        self.hull: Hull | None = None
 
-    def inner(self, eta: float, pieces: int) -> tuple[Posed, Array]:
-        """The program in inner coordinates, and the T with P = T P_inner T'."""
+    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[Posed, Array]:
+        """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
         a, b = self.family.shortest, self.family.longest
         nodes = np.linspace(0.0, 1.0, pieces + 1)
         near = int(np.argmin(np.abs(nodes - a / b)))
@@ -95,7 +99,7 @@ class InclusionSearch:
         elif a < b:
             nodes[near] = a / b
         first = int(np.searchsorted(nodes, a / b * (1 - 1e-12)))
-        T = self._coordinates(eta)
+        T = self._coordinates(eta) if T is None else T
         inverse = np.linalg.inv(T)
         Rt = output_information(self.weights.R, self.weights.Qv)
         root_w, root_y = np.linalg.cholesky(self.weights.Qw), np.linalg.cholesky(Rt)
@@ -128,6 +132,12 @@ class InclusionSearch:
 
     def _root(self, eta: float) -> Array:
         """A root of the information that the nominal plant keeps; of its balance where there is none."""
+        if self.stiff:
+            return pace(
+                self.members.dynamics.mean(axis=0)[:, : self.centre.n_states],
+                self.centre.states.scales,
+                self.family.longest,
+            )
         try:
             prior = np.diag(1 / self.centre.states.scales**2)
             problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
@@ -142,6 +152,13 @@ class InclusionSearch:
     def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
         """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""
         posed, T = self.inner(eta, pieces)
+        if self.stiff:
+            fit = solve_stiff(self, eta, pieces, narrow)
+            return (
+                None
+                if fit is None
+                else InclusionSolution(fit.posed, fit.P, np.eye(posed.n), *fit.ends, fit.T, None, fit.record)
+            )
         for _ in range(ROUNDS):
             found = self._once(posed, T, narrow)
             if found is None:
@@ -260,49 +277,82 @@ class InclusionSearch:
 
     def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
         """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
+        if self.members.complete:
+            return self._attempt(eta, pieces, began, (0.0,), DIGITS)
+        found = None
+        for hulled in (True, False) if self.stiff else (False,):
+            if hulled and not self.enter_hull(eta):
+                continue
+            made = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:2])
+            if hulled:
+                self.leave_hull()
+            if isinstance(made, InclusionCertificate):
+                return made
+            found = made or found
+        return found
+
+    def _attempt(
+        self, eta: float, pieces: int, began: float, inflated: tuple[float, ...], precisions: tuple[int, ...]
+    ) -> InclusionCertificate | Verification | None:
+        """The same for the members as they are, pushed outwards by these shares."""
         verdict: Verification | None = None
-        for inflation in (0.0,) if self.members.complete else INFLATED:
+        for inflation in inflated:
             self.inflation = inflation
             found = self.solve(eta, pieces)
             if found is None:
                 continue
-            for digits in DIGITS if self.members.complete else DIGITS[1:2]:
+            for digits in precisions:
                 made = self.certificate(found, eta, digits, time.perf_counter() - began)
                 verdict = judged(made.to_dict(), False, 0.0)
                 if verdict.passed:
                     return accepted(made)
         return verdict
 
+    @property
+    def stiff(self) -> bool:
+        """Whether the centre has rates beyond `FASTEST` per longest gap, which multipliers do not know of."""
+        fastest = np.max(np.abs(np.linalg.eigvals(self.centre.A)), initial=0.0)
+        return bool(self.columns is None and self.family.longest * fastest > FASTEST)
+
+    def enter_hull(self, eta: float) -> bool:
+        """Take for the members sets that hold all Jacobians of a cell each, so that a proof needs few cells."""
+        T = self._coordinates(eta)
+
+        def size(moves: Array) -> Array:
+            return np.asarray(np.square(np.linalg.norm(self.moved(moves, T), axis=(-2, -1))).sum(axis=0))
+
+        hull = self.plant.hull(HALVINGS if self.stiff else 0, size)
+        if hull is None or not len(hull.moves):
+            return False
+        self._sampled = (self.members, self.chosen, self.shown)
+        self.hull = hull
+        outputs = corners(hull.output, hull.output_moves)
+        self.members = Members(hull.middle, outputs, ("a cell of the region",) * len(hull.middle), False)
+        self.chosen, self.shown = extreme(hull.middle), extreme(outputs)
+        return True
+
+    def leave_hull(self) -> None:
+        """Take the sampled members again."""
+        self.members, self.chosen, self.shown = self._sampled
+        self.hull = None
+
+    def moved(self, moves: Array, T: Array) -> Array:
+        """Changes of (A, G) (..., n, n + q) in inner coordinates."""
+        n, b = self.centre.n_states, self.family.longest
+        A = b * T.T @ moves[..., :n] @ np.linalg.inv(T).T
+        G = np.sqrt(b) * T.T @ moves[..., n:] @ np.linalg.inv(np.linalg.cholesky(self.weights.Qw)).T
+        return np.asarray(np.concatenate([A, G], axis=-1))
+
+
+def corners(middle: Array, moves: Array) -> Array:
+    """The middle and all signs of the moves, of up to `HULL_CORNERS` of them."""
+    signs = np.array(list(product((-1.0, 1.0), repeat=min(len(moves), HULL_CORNERS))))
+    return np.asarray(middle + np.tensordot(signs.reshape(len(signs), -1), moves[:HULL_CORNERS], 1))
+
 
 def accepted(made: InclusionCertificate) -> InclusionCertificate:
     """A certificate whose verdict was "proven"."""
     return made
-
-
-def flow_slacks(posed: Posed, P: Array) -> Array:
-    """The least eigenvalue of the flow condition over both ends of all pieces, for each member."""
-    n, ends = posed.n, 2 * (len(P) - 1)
-    h = np.diff(posed.nodes)[:, None, None]
-    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
-    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
-    least = []
-    for first in range(0, len(posed.dynamics), TOGETHER):
-        M = posed.dynamics[first : first + TOGETHER, None]
-        drift, off = both @ M[..., :n], -(both @ M[..., n:])
-        corner = -(slope + drift + np.swapaxes(drift, 2, 3) + posed.eta * both)
-        Q = np.broadcast_to(posed.Qw, (len(M), ends, *posed.Qw.shape))
-        form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
-        least.append(np.linalg.eigvalsh(form)[..., 0].min(axis=1))
-    return np.concatenate(least)
-
-
-def jump_slacks(posed: Posed, P: Array) -> Array:
-    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
-    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
-    own = posed.centre.T @ posed.Rt @ posed.centre
-    seen = cross + np.swapaxes(cross, 1, 2) - own
-    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
-    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))
 
 
 def extreme(stack: Array) -> list[int]:

@@ -1,0 +1,215 @@
+"""Programs of a stiff plant: rates from below one to millions per gap.
+
+What a fast state may weigh falls with its rate, so that the entries of P differ by as many decades as the rates do. Two
+things bring the numbers back to about 1. The flow condition F > 0 is posed in the coordinates of its own size, as
+N^-1/2 F N^-1/2 with N the size of A + A' (a congruence: nothing is changed but what a solver sees). And the coordinates
+of P are found in turns: the slackest P under a bound, then the coordinates in which it is about I, then again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from sampling_design.certificates.inclusion.program import InclusionProgram, Posed, flow_scale
+from sampling_design.evidence import SolverRecord
+
+if TYPE_CHECKING:
+    from sampling_design.certificates.inclusion.search import InclusionSearch
+
+Array = npt.NDArray[np.float64]
+Posing = Callable[[Array], tuple[Posed, Array]]
+Solve = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
+
+TURNS = 6
+"""Turns in which coordinates are found."""
+SLACK_ENOUGH = 0.2
+"""Slack, relative to the terms of the flow condition, from which on another turn gains little."""
+ROUNDS = 12
+JOINING = 8
+"""Members that join at once, and how often."""
+STAGES = ((0.0, False), (0.3, False), (1.0, False), (1.0, True))
+"""Coordinates are found first for members near their middle, then for those that begin, then for all that join."""
+DRAWN = 0.6
+"""Power of lambda that is asked for in the next turn."""
+LEAST_SLACK = 0.1
+"""A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
+FASTEST, MEMBERS = 1e3, 512
+"""Rates per longest gap beyond which a plant is stiff; members whose eigenvalues are found at once."""
+
+
+class Fitted(NamedTuple):
+    """A program's P(tau) at the nodes, in coordinates where their mean is I, the problem in them, and its slack."""
+
+    posed: Posed
+    T: Array
+    P: Array
+    slack: float
+    record: SolverRecord
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and largest eigenvalue over all nodes."""
+        values = np.linalg.eigvalsh(self.P)
+        return float(values[:, 0].min()), float(values[:, -1].max())
+
+    @property
+    def lam(self) -> float:
+        """Their ratio."""
+        low, high = self.ends
+        return high / low
+
+
+def pace(A: Array, scales: Array, longest: float) -> Array:
+    """A root T of an information TT' that weighs each direction by how long it lasts: I where A = 0.
+
+    The solution of (A - s)'P + P(A - s) = -Q, Q what the scales call one, with s just beyond what grows.
+    """
+    unit = np.diag(1 / scales)
+    own = scales[:, None] ** -1 * A * scales * longest
+    shift = max(float(np.max(np.linalg.eigvals(own).real, initial=0.0)), 0.0) + 0.5
+    P = scipy.linalg.solve_continuous_lyapunov((own - shift * np.eye(len(own))).T, -np.eye(len(own)))
+    return np.asarray(unit @ np.linalg.cholesky((P + P.T) / 2))
+
+
+def fitted(search: InclusionSearch, posing: Posing, T: Array, solve: Solve, share: float, join: bool) -> Fitted | None:
+    """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
+    for _ in range(ROUNDS):
+        posed, _T = posing(T)
+        posed = drawn(search, posed, share)
+        some = replace(posed, dynamics=posed.dynamics[search.chosen] if share else posed.dynamics[:1],
+                       outputs=posed.outputs[search.shown])  # fmt: skip
+        program = InclusionProgram(some)
+        x, slack, record = solve(program)
+        if x is None:
+            return None
+        P = program.matrices(x)
+        if not np.all(np.linalg.eigvalsh(P)[:, 0] > 0):
+            return None
+        if join:
+            bad, hidden = worst(flow_slacks(posed, P), search.chosen), worst(jump_slacks(posed, P), search.shown)
+            added = adversaries(search, posed, P, T)
+            if len(added):
+                count = len(search.members.dynamics)
+                everyone = np.concatenate([search.members.dynamics, added])
+                search.members = search.members._replace(dynamics=everyone)
+                bad += range(count, len(everyone))
+            search.chosen, search.shown = sorted({*search.chosen, *bad}), sorted({*search.shown, *hidden})
+            if bad or hidden:
+                continue
+        root = np.linalg.cholesky(np.mean(P, axis=0))
+        own = np.linalg.solve(root, np.linalg.solve(root, P).swapaxes(1, 2))
+        return Fitted(some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record)
+    return None
+
+
+def drawn(search: InclusionSearch, posed: Posed, share: float) -> Posed:
+    """Members drawn to their mean by a share, and pushed outwards by the search's inflation."""
+    if search.hull is not None and share == 1:  # whose directions are inflated instead
+        return posed
+    middle = posed.dynamics.mean(axis=0)
+    return replace(posed, dynamics=middle + share * (1 + search.inflation) * (posed.dynamics - middle))
+
+
+def adversaries(search: InclusionSearch, posed: Posed, P: Array, T: Array) -> Array:
+    """Corners of the hull's cells at which the flow condition fails most, found by turns of vector and signs."""
+    if search.hull is None:
+        return np.zeros((0, *search.members.dynamics.shape[1:]))
+    n, scale = posed.n, flow_scale(posed)
+    h = np.diff(posed.nodes)[:, None, None]
+    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
+    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
+    far = (1 + search.inflation) * search.hull.moves
+    M, D = (search.moved(X, T)[..., None, :, :] for X in (search.hull.middle, far))
+
+    def forms(X: Array) -> Array:
+        drift, off = both @ X[..., :n], -(both @ X[..., n:])
+        corner = -(drift + np.swapaxes(drift, -1, -2))
+        empty = np.zeros((*off.shape[:-2], off.shape[-1], off.shape[-1]))
+        full = np.concatenate(
+            [np.concatenate([corner, off], -1), np.concatenate([np.swapaxes(off, -1, -2), empty], -1)], -2
+        )
+        return np.asarray(scale.T @ full @ scale)
+
+    still = np.zeros((len(both), n + posed.Qw.shape[0], n + posed.Qw.shape[0]))
+    still[:, :n, :n], still[:, n:, n:] = -(slope + posed.eta * both), posed.Qw
+    F, FD = scale.T @ still @ scale + forms(M), forms(D)
+    values, vectors = np.linalg.eigh(F)
+    signs = np.zeros(FD.shape[:3])
+    for _ in range(TURNS):
+        v = vectors[..., 0]
+        signs = np.where(np.einsum("dkeij,kei,kej->dke", FD, v, v) > 0, -1.0, 1.0)
+        values, vectors = np.linalg.eigh(F + np.einsum("dke,dkeij->keij", signs, FD))
+    least = values[..., 0]
+    found: dict[tuple[int, bytes], Array] = {}
+    for at in np.argsort(least, axis=None)[: 4 * JOINING]:
+        k, e = np.unravel_index(at, least.shape)
+        if least[k, e] < 0 and len(found) < JOINING:
+            sign = signs[:, k, e]
+            found[int(k), sign.tobytes()] = search.hull.middle[k] + np.tensordot(sign, far[:, k], 1)
+    return np.array(list(found.values())).reshape(len(found), *search.hull.middle.shape[1:])
+
+
+def worst(least: Array, chosen: list[int]) -> list[int]:
+    """Those that are violated most and not chosen yet."""
+    return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in chosen]
+
+
+def solve_stiff(search: InclusionSearch, eta: float, pieces: int, narrow: bool) -> Fitted | None:
+    """A P(tau) of large slack, or the narrowest that leaves some."""
+
+    def posing(T: Array) -> tuple[Posed, Array]:
+        return search.inner(eta, pieces, T)
+
+    best: Fitted | None = None
+    for share, join in STAGES:
+        before = 0.0
+        for _ in range(TURNS):
+            T = search.inner(eta, pieces)[1] if best is None else best.T
+            found = fitted(search, posing, T, InclusionProgram.slackest, share, join)
+            if found is None:
+                return None
+            best = found
+            if found.slack > SLACK_ENOUGH or found.slack < 1.2 * before:
+                break
+            before = found.slack
+    while narrow and best is not None and best.lam > 1.05:
+        ratio = float(best.lam**DRAWN)
+        found = fitted(search, posing, best.T, partial(InclusionProgram.within, ratio=ratio), 1.0, True)
+        if found is None or found.slack < LEAST_SLACK or not found.lam < 0.98 * best.lam:
+            break
+        best = found
+    return best
+
+
+def flow_slacks(posed: Posed, P: Array) -> Array:
+    """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
+    n, ends = posed.n, 2 * (len(P) - 1)
+    scale = flow_scale(posed)
+    h = np.diff(posed.nodes)[:, None, None]
+    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
+    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
+    least = []
+    for first in range(0, len(posed.dynamics), MEMBERS):
+        M = posed.dynamics[first : first + MEMBERS, None]
+        drift, off = both @ M[..., :n], -(both @ M[..., n:])
+        corner = -(slope + drift + np.swapaxes(drift, 2, 3) + posed.eta * both)
+        Q = np.broadcast_to(posed.Qw, (len(M), ends, *posed.Qw.shape))
+        form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
+        least.append(np.linalg.eigvalsh(scale.T @ form @ scale)[..., 0].min(axis=1))
+    return np.concatenate(least)
+
+
+def jump_slacks(posed: Posed, P: Array) -> Array:
+    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
+    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
+    own = posed.centre.T @ posed.Rt @ posed.centre
+    seen = cross + np.swapaxes(cross, 1, 2) - own
+    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
+    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))

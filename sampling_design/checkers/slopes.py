@@ -23,8 +23,8 @@ Parts = tuple[Array, Array]
 def halves(x: Interval) -> Parts:
     """A middle and a radius of each interval: certainly within; radius 0 where both ends are one number."""
     whole = np.isfinite(x.low) & np.isfinite(x.high)
-    middle = np.where(whole, x.low / 2 + x.high / 2, 0.0)
     with np.errstate(invalid="ignore"):
+        middle = np.where(whole, x.low / 2 + x.high / 2, 0.0)
         radius = np.maximum(np.nextafter(x.high - middle, np.inf), np.nextafter(middle - x.low, np.inf))
     return middle, np.where(whole, np.where(x.low == x.high, 0.0, radius), np.inf)
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import DAY, constants_of, loop
@@ -132,6 +133,8 @@ def logarithmic_thyroid(
     """
     rows = _checks.matrix("basis", basis, 6, 6)
     values, unit = constants_of(patient, w_reading, changes)
+    if np.linalg.matrix_rank(rows) < 6:
+        raise ArgumentError("`basis` must be invertible: each state is some product of powers of the coordinates.")
     back = np.asarray(np.linalg.inv(rows), dtype=np.float64)
     back[np.abs(back) < 1e-12] = 0.0  # a zero that is not exact would tie all coordinates together
 
@@ -162,3 +165,23 @@ def powers(z: SX, back: Array) -> Callable[..., SX]:
         return found
 
     return power
+
+
+TUBE_LOWER = (-0.56, -0.5, -0.45, -0.46, -0.08, -0.2)
+TUBE_UPPER = (0.1, 0.05, 0.16, 0.06, 0.2, 0.08)
+"""The tube about the untreated patient, T4 from 13.1 to 22.7 nmol/l: the paper's x(0), its prior, their way to rest."""
+
+
+def patient_in_tube() -> NonlinearPlant:
+    """Return the untreated patient in the region for which `examples/data/thyroid_patient.json` is a theorem.
+
+    No hormone is taken. A sample is taken to show of each output what it shows where the output is least.
+
+    Examples
+    --------
+    >>> patient_in_tube().region.holds(logarithms([4.4e-13, 2.1e-8, 9.6e-10, 2.1e-9, 4.5, 4.8])).item()
+    True
+    """
+    plant = logarithmic_thyroid().with_bounds(inputs=(0.0, 0.0))
+    T4, T3_p, TSH = TUBE_LOWER[1], TUBE_LOWER[2], TUBE_LOWER[4]
+    return plant.in_region(TUBE_LOWER, TUBE_UPPER, about=(0.0, T4, T3_p, -0.2, TSH, 0.0))

@@ -38,7 +38,7 @@ STAGES = ((0.0, False), (0.3, False), (1.0, False), (1.0, True))
 """Coordinates are found first for members near their middle, then for those that begin, then for all that join."""
 DRAWN = 0.6
 """Power of lambda that is asked for in the next turn."""
-LEAST_SLACK = 0.1
+LEAST_SLACK = 0.3
 """A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
 FASTEST, MEMBERS = 1e3, 512
 """Rates per longest gap beyond which a plant is stiff; members whose eigenvalues are found at once."""

@@ -1,0 +1,20 @@
+"""The certificate of the thyroid patient, made anew: `python -m tests.benchmarks.thyroid_theorem [FILE]`."""
+
+import sys
+import time
+
+import numpy as np
+
+from sampling_design import GapRange
+from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.nonlinear.thyroid import NOISE_BOUND, PROCESS_BOUND
+from sampling_design.nonlinear.thyroid_logs import patient_in_tube
+
+if __name__ == "__main__":
+    began = time.process_time()
+    Qw, R = np.diag(1e4 / PROCESS_BOUND**2), np.diag(2e-2 / NOISE_BOUND**2)
+    found = certify_inclusion(patient_in_tube(), GapRange(0.5, 1.5), eta=0.45, Qw=Qw, R=R, pieces=3)
+    print(found)
+    print(f"{time.process_time() - began:.1f} s of processor time")
+    if len(sys.argv) > 1:
+        found.save(sys.argv[1])

@@ -1,0 +1,97 @@
+"""The patient in logarithms is the patient, and the region holds the course for which the certificate is a theorem."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sampling_design import load_certificate
+from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear.simulation import simulate
+from sampling_design.nonlinear.thyroid import PRIOR_START, PROCESS_BOUND, TRUE_START, thyroid
+from sampling_design.nonlinear.thyroid_logs import logarithmic_thyroid, logarithms, patient_in_tube
+
+FILE = Path(__file__).parents[2] / "examples" / "data" / "thyroid_patient.json"
+DAYS = np.concatenate([[0.0], np.geomspace(1e-7, 0.5, 20), np.arange(1.0, 21.0)])
+
+
+@pytest.mark.parametrize("basis", [None, np.eye(6)])
+def test_both_forms_are_one_plant(basis):
+    more = {} if basis is None else {"basis": basis}
+    u = np.tile([1e-12, 1e-14], (7, 1))
+    times = np.linspace(0.0, 3.0, 7)
+    plain = simulate(thyroid(), PRIOR_START, times, u=u)
+    logs = simulate(logarithmic_thyroid(**more), logarithms(PRIOR_START, *more.values()), times, u=u)
+    assert logs == pytest.approx(logarithms(plain, *more.values()), abs=1e-7)
+    outputs = [form.h(state) for form, state in ((thyroid(), plain[-1]), (logarithmic_thyroid(**more), logs[-1]))]
+    assert outputs[0] == pytest.approx(outputs[1], rel=1e-7)
+
+
+def test_a_singular_basis_is_refused():
+    with pytest.raises(ArgumentError, match="`basis` must be invertible"):
+        logarithmic_thyroid(basis=np.ones((6, 6)))
+
+
+@pytest.mark.parametrize("start", [TRUE_START, PRIOR_START])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_region_holds_start_prior_and_course(start, sign):
+    w = sign * np.tile(PROCESS_BOUND, (DAYS.size, 1)) * np.where(np.arange(DAYS.size) % 2, 1.0, -1.0)[:, None]
+    states = simulate(thyroid(), start, DAYS, w=w)
+    assert patient_in_tube().region.holds(logarithms(states)).all()
+
+
+@pytest.fixture(scope="module")
+def certificate():
+    return load_certificate(FILE)
+
+
+def test_the_patient_is_certified_for_gaps_of_12_to_36_hours(certificate):
+    assert certificate.verify().verdict == "proven"
+    assert (certificate.family.shortest, certificate.family.longest) == (0.5, 1.5)
+    assert certificate.horizon("arrival").minimum < 5.0  # days: the paper's own horizon
+    assert certificate.model_data == patient_in_tube().model_to_dict()
+
+
+@pytest.mark.parametrize("wrong", ["rate", "region", "lambda"])
+def test_what_the_file_does_not_prove_is_not_proven(certificate, wrong):
+    data = json.loads(FILE.read_text())
+    if wrong == "rate":
+        data["eta"] = 2.0
+    elif wrong == "region":
+        data["model"]["x"]["high"][4] = 3.0
+    else:
+        data["lam"] = data["lam_samples"] = 1.5
+    from sampling_design.certificates.rigorous.decide import judged
+
+    data.pop("digest")
+    assert not judged(data, False, 0.0).passed
+
+
+def test_no_pair_of_patients_violates_it(certificate):
+    """V along pairs of trajectories with disturbances that push them apart."""
+    plant, c, rng = patient_in_tube(), certificate, np.random.default_rng(0)
+    gaps = np.array([0.5, 1.5, 1.5, 0.7])
+    starts = logarithms(np.array([TRUE_START, PRIOR_START, 1.1 * TRUE_START]))
+    runs = []
+    for start in starts:
+        state, states = start, []
+        for gap in gaps:
+            w = np.tile(PROCESS_BOUND * rng.choice([-1.0, 1.0], 2), (4, 1))
+            run = simulate(plant, state, np.linspace(0.0, gap, 4), w=w)
+            states.append((run, w[0]))
+            state = run[-1]
+        runs.append(states)
+    for one, two in ((0, 1), (1, 2), (0, 2)):
+        d = runs[one][0][0][0] - runs[two][0][0][0]
+        allowed = float(d @ c.P2 @ d)
+        for k, gap in enumerate(gaps):
+            (a, wa), (b, wb) = runs[one][k], runs[two][k]
+            for i in range(1, 4):
+                tau, dt = gap * i / 3, gap / 3
+                push = float((wa - wb) @ c.Qw @ (wa - wb))
+                allowed = allowed * np.exp(-c.eta * dt) + push * (1 - np.exp(-c.eta * dt)) / c.eta
+                d = a[i] - b[i]
+                assert float(d @ c.at(tau) @ d) <= allowed * (1 + 1e-6)
+            dy = plant.h(a[-1]) - plant.h(b[-1])
+            allowed += float(dy @ c.Rtilde @ dy)

@@ -102,6 +102,7 @@ def test_the_patient_has_instructions_too():
     ("make", "match"),
     [
         (lambda: StateRegion([1.0], [0.0]), "`lower` and `upper` of a region must be vectors"),
+        (lambda: StateRegion([0.0], [1.0], about=[2.0]), "`about` must lie between `lower` and `upper` of the region"),
         (lambda: examples.pendulum().in_region([0.0], [1.0]), "`region` must be a StateRegion of 2 states"),
         (lambda: examples.van_der_pol("polar"), '`coordinates` must be "lienard" or "velocity"'),
         (

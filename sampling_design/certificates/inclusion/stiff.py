@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Posing = Callable[[Array], tuple[Posed, Array]]
-Solve = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
+Solver = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
 
 TURNS = 6
 """Turns in which coordinates are found."""
@@ -78,7 +78,7 @@ def pace(A: Array, scales: Array, longest: float) -> Array:
     return np.asarray(unit @ np.linalg.cholesky((P + P.T) / 2))
 
 
-def fitted(search: InclusionSearch, posing: Posing, T: Array, solve: Solve, share: float, join: bool) -> Fitted | None:
+def fitted(search: InclusionSearch, posing: Posing, T: Array, solve: Solver, share: float, join: bool) -> Fitted | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
     for _ in range(ROUNDS):
         posed, _T = posing(T)

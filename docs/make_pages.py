@@ -44,6 +44,7 @@ WRITTEN |= {
     "changelog",
     "installation",
     "first_hour",
+    "journeys",
     "gallery",
     "exercises",
     "glossary",

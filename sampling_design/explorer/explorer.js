@@ -14,6 +14,7 @@ const STYLE = `
 .sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
 .sd .told { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
 .sd .mend button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
+.sd .stale { opacity: 0.3; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
 const short = (x) => (x === null || x === undefined ? "–" : Number(x).toPrecision(4).replace(/\.?0+($|e)/, "$1"));
@@ -207,6 +208,7 @@ export async function mount(element, ask) {
 
   function drawAccuracy(answer) {
     errors.replaceChildren();
+    errors.classList.remove("stale");
     unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : answer.told.join("\n");
     if (answer.error) return;
     const one = 90;
@@ -231,6 +233,7 @@ export async function mount(element, ask) {
   const SHADES = ["#767676", "#9b6205", "#2b6398", "#20793e", "#910d11", "#222222"];
   function drawShadow(answer) {
     set.replaceChildren();
+    set.classList.remove("stale");
     if (answer.error) return html("p", { class: "told" }, set, answer.error);
     const seen = answer.steps.filter((step) => step.corners.length);
     html("p", {}, set, seen.length ? "What the samples leave possible at the end of the period, one after the other:" : "So few samples leave everything possible.");
@@ -266,8 +269,16 @@ export async function mount(element, ask) {
     });
   }
 
-  const live = () => send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
+  /* What belongs to earlier places of the marks is pale until it is answered anew. */
+  function stale() {
+    for (const part of [errors, set]) if (part) part.classList.add("stale");
+  }
+  function live() {
+    stale();
+    send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
+  }
   function settled() {
+    stale();
     unknown.textContent = "";
     send({ ask: "sigma", marks }, (answer) => {
       drawSigma(answer);

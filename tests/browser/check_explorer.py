@@ -72,6 +72,10 @@ def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
         page.wait_for_timeout(60)
         curves.append(page.locator(".sigma .curve").get_attribute("d"))
     assert len(set(curves)) > 6, "the curve does not follow while the sample moves"
+    assert page.locator(".accuracy.stale, .accuracy:empty").count() == 1, (
+        "what is no longer true is shown as if it were"
+    )
+    until(page, "document.querySelector('.accuracy path') && !document.querySelector('.stale')")
     until(page, "document.querySelector('.told').textContent === ''")
     assert proven(page) > 0.1
     page.wait_for_selector(".accuracy path")
@@ -97,7 +101,7 @@ def test_a_plan_on_its_button(explorer, page, shot):
     shot(page, "explorer-tolerance-broken")
     page.get_by_role("button", name="Plan").click()
     until(page, "document.querySelector('.said').textContent.includes('No admissible plan')", 120)
-    until(page, "document.querySelector('.unknown').textContent === ''")
+    until(page, "document.querySelector('.unknown').textContent === '' && !document.querySelector('.stale')")
     after = page.locator(".mark").evaluate_all("marks => marks.map((m) => m.getAttribute('aria-valuenow'))")
     assert len(after) == 3
     assert after != before

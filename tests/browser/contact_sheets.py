@@ -19,6 +19,8 @@ SHOWN = {"desk": 760, "phone": 390}
 """Pixels that a page is wide on a sheet."""
 SHEET = (1560, 1560)
 GAP = 14
+LISTS = ("genindex.html", "py-modindex.html", "search.html")
+"""Pages that nobody reads from top to bottom, left out unless they are named."""
 TALLEST = 30_000
 """Pixels of a page beyond which the rest is cut off; a word on the sheet says so."""
 
@@ -67,7 +69,7 @@ def main() -> None:
     html, out, words = Path(sys.argv[1]).resolve(), Path(sys.argv[2]), sys.argv[3:]
     out.mkdir(parents=True, exist_ok=True)
     names = sorted(str(p.relative_to(html)) for p in html.rglob("*.html") if "_static" not in p.parts)
-    names = [name for name in names if not words or any(word in name for word in words)]
+    names = [name for name in names if (any(word in name for word in words) if words else name not in LISTS)]
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=list(FLAGS))
         for kind, (width, height) in WIDTHS.items():

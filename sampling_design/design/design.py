@@ -18,7 +18,7 @@ from sampling_design.design.bounds.evidence import UpperBound, first_bound, quic
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
-from sampling_design.design.problem.canonical import CanonicalDesign, canonical
+from sampling_design.design.problem.canonical import CanonicalDesign, canonical, tied_again
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
@@ -355,6 +355,7 @@ class _Run:
             return []
         count = parts(sized.canon.inside)
         times, chosen = unfolded(sized.problem, count, found.times * sized.canon.time, chosen)
+        times = tied_again(sized.problem, times)
         return [(times, chosen, found.sigma)] if is_admissible(sized.problem, times) else []
 
     def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:

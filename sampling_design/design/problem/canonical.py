@@ -1,13 +1,16 @@
 """A design problem in canonical units, in which bounds are sought and schedules are searched.
 
-Time is counted in windows, outputs in the largest entry of C, and every number is cut to forty binary digits: what
-other units change is the last digits, so that the same problem in any units is the same to the last bit, and so is
-every step of the search. Nothing is claimed of it: what it finds is brought back and proven for the problem itself.
+Time is counted in windows, or in parts of it where the period is a whole number of them too, so that samples that
+leave a window at the instant at which others enter do so to the last bit. Outputs are counted in the largest entry of
+C, and every number is cut to forty binary digits: what other units change is the last digits, so that the same problem
+in any units is the same to the last bit, and so is every step of the search. Nothing is claimed of it: what it finds
+is brought back and proven for the problem itself.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,8 @@ Array = npt.NDArray[np.float64]
 BITS = 40
 """Binary digits that are kept: far above rounding, far below the tolerance of every search."""
 
+_SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
+_MOST_PARTS = 64  # of a window or a period: larger ratios are met by chance
 _BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to a fixed one, is meant to lie on it
 
 
@@ -40,7 +45,7 @@ class CanonicalDesign:
             t[(t < a) & (t > a - near)] = a
         for a in problem.fixed:
             t[np.argmin(np.abs(t - a))] = a
-        return np.sort(t)
+        return np.sort(tied_again(problem, t))
 
     def spans(self, zones: Array, inner: Array, outer: Array) -> Array:
         """Zones of the inside, outside: what are ends of `inner`, from which they were cut, are ends of `outer`."""
@@ -49,7 +54,9 @@ class CanonicalDesign:
 
 def canonical(problem: DesignProblem) -> CanonicalDesign:
     """Return the problem in canonical units."""
-    plant, time = problem.plant, problem.window
+    plant = problem.plant
+    windows, periods = ratio_of(problem) or (1, 0)
+    time = problem.window / windows
     size = float(np.max(np.abs(plant.C), initial=0.0)) or 1.0
 
     def spans(times: Array) -> Array:
@@ -59,14 +66,43 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
     inside = replace(
         problem,
         plant=Plant(_cut(plant.A * time), _cut(plant.C / size)),
-        window=1.0,
-        period=float(_cut(problem.period / time)),
+        window=float(windows),
+        period=float(periods or _cut(problem.period / time)),
         spacing=float(spacing - np.ldexp(0.5, int(np.frexp(spacing)[1]) - BITS + 1)),  # never wider than was asked
         forbidden=spans(problem.forbidden),
         fixed=spans(problem.fixed),
         available=tuple(None if a is None else spans(a) for a in problem.available),
     )
     return CanonicalDesign(problem, inside, time, size)
+
+
+def tied_again(problem: DesignProblem, times: Array) -> Array:
+    """The times with those tied to the last bit that are tied to rounding, fixed ones as they are.
+
+    Where the period is a whole number of parts by which the window differs from whole periods, samples that lie that
+    far apart leave and enter windows together.
+    """
+    ratio = ratio_of(problem)
+    if ratio is None or ratio[1] < 2:
+        return times
+    part, t = problem.period / ratio[1], np.array(times)
+    order = np.argsort(~np.isin(t, problem.fixed), kind="stable")  # fixed ones lead
+    for place, i in enumerate(order):
+        apart = (t[i] - t[order[:place]]) / part
+        near = np.flatnonzero(np.abs(apart - np.rint(apart)) * part <= _BESIDE * problem.period)
+        if near.size and not np.isin(t[i], problem.fixed):
+            t[i] = t[order[near[0]]] + np.rint(apart[near[0]]) * part
+    return t
+
+
+def ratio_of(problem: DesignProblem) -> tuple[int, int] | None:
+    """Window and period as small whole multiples of one time; None where they are none."""
+    ratio = problem.window / problem.period
+    if not 1 / _MOST_PARTS <= ratio <= _MOST_PARTS:
+        return None
+    near = Fraction(ratio).limit_denominator(_MOST_PARTS)
+    same = abs(float(near) - ratio) <= _SAME_RATIO * ratio and near.numerator <= _MOST_PARTS
+    return (near.numerator, near.denominator) if same else None
 
 
 def _cut(numbers: npt.ArrayLike) -> Array:

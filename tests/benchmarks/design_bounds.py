@@ -1,0 +1,148 @@
+"""How close the bound of a design is, kind by kind: the table of docs/theory/sigma.md.
+
+    python -m tests.benchmarks.design_bounds [--random 59] [--search] [KIND ...]
+
+prints gap, bound and seconds of every problem; `--search` lets a global search of ten times the design's time try to
+beat each bound. The problems are fixed: what a change of the bounds does is seen by running both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from sampling_design import Plant, Requirement, design_schedule, library
+from sampling_design.errors import InfeasibleRequirementError
+from tests.benchmarks.bench_design import daylight, oscillators
+from tests.oracles.requirements import random_problem
+
+PAIR = oscillators(4)
+TWO = Plant(PAIR.A, [[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+
+
+def spiral(growth):
+    """Growth over a window of one turn."""
+    rate = growth / (2 * np.pi)
+    return Plant([[rate, 1.0], [-1.0, rate]], [[1.0, 0.0]])
+
+
+def jordan(growth):
+    """Two equal growing modes, chained, over a window of 1."""
+    return Plant([[growth, 1.0], [0.0, growth]], [[1.0, 0.0]])
+
+
+def close_frequencies(count, step):
+    """Oscillators whose frequencies hardly differ."""
+    w = 1.0 + step * np.arange(count)
+    return Plant(np.kron(np.diag(w), [[0.0, 1.0], [-1.0, 0.0]]), np.tile([[1.0, 0.0]], count))
+
+
+def forty_states(outputs):
+    """Ten oscillators that are retained beside twenty decaying states, in random coordinates."""
+    rng = np.random.default_rng(40)
+    A = np.zeros((40, 40))
+    for i in range(10):
+        w = 1.0 + 0.7 * i
+        A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0.0, w], [-w, 0.0]]
+    A[20:, 20:] = -np.diag(np.linspace(0.5, 4.0, 20))
+    Q = np.linalg.qr(rng.normal(size=(40, 40)))[0]
+    return Plant(Q @ A @ Q.T, rng.normal(size=(outputs, 40)) @ Q.T)
+
+
+def asked(window, samples, spacing=0.02, **more):
+    """A requirement whose spacing is given in windows."""
+    return Requirement(window=window, samples=samples, spacing=spacing * window, **more)
+
+
+TURN = 2 * np.pi
+PROBLEMS = {
+    "spiral e^5": (spiral(5.0), asked(TURN, 4)),
+    "spiral e^10": (spiral(10.0), asked(TURN, 4)),
+    "spiral e^20": (spiral(20.0), asked(TURN, 4)),
+    "Jordan e^10": (jordan(10.0), asked(1.0, 4)),
+    "Jordan e^20": (jordan(20.0), asked(1.0, 4)),
+    "fixed times, two": (OSCILLATOR, asked(TURN, 4, fixed=[0.0, 2.5])),
+    "fixed times, three of six": (PAIR, asked(TURN, 6, fixed=[0.0, 0.9, 3.3])),
+    "cost limit, two outputs": (
+        TWO,
+        asked(TURN, 5, outputs={"y1": {"cost": 1.0}, "y2": {"cost": 2.0}}, cost_limit=9.0),
+    ),
+    "cost limit, one oscillator": (
+        Plant(OSCILLATOR.A, np.eye(2)),
+        asked(TURN, 4, outputs={"y1": {"cost": 1.0}, "y2": {"cost": 3.0}}, cost_limit=8.0),
+    ),
+    "irregular hours": (OSCILLATOR, asked(TURN, 4, forbidden=[[0.4, 1.7], [2.9, 3.6], [5.0, 5.3]])),
+    "irregular hours, two oscillators": (PAIR, asked(TURN, 6, forbidden=[[0.4, 1.7], [2.9, 3.6], [5.0, 5.3]])),
+    "one sample a period": (spiral(3.0), asked(TURN, 1, period=TURN / 2.6)),
+    "one sample a period, integrators": (Plant(np.eye(3, k=1), [[1.0, 0.0, 0.0]]), asked(5.0, 1, period=1.1)),
+    "eight integrators": (Plant(np.eye(8, k=1), np.eye(1, 8)), asked(4.0, 10)),
+    "eight states, close frequencies": (close_frequencies(4, 0.1), asked(TURN, 12)),
+    "20 of 40 states, 2 outputs": (forty_states(2), asked(TURN, 20)),
+    "20 of 40 states, 4 outputs": (forty_states(4), asked(TURN, 10)),
+    "tidal gauge, 30 by daylight": (
+        library.tidal_gauge(),
+        Requirement(window=720.0, period=720.0, spacing=5.0, samples=30, forbidden=daylight(30)),
+    ),
+}
+
+
+def measured(plant, requirement):
+    """A design and its processor seconds."""
+    began = time.process_time()
+    design = design_schedule(plant, requirement)
+    return design, time.process_time() - began
+
+
+def random_ones(count):
+    """The first `count` random small problems that have an answer that sees every state, without a target."""
+    seed = 0
+    while count:
+        problem = random_problem(np.random.default_rng(seed))
+        seed += 1
+        if problem.target_sigma is not None:
+            continue
+        plant, requirement = Plant(problem.A, problem.C), Requirement(**problem.requirement)
+        try:
+            design, seconds = measured(plant, requirement)
+        except InfeasibleRequirementError:
+            continue
+        if design.upper_bound > 0:
+            count -= 1
+            yield seed - 1, plant, requirement, design, seconds
+
+
+def line(name, design, seconds):
+    """One row of the table."""
+    bounds = [design.bound, *design.other_counts.values()]
+    widest = max(bounds, key=lambda bound: bound.value)
+    return (
+        f"| {name} | {100 * design.gap:.2f} % | {design.sigma:.4g} | {design.upper_bound:.4g} | {widest.method}, "
+        f"{len(widest.parts)} | {seconds:.1f} s |"
+    )
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("kinds", nargs="*")
+    parser.add_argument("--random", type=int, default=0)
+    parser.add_argument("--search", action="store_true")
+    given = parser.parse_args()
+    print("| problem | gap | sigma | bound | by, parts | processor time |\n|---|---|---|---|---|---|", flush=True)
+    for name, (plant, requirement) in PROBLEMS.items():
+        if given.kinds and not any(kind in name for kind in given.kinds):
+            continue
+        print(line(name, *measured(plant, requirement)), flush=True)
+    gaps = []
+    for seed, _, _, design, seconds in random_ones(given.random):
+        gaps.append(design.gap)
+        print(line(f"random {seed}", design, seconds), flush=True)
+    if gaps:
+        print(f"\n{sum(gap > 0.03 for gap in gaps)} of {len(gaps)} above 3 %, {sum(gap > 0.1 for gap in gaps)} above 10 %")
+
+
+if __name__ == "__main__":
+    main()

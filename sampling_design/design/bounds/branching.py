@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, zone_part
 from sampling_design.design.bounds.zone_bound import NARROW, ZoneRelaxation, matters
-from sampling_design.design.bounds.zones import SIDES, Side, halves, lateness, origin_zones, tightened, turn, zoned
+from sampling_design.design.bounds.zones import Side, halves, lateness, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -55,19 +55,9 @@ def narrowed(
     priced = any(part.price > 0 for part in bound.parts)
     if steps < problem.samples or priced or not zoned(problem) or bound.value <= target * (1 + rtol):
         return bound
-    sides = (bound.parts[0].side,) if bound.method == "zones" else SIDES
-    roots: list[_Box] = []
-    for side in sides:
-        if time.perf_counter() <= deadline:
-            root = _box(problem, origin_zones(problem, side), side, deadline=deadline)
-            roots += [] if root is None else [root]
-    if not roots or time.perf_counter() > deadline:
+    tree = _rooted(problem, bound, target * (1 + rtol), deadline)
+    if tree is None:
         return bound
-    tree = _BoxTree(problem, target * (1 + rtol), min(roots), deadline)
-    if turn(problem) == 0:
-        tree.split_by_lateness()
-    else:
-        tree.add(tree.root.part.zones, tree.root)
     for step in range(steps):
         if time.perf_counter() > deadline or not tree.cut():
             break
@@ -76,11 +66,34 @@ def narrowed(
     return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 
+def _rooted(problem: DesignProblem, bound: UpperBound, enough: float, deadline: float) -> _BoxTree | None:
+    """The tree before any cut, counted from the sample that promises most; None where time is up."""
+    best: list[_Box] | None = None
+    for side in (bound.parts[0].side,) if bound.method == "zones" else sides(problem):
+        roots = []
+        for region in regions(problem, side):
+            if time.perf_counter() > deadline:
+                return None
+            root = _box(problem, region, side, deadline=deadline)
+            roots += [] if root is None else [root]
+        if roots and (best is None or min(roots).rank > min(best).rank):
+            best = roots
+    if best is None or time.perf_counter() > deadline:
+        return None
+    tree = _BoxTree(problem, enough, deadline)
+    for root in best:
+        if turn(problem) == 0 and root.part.side != "sorted":
+            tree.split_by_lateness(root)
+        else:
+            tree.keep(root)
+    return tree
+
+
 class _BoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
-    def __init__(self, problem: DesignProblem, enough: float, root: _Box, deadline: float = np.inf) -> None:
-        self.problem, self.enough, self.root, self.deadline = problem, enough, root, deadline
+    def __init__(self, problem: DesignProblem, enough: float, deadline: float = np.inf) -> None:
+        self.problem, self.enough, self.deadline = problem, enough, deadline
         self.open: list[_Box] = []
         self.closed: list[BoundPart] = []
         self.made = 0
@@ -95,9 +108,9 @@ class _BoxTree:
         """The bound of all parts."""
         return max(part.value for part in self.parts)
 
-    def split_by_lateness(self) -> None:
+    def split_by_lateness(self, root: _Box) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
-        rest, late = self.root.part.zones, self.root.part.side == "late"
+        rest, late = root.part.zones, root.part.side == "late"
         mean = self.problem.period / self.problem.samples
         for index in range(1, len(rest)):
             cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
@@ -105,9 +118,9 @@ class _BoxTree:
                 break
             if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:
                 below, above = halves(rest, index, cut)
-                self.add(above if late else below, self.root)
+                self.add(above if late else below, root)
                 rest = below if late else above
-        self.add(rest, self.root)
+        self.add(rest, root)
 
     def cut(self) -> bool:
         """Cut the box with the largest bound in two; False where nothing is left to gain."""
@@ -125,8 +138,11 @@ class _BoxTree:
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
         box = _box(self.problem, zones, wider.part.side, wider, self.deadline)
-        if box is None:
-            return
+        if box is not None:
+            self.keep(box)
+
+    def keep(self, box: _Box) -> None:
+        """Keep a bounded box, open where its bound is not enough."""
         if box.part.value > self.enough:
             box = _evened(self.problem, box)
         self.made += 1

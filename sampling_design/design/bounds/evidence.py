@@ -18,7 +18,7 @@ from sampling_design.design.bounds.averaged import averaged_bound, relax_average
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
-from sampling_design.design.bounds.zones import SIDES, Side, covered, origin_zones, tightened, turn, zoned
+from sampling_design.design.bounds.zones import SIDES, Side, covered, region_of, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
@@ -43,7 +43,7 @@ class BoundPart:
 
     `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
     windows that start at `starts`. The zones count from the sample after which all others come "late", or
-    "early" (`side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
+    "early", or from a fixed one, or the first of the period ("sorted": `side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
     their samples lie, and is the only method that knows fixed times; `price` is its multiplier of the cost
     limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
     the sample.
@@ -122,23 +122,34 @@ class UpperBound:
         if any(part.method in ("placed", "alone") for part in self.parts):
             return len(self.parts) == 1
         fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
-        sides = {part.side for part in self.parts}
-        if len(sides) != 1 or not fits or not zoned(problem):
+        found = {part.side for part in self.parts}
+        if len(found) != 1 or not fits or not zoned(problem):
             return False
-        side = sides.pop()
-        return covered(problem, origin_zones(problem, side), [part.zones for part in self.parts], side)
+        side = found.pop()
+        if side not in sides(problem):
+            return False
+        boxes: dict[int | None, list[Array]] = {}
+        for part in self.parts:
+            boxes.setdefault(region_of(problem, side, part.zones), []).append(part.zones)
+        whole = regions(problem, side)
+        return None not in boxes and all(covered(problem, r, boxes.get(i, []), side) for i, r in enumerate(whole))
 
     def brought_back(self, canon: CanonicalDesign) -> UpperBound:
         """The multipliers found in canonical units as a bound of the problem itself, worked out for it anew."""
-        regions = {}
-        for side in {part.side for part in self.parts if part.zones.size}:
-            regions[side] = origin_zones(canon.inside, side), origin_zones(canon.outside, side)
+        inner = {part.side: regions(canon.inside, part.side) for part in self.parts if part.zones.size}
+        outer = {side: regions(canon.outside, side) for side in inner}
         parts = []
         for part in self.parts:
+            zones = part.zones
+            if zones.size:
+                home = region_of(canon.inside, part.side, zones)
+                if home is None or len(inner[part.side]) != len(outer[part.side]):  # nothing is proven of it outside
+                    return UpperBound(np.inf, tuple(replace(part, value=np.inf) for part in self.parts))
+                zones = canon.spans(zones, inner[part.side][home], outer[part.side][home])
             bare = replace(
                 part,
                 starts=part.starts * canon.time,
-                zones=canon.spans(part.zones, *regions[part.side]) if part.zones.size else part.zones,
+                zones=zones,
                 tilt=part.tilt * (canon.size**2 / canon.time),
                 price=part.price * canon.size**2,
             )
@@ -157,7 +168,7 @@ class UpperBound:
         ------
         ArgumentError
             If a key is missing or unknown, an array is no such array, a part names an unknown method, or its `side` is
-            neither "late" nor "early".
+            none of "late", "early" and "sorted".
         """
         parts = []
         found = _table("a bound", data, ("value", "parts"))["parts"]
@@ -166,7 +177,7 @@ class UpperBound:
         for entry in found:
             _table("a part of a bound", entry, tuple(BoundPart.__dataclass_fields__))
             if entry["side"] not in SIDES:
-                raise ArgumentError(f"a bound's `side` must be late or early, got {entry['side']!r}.")
+                raise ArgumentError(f"a bound's `side` must be one of {', '.join(SIDES)}, got {entry['side']!r}.")
             if entry["method"] not in METHODS:
                 raise ArgumentError(f"a bound's `method` must be one of {', '.join(METHODS)}, got {entry['method']!r}.")
             arrays = {key: _checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
@@ -323,9 +334,9 @@ def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np
     if problem.fixed.size == problem.samples and not problem.is_costly:
         parts.append(fixed_part(problem))
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
-        for side in SIDES:
+        for side in sides(problem) if sides(problem) != ("sorted",) else ():
             if time.perf_counter() <= deadline:
-                root = zone_part(problem, origin_zones(problem, side), side, deadline=deadline)
+                root = zone_part(problem, regions(problem, side)[0], side, deadline=deadline)
                 parts += [] if root is None else [root[0]]
     best = min(parts, key=lambda p: p.value)
     return UpperBound(best.value, (best,))

@@ -4,12 +4,17 @@ Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - 
 against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
 j P/k or more, for every j at once (the cycle lemma); from the sample where D is largest, after j P/k or
 less. That sample is the origin: sample 0. Where the requirement may be shifted by `turn`, the origin lies in
-[0, turn], at 0 alone if it may be shifted at will. Every sample then has a zone, and boxes of zones are cut in
-two again and again (`branching`).
+[0, turn], at 0 alone if it may be shifted at will. Where it may not be shifted by less than a period, or times are
+fixed, samples are "sorted": counted from the first of the period, or from a fixed one, and every way to share out the
+others between the fixed ones is a region of its own. Every sample then has a zone, and boxes of zones are cut in two
+again and again (`branching`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations
+from math import comb
 from typing import Literal
 
 import numpy as np
@@ -18,8 +23,11 @@ import numpy.typing as npt
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
-Side = Literal["late", "early"]
-SIDES: tuple[Side, ...] = ("late", "early")
+Side = Literal["late", "early", "sorted"]
+SIDES: tuple[Side, ...] = ("late", "early", "sorted")
+
+MOST_REGIONS = 64
+"""Ways to share out samples between fixed times beyond which zones are not tried."""
 
 TINY = 1e-12
 """Slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone."""
@@ -29,8 +37,16 @@ _SAME = 1e-9  # of the period: what is allowed may differ so near to an end, and
 
 
 def zoned(problem: DesignProblem) -> bool:
-    """Whether zones can bound the problem: two samples or more, and none of them fixed but one that may be turned."""
-    return problem.samples >= 2 and problem.fixed.size <= (1 if _open(problem) else 0)
+    """Whether zones can bound the problem: two samples or more, not all of them fixed, and not too many regions."""
+    spare, fixed = problem.samples - problem.fixed.size, problem.fixed.size
+    return problem.samples >= 2 and spare > 0 and comb(spare + fixed - 1, spare) <= MOST_REGIONS
+
+
+def sides(problem: DesignProblem) -> tuple[Side, ...]:
+    """From which sample the others can be counted."""
+    if problem.fixed.size > (1 if _open(problem) else 0) or turn(problem) == problem.period:
+        return ("sorted",)
+    return ("late", "early")
 
 
 def _open(problem: DesignProblem) -> bool:
@@ -53,6 +69,23 @@ def turn(problem: DesignProblem) -> float:
     return P
 
 
+def regions(problem: DesignProblem, side: Side) -> list[Array]:
+    """Boxes (k, 2) that together hold every schedule, counted from a sample that `side` names; empty ones left out."""
+    if side != "sorted":
+        return [origin_zones(problem, side)]
+    found = [_between(problem, at) for at in _shared_out(problem.samples, problem.fixed.size)]
+    return [zones for zones in found if tightened(problem, zones, side) is not None]
+
+
+def region_of(problem: DesignProblem, side: Side, zones: Array) -> int | None:
+    """Which of the regions a box lies in; None where it lies in none."""
+    tiny = 2 * TINY * problem.period
+    for index, region in enumerate(regions(problem, side)):
+        if np.all(zones[:, 0] >= region[:, 0] - tiny) and np.all(zones[:, 1] <= region[:, 1] + tiny):
+            return index
+    return None
+
+
 def origin_zones(problem: DesignProblem, side: Side) -> Array:
     """(k, 2): where the origin and its followers lie, all other samples being late (or early) after it."""
     k, P = problem.samples, problem.period
@@ -63,6 +96,32 @@ def origin_zones(problem: DesignProblem, side: Side) -> Array:
     low, high = np.minimum(low, high), np.maximum(low, high) + turn(problem)
     low[0], high[0] = 0.0, turn(problem)
     return np.stack([low - TINY * P, high + TINY * P], axis=1)
+
+
+def _shared_out(samples: int, fixed: int) -> Iterator[tuple[int, ...]]:
+    """Which samples of a period are the fixed ones, the first of them first: every way there is."""
+    if fixed == 0:
+        yield ()
+    for rest in combinations(range(1, samples), max(fixed - 1, 0)) if fixed else ():
+        yield (0, *rest)
+
+
+def _between(problem: DesignProblem, at: tuple[int, ...]) -> Array:
+    """Zones of the sorted samples of which those `at` are the fixed ones; without any, of a period from time 0."""
+    k, P, gap = problem.samples, problem.period, problem.spacing
+    if not at:
+        j = np.arange(k)
+        return np.stack([j * gap - TINY * P, P - (k - 1 - j) * gap + TINY * P], axis=1)
+    zones = np.empty((k, 2))
+    ends = [*at, k]
+    times = np.append(problem.fixed, problem.fixed[0] + P)
+    for place, index in enumerate(at):
+        a, b = times[place], times[place + 1]
+        inside = np.arange(1, ends[place + 1] - index)
+        zones[index] = a
+        zones[index + inside, 0] = a + inside * gap
+        zones[index + inside, 1] = b - (ends[place + 1] - index - inside) * gap
+    return np.stack([zones[:, 0] - TINY * P, zones[:, 1] + TINY * P], axis=1)
 
 
 def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
@@ -76,7 +135,7 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
             low, high = _allowed(problem, low, high)
         if side == "late":  # s_j >= s_0 + j P/k
             low, high[0] = np.maximum(low, low[0] + even), np.min(high - even)
-        else:
+        elif side == "early":
             high, low[0] = np.minimum(high, high[0] + even), np.max(low - even)
         low = np.maximum.accumulate(low - apart) + apart
         high = np.minimum.accumulate((high - apart)[::-1])[::-1] + apart

@@ -15,8 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, zone_part
-from sampling_design.design.bounds.zone_bound import NARROW, ZoneRelaxation, matters
+from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, local_part, zone_part
+from sampling_design.design.bounds.local_bound import growth_rate
+from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, halves, lateness, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 
@@ -25,17 +26,30 @@ Progress = Callable[[float, str], None]
 
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried
+_SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows that follow their samples too
+_TINY_BOX = 0.1  # of a mean gap: by these alone
+_STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
+_CLEARLY = 0.9  # of the relaxation's bound: below, the parts of the box need no relaxation
+_LOCAL_COST = 0.04  # of a cut: such a bound takes a fraction of a relaxation's time
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 
 
 @dataclass(order=True)
 class _Box:
-    """A box of zones with its bound; those with the largest bound come first."""
+    """A box of zones with its bound, where to cut it next, and the windows that mattered; largest bounds come first.
+
+    `small` where only windows that follow their samples bound it, `cost` in relaxations.
+    """
 
     rank: float
     number: int
     part: BoundPart = field(compare=False)
-    relaxed: ZoneRelaxation = field(compare=False)
+    index: int = field(compare=False)
+    at: float = field(compare=False)
+    width: float = field(compare=False)
+    hints: Array = field(compare=False)
+    small: bool = field(compare=False)
+    cost: float = field(compare=False)
 
 
 def narrowed(
@@ -58,11 +72,9 @@ def narrowed(
     tree = _rooted(problem, bound, target * (1 + rtol), deadline)
     if tree is None:
         return bound
-    for step in range(steps):
-        if time.perf_counter() > deadline or not tree.cut():
-            break
+    while tree.spent < steps and time.perf_counter() <= deadline and tree.cut():
         if progress:
-            progress((step + 1) / steps, f"bound {tree.value:.6g}, found {target:.6g}")
+            progress(min(tree.spent / steps, 1.0), f"bound {tree.value:.6g}, found {target:.6g}")
     return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 
@@ -74,7 +86,7 @@ def _rooted(problem: DesignProblem, bound: UpperBound, enough: float, deadline: 
         for region in regions(problem, side):
             if time.perf_counter() > deadline:
                 return None
-            root = _box(problem, region, side, deadline=deadline)
+            root = _box(problem, region, side, enough, deadline=deadline)
             roots += [] if root is None else [root]
         if roots and (best is None or min(roots).rank > min(best).rank):
             best = roots
@@ -96,7 +108,7 @@ class _BoxTree:
         self.problem, self.enough, self.deadline = problem, enough, deadline
         self.open: list[_Box] = []
         self.closed: list[BoundPart] = []
-        self.made = 0
+        self.made, self.spent = 0, 0.0
 
     @property
     def parts(self) -> tuple[BoundPart, ...]:
@@ -127,18 +139,18 @@ class _BoxTree:
         if not self.open or self.open[0].part.value <= self.enough:
             return False
         box = self.open[0]
-        zones, index = box.part.zones, box.relaxed.index
-        if box.relaxed.width <= NARROW * self.problem.period / self.problem.samples:
+        if box.width <= NARROW * self.problem.period / self.problem.samples:
             return False
         heapq.heappop(self.open)
-        for half in halves(zones, index, box.relaxed.cut):
+        for half in halves(box.part.zones, box.index, box.at):
             self.add(half, box)
         return True
 
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
-        box = _box(self.problem, zones, wider.part.side, wider, self.deadline)
+        box = _box(self.problem, zones, wider.part.side, self.enough, wider, self.deadline)
         if box is not None:
+            self.spent += box.cost
             self.keep(box)
 
     def keep(self, box: _Box) -> None:
@@ -153,18 +165,41 @@ class _BoxTree:
 
 
 def _box(
-    problem: DesignProblem, zones: Array, side: Side, wider: _Box | None = None, deadline: float = np.inf
+    problem: DesignProblem, zones: Array, side: Side, aim: float, wider: _Box | None = None, deadline: float = np.inf
 ) -> _Box | None:
-    """The box with the smaller of its own bound and that of the wider box's multipliers; None if it is empty."""
-    hints = None if wider is None else matters(problem, wider.relaxed.found)
-    made = zone_part(problem, zones, side, hints, deadline)
-    if made is None:
+    """The box with the smaller of its own bounds and that of the wider box's multipliers; None if it is empty."""
+    tight = tightened(problem, zones, side)
+    if tight is None:
         return None
-    part, relaxed = made
+    found: list[tuple[BoundPart, int, float, float]] = []
+    widths = tight[:, 1] - tight[:, 0]
+    size = float(widths.max()) * problem.samples / problem.period
+    grown = 2 * growth_rate(problem) * float(widths.max())
+    local = local_part(problem, zones, side, aim, deadline) if size <= _SMALL or grown > _STEEP else None
+    if local is not None:
+        part, relaxed = local
+        found.append((part, relaxed.index, float(tight[relaxed.index].mean()), relaxed.width))
+        if part.value <= aim:
+            return _Box(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST)
+    hints = np.zeros(0) if wider is None else wider.hints
+    small = wider is not None and (wider.small or size <= _TINY_BOX or grown > _STEEP)
+    if not small:
+        made = zone_part(problem, zones, side, None if wider is None else hints, deadline)
+        if made is None:
+            return None
+        found.append((made[0], made[1].index, made[1].cut, made[1].width))
+        hints = matters(problem, made[1].found)
+    if not found:
+        index = int(np.argmax(widths))
+        nothing = BoundPart("zones", np.zeros(0), np.zeros((0, 1, 1)), zones, side=side)
+        found.append((nothing, index, float(tight[index].mean()), float(widths[index])))
+    part, index, cut, width = min(found, key=lambda one: one[0].value)
     if wider is not None and part.value > _INHERITS * wider.part.value:
         bare = replace(wider.part, zones=zones)
         part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
-    return _Box(-part.value, 0, part, relaxed)
+    small = small or (part.method == "local" and part.value < _CLEARLY * found[-1][0].value)
+    cost = (0.5 if len(found) == 2 or not small else 0.0) + _LOCAL_COST
+    return _Box(-part.value, 0, part, index, cut, width, hints, small, cost)
 
 
 def _evened(problem: DesignProblem, box: _Box) -> _Box:

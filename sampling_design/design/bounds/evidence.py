@@ -15,6 +15,7 @@ from sampling_design._linalg import expm_batch, psd_root
 from sampling_design._record import Plain
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
+from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
@@ -24,9 +25,10 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
-Method = Literal["placed", "alone", "averaged", "zones"]
-METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones")
+Method = Literal["placed", "alone", "averaged", "zones", "local"]
+METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones", "local")
 
+_LEAST_SECONDS = 0.05  # granted to one relaxation when the time is up already
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _JUST_BESIDE = 1e-9  # of the period: a window that starts this much later no longer holds the sample
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
@@ -37,16 +39,21 @@ def _none() -> Array:
     return np.zeros((0, 2))
 
 
+def _untied() -> npt.NDArray[np.intp]:
+    return np.zeros((0, 4), dtype=np.intp)
+
+
 @dataclass(frozen=True, eq=False)
 class BoundPart:
     """Multipliers that bound all schedules whose samples lie in `zones` (k, 2).
 
     `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
     windows that start at `starts`. The zones count from the sample after which all others come "late", or
-    "early", or from a fixed one, or the first of the period ("sorted": `side`). `tilt` (k-1,) only for the method "averaged". "placed" bounds all schedules, wherever
-    their samples lie, and is the only method that knows fixed times; `price` is its multiplier of the cost
+    "early", or from a fixed one, or the first of the period ("sorted": `side`). `tilt` (k-1,) is for the method
+    "averaged". "placed" bounds all schedules, wherever their samples lie; `price` is its multiplier of the cost
     limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
-    the sample.
+    the sample. "local" bounds the schedules of small zones by windows that follow their samples: the rows of `tied`
+    (see `TiedWindows`) say which, `starts` are of no account, and `tilt` (k,) are the multipliers of the spacing.
     """
 
     method: Method
@@ -57,6 +64,7 @@ class BoundPart:
     side: Side = "late"
     value: float = np.inf
     price: float = 0.0
+    tied: npt.NDArray[np.intp] = field(default_factory=_untied)
 
     def value_for(self, problem: DesignProblem) -> float:
         """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
@@ -78,6 +86,13 @@ class BoundPart:
         zones = tightened(problem, self.zones, self.side)
         if zones is None:
             return 0.0
+        if self.method == "local":
+            k, tied = problem.samples, self.tied
+            fits = tied.shape == (len(roots), 4) and self.tilt.size == k and np.all(self.tilt >= 0)
+            if not fits or np.any(tied[:, :3] < 0) or np.any(tied[:, 0] >= k) or np.any(tied[:, 1:3] > 1):
+                return np.inf
+            far = k * (np.ceil(problem.window / problem.period) + 2)
+            return np.inf if np.any(np.abs(tied[:, 3]) > far) else local_bound(problem, zones, tied, roots, self.tilt)
         if self.method == "averaged":
             if self.tilt.size != problem.samples - 1 or turn(problem) > 0:
                 return np.inf
@@ -86,7 +101,7 @@ class BoundPart:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt")}
+        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt", "tied")}
         return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
@@ -150,7 +165,7 @@ class UpperBound:
                 part,
                 starts=part.starts * canon.time,
                 zones=zones,
-                tilt=part.tilt * (canon.size**2 / canon.time),
+                tilt=part.tilt * (1 if part.method == "local" else canon.size**2) / canon.time,
                 price=part.price * canon.size**2,
             )
             parts.append(replace(bare, value=bare.value_for(canon.outside)))
@@ -183,10 +198,17 @@ class UpperBound:
             arrays = {key: _checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
             zones = _none() if entry["zones"] == [] else _checks.matrix("zones", entry["zones"], columns=2)
             numbers = {key: _number(key, entry[key]) for key in ("value", "price")}
-            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones}))
+            tied = _untied() if entry["tied"] == [] else _checks.matrix("tied", entry["tied"], columns=4)
+            if np.any(tied != np.rint(tied)) or np.any(np.abs(tied) > _MOST_TIED):
+                raise ArgumentError(
+                    "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows."
+                )
+            whole = np.asarray(tied, dtype=np.intp)
+            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones, "tied": whole}))
         return cls(_number("value", data["value"]), tuple(parts))
 
 
+_MOST_TIED = 10**9  # samples, counted on over the periods: more than any design has
 _DIMENSIONS = {"starts": 1, "weights": 3, "tilt": 1}
 
 
@@ -294,6 +316,22 @@ def zone_part(
         return None
     relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, deadline)
     return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
+
+
+def local_part(
+    problem: DesignProblem, zones: Array, side: Side, aim: float, deadline: float = np.inf
+) -> tuple[BoundPart, LocalRelaxation] | None:
+    """Bound for the schedules of a small box, near a sigma that is aimed at; None where nothing came out."""
+    tight = tightened(problem, zones, side)
+    left = max(deadline - time.perf_counter(), _LEAST_SECONDS) if np.isfinite(deadline) else None
+    found = None if tight is None else relax_local(problem, tight, aim, left)
+    if found is None:
+        return None
+    weights = problem.rows.S @ found.roots
+    weights = weights @ np.swapaxes(weights, 1, 2)
+    weights = weights / np.trace(weights, axis1=1, axis2=2).sum()
+    bare = BoundPart("local", np.zeros(0), weights, zones, found.push, side, tied=found.windows)
+    return replace(bare, value=bare.value_for(problem)), found
 
 
 def alone_part(problem: DesignProblem) -> BoundPart:

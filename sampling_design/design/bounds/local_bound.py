@@ -1,0 +1,444 @@
+"""Bound of the schedules in a small box, exact to second order, by windows that follow their samples.
+
+The windows that matter begin or end at a sample s_j and move with it, and so do the states at which they are judged:
+with x the state at the instant of another sample s_a (the last one in the window, where the plant grows), every
+schedule has, for any psd V,
+
+    sigma^2 <= Q/K,   Q = sum over its samples of <V, G(s_i - s_a)>,   K = <V, e^{A'(s_j - s_a)} e^{A(s_j - s_a)}>
+
+and so for any geometric mean of several windows: log sigma^2 <= sum of mu_m (log Q_m - log K_m), sum of mu_m = 1.
+Growth at the rate r of the fastest mode is a linear function of the times there, exactly: what is left is expanded
+about the middle of the box, with log Q <= log Q_0 + (Q/Q_0 - 1): a constant, a slope that the multipliers of the
+linearised program (and of the spacing) balance, a Hessian, and a remainder of third order that is bounded. In a wide
+box of a plant that grows, the rest is bounded by its extremes instead: what remains is the growth, which is linear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _conic
+from sampling_design._linalg import expm_batch
+from sampling_design.design.bounds.weak_duality import rooted
+from sampling_design.design.problem.numbers import DesignProblem
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
+
+_SAME = 1e-11  # of the period: what lies this near to the end of a window lies on it
+_GROWS = 1.0  # exponent of growth over a window from which states are judged at its last sample
+_TOLERANCE = 1e-6  # asked of the solver; the bound is true whatever it answers
+_LEAST_SHARE = 1e-14  # of a nominal Gram matrix: directions that are seen less are scaled as if it were that much
+_MOST_WINDOWS, _SUBSPACE = 24, 6  # in the linearised program: the least seen windows, and directions of each
+_LEAST_SEEN = 0.02  # of K in W + K: a window that sees fifty times as much in the middle does not matter
+_LEAST_RATIO = 1e-12  # of the sigma^2 aimed at: what a window sees in the middle at least
+_WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a cut beside its share of the Hessian
+_PLACES = 9  # of a lag's range at which a form is looked at for its extremes
+_MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
+
+
+TiedWindows = npt.NDArray[np.intp]
+"""Windows that begin at a sample or end there: rows (sample, 0 or 1, whether closed on the right instead of the left,
+anchor). The anchor is the sample, counted on over the periods, at whose instant the state is judged."""
+
+
+def tied_windows(problem: DesignProblem, zones: Array) -> TiedWindows:
+    """Windows just before and just after every event."""
+    ratio = problem.window / problem.period
+    whole = abs(ratio - round(ratio)) <= _SAME * max(ratio, 1.0)
+    grows = growth_rate(problem) > 0
+    rows = []
+    for j in range(problem.samples):
+        for ends in (0,) if whole else (0, 1):
+            for right in (0, 1):
+                held = _held(problem, zones, j, ends, right)
+                rows.append((j, ends, right, int(held.max()) if grows and held.size else j))
+    return np.array(rows, dtype=np.intp)
+
+
+def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Indices:
+    """Samples, counted on over the periods, that the window can hold for some schedule in the zones."""
+    k, P, T = problem.samples, problem.period, problem.window
+    tiny = _SAME * P
+    laps = int(np.ceil(T / P)) + 1
+    index = np.arange(-laps * k, (laps + 1) * k)
+    offset = -T if ends else 0.0
+    low, high = zones[index % k].T + P * (index // k)
+    nearest, farthest = low - zones[j, 1] - offset, high - zones[j, 0] - offset
+    order = index - j
+    nearest = np.where(order > 0, np.maximum(nearest, order * problem.spacing - offset), nearest)
+    farthest = np.where(order < 0, np.minimum(farthest, order * problem.spacing - offset), farthest)
+    held = (farthest >= -tiny) & (nearest <= T + tiny)
+    own = order % k == 0
+    lag = (order // k) * P - offset
+    inside = (lag > tiny) & (lag <= T + tiny) if right else (lag >= -tiny) & (lag < T - tiny)
+    return np.asarray(index[np.where(own, inside, held)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """All measurements of all windows: window, sample and anchor (both mod k), the lag at the middle of the box, half
+    the range of its change, and which rows count; the term of the window's own state is one of them."""
+
+    window: Indices
+    first: Indices
+    second: Indices
+    lag: Array
+    reach: Array
+    low: Array
+    high: Array
+    weights: Array
+    own: Mask
+
+
+def _terms(problem: DesignProblem, zones: Array, windows: TiedWindows) -> _Terms:
+    k, P = problem.samples, problem.period
+    middle, half = zones.mean(axis=1), (zones[:, 1] - zones[:, 0]) / 2
+    seen = _can_measure(problem, zones)
+    n, p = problem.plant.n_states, problem.plant.n_outputs
+    seen = np.hstack([seen.astype(float), np.zeros((k, max(n - p, 0)))])
+    state = np.append(np.ones(n), np.zeros(max(p - n, 0)))
+    window, first, second, lag, ahead, weights, own = [], [], [], [], [], [], []
+    for m, (j, ends, right, anchor) in enumerate(windows.tolist()):
+        at = middle[anchor % k] + P * (anchor // k)
+        held = _held(problem, zones, j, ends, right)
+        for index in held.tolist():
+            window.append(m)
+            first.append(index % k)
+            second.append(anchor % k)
+            lag.append(middle[index % k] + P * (index // k) - at)
+            ahead.append(index - anchor)
+            weights.append(seen[index % k])
+            own.append(False)
+        window.append(m)
+        first.append(j)
+        second.append(anchor % k)
+        lag.append(middle[j] - (problem.window if ends else 0.0) - at)
+        ahead.append(0)
+        weights.append(state)
+        own.append(True)
+    i, a = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
+    reach = np.where(i == a, 0.0, half[i] + half[a])
+    mid, order = np.array(lag), np.array(ahead) * problem.spacing
+    low = np.where(order > 0, np.maximum(mid - reach, order), mid - reach)
+    high = np.where(order < 0, np.minimum(mid + reach, order), mid + reach)
+    return _Terms(np.array(window), i, a, mid, reach, low, np.maximum(low, high), np.array(weights), np.array(own))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalRelaxation:
+    """Windows that matter, roots of their multipliers in the scaled basis, those of the spacing, and where to cut."""
+
+    windows: TiedWindows
+    roots: Array
+    push: Array
+    index: int
+    width: float
+
+
+def relax_local(
+    problem: DesignProblem, zones: Array, sigma: float, seconds: float | None = None
+) -> LocalRelaxation | None:
+    """Multipliers of the program linearised about the middle of the box, for a sigma near which the bound shall be.
+
+    None where no window of it sees as little as that, or the solver finds nothing.
+    """
+    sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
+    every = tied_windows(problem, zones)
+    terms = _terms(problem, zones, every)
+    grams, slopes, own, own_slopes = _linear(problem, terms, len(every))
+    _, seen = _balanced(grams / sigma2, own)
+    order = np.argsort(-seen, kind="stable")[:_MOST_WINDOWS]
+    posed = np.sort(order[seen[order] >= _LEAST_SEEN])
+    moved = np.flatnonzero(half > 0)
+    if not posed.size:
+        return None
+    each = np.maximum(1 / seen[posed] - 1, _LEAST_RATIO)  # sigma^2 in the middle, of what is aimed at
+    grams, slopes = grams[posed] / (sigma2 * each[:, None, None]), slopes[posed] / (sigma2 * each[:, None, None, None])
+    own, own_slopes = own[posed], own_slopes[posed]
+    T, _ = _balanced(grams, own)
+    left = np.swapaxes(T, 1, 2)
+    W = left @ (grams + (np.log(each)[:, None, None] - 1) * own) @ T
+    K = left @ own @ T
+    D = left[:, None] @ (slopes - own_slopes)[:, moved] @ T[:, None] * half[moved, None, None]
+    order_rows, room = _spacing(problem, zones)
+    rows = np.vstack([np.eye(moved.size), -np.eye(moved.size), order_rows[:, moved] * half[moved]])
+    limits = np.concatenate([np.ones(2 * moved.size), np.maximum(room, 0.0)])
+    blocks: list[tuple[str, Array, Array]] = [("nonnegative", np.hstack([rows, np.zeros((len(rows), 1))]), limits)]
+    for m in range(posed.size):
+        blocks.append(("psd", np.hstack([-_conic.svec(D[m]).T, _conic.svec(K[m])[:, None]]), _conic.svec(W[m])))
+    cost = np.append(np.zeros(moved.size), -1.0)
+    found = _conic.solve_cone_program(cost, blocks, tolerance=_TOLERANCE, iterations=60, budget=seconds)
+    values, vectors = np.linalg.eigh(np.nan_to_num(np.array(found.z[1:])))
+    roots = T @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    push = np.maximum(np.nan_to_num(found.z[0][2 * moved.size :]), 0.0)
+    if not float(np.linalg.norm(roots)) > 0:
+        return None
+    windows = every[posed]
+    unseen = _unseen(problem, roots) if growth_rate(problem) > 0 else None
+    if unseen is not None and local_bound(problem, zones, windows, unseen, push) < local_bound(
+        problem, zones, windows, roots, push
+    ):
+        roots = unseen
+    expanded = _expansion(problem, zones, windows, roots)
+    H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
+    index = int(np.argmax(np.abs(H).sum(axis=1) + _WIDER * max(float(np.abs(H).max()), 1e-9) * half / half.max()))
+    return LocalRelaxation(windows, roots, push, index, float(2 * half[index]))
+
+
+def _unseen(problem: DesignProblem, roots: Array) -> Array | None:
+    """The same multipliers less what the last sample of their window sees; None where nothing is left."""
+    C = problem.rows.C
+    blind = np.linalg.svd(C)[2][len(C) :]
+    left = blind.T @ (blind @ roots)
+    return left if float(np.linalg.norm(left, axis=(1, 2)).min(initial=0.0)) > 0 else None
+
+
+def _linear(problem: DesignProblem, terms: _Terms, count: int) -> tuple[Array, Array, Array, Array]:
+    """Gram matrices of the windows and of their own states, and their slopes by each sample's time."""
+    A, n, k = problem.rows.A, problem.plant.n_states, problem.samples
+    E = expm_batch(A, terms.lag)
+    grams, own = np.zeros((count, n, n)), np.zeros((count, n, n))
+    slopes, own_slopes = np.zeros((count, k, n, n)), np.zeros((count, k, n, n))
+    for total, change, used, rows in (
+        (grams, slopes, ~terms.own, problem.rows.C),
+        (own, own_slopes, terms.own, problem.rows.S),
+    ):
+        weight = terms.weights[used][:, : len(rows), None]
+        y, dy = rows @ E[used] * weight, rows @ A @ E[used] * weight
+        gram = np.swapaxes(y, 1, 2) @ y
+        part = np.swapaxes(y, 1, 2) @ dy
+        part = part + np.swapaxes(part, 1, 2)
+        m, i, a = terms.window[used], terms.first[used], terms.second[used]
+        np.add.at(total, m, gram)
+        np.add.at(change, (m, i), part)
+        np.add.at(change, (m, a), -part)
+    return grams, slopes, own, own_slopes
+
+
+def _balanced(grams: Array, own: Array) -> tuple[Array, Array]:
+    """Congruences in which W + K is the identity, and the largest eigenvalue of K then: 1/2 where W is K somewhere."""
+    values, vectors = np.linalg.eigh(grams + own)
+    floor = _LEAST_SHARE * np.maximum(values[:, -1:], np.finfo(float).tiny)
+    scale = vectors / np.sqrt(np.maximum(values, floor))[:, None, :]
+    inner = np.swapaxes(scale, 1, 2) @ own @ scale
+    shares, turned = np.linalg.eigh(inner)
+    kept = min(shares.shape[1], _SUBSPACE)
+    return scale @ turned[..., -kept:], shares[:, -1]
+
+
+def _can_measure(problem: DesignProblem, zones: Array) -> Mask:
+    """(k, p): what a sample in its zone can measure somewhere."""
+    edges, P = problem.breakpoints, problem.period
+    inside = (edges[:-1] + edges[1:]) / 2
+    there = problem.mask(inside)
+    pieces = np.stack([edges[:-1], edges[1:]])[:, None, :] + P * np.arange(-1, 3)[:, None]
+    low, high = pieces.reshape(2, -1)
+    touched = (zones[:, :1] <= high) & (zones[:, 1:] >= low)
+    return np.asarray(np.any(touched[..., None] & np.tile(there, (4, 1)), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """log sigma^2 <= constant + slope'd + d'Hd/2 + remainder for moves d of the box."""
+
+    constant: float
+    slope: Array
+    hessian: Array
+    remainder: float
+
+
+def growth_rate(problem: DesignProblem) -> float:
+    """The rate of the fastest growing mode in the times of the problem; 0 where none grows."""
+    fastest = float(np.max(np.linalg.eigvals(problem.plant.A).real, initial=0.0))
+    return fastest if fastest * problem.window > _GROWS else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Forms:
+    """<V, G> per term without growth: value, two derivatives, and bounds of derivatives 0 to 3 over the box."""
+
+    value: Array
+    change: Array
+    bend: Array
+    most: Array
+
+
+def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
+    rows, n = problem.rows, problem.plant.n_states
+    A = rows.A - growth_rate(problem) * np.eye(n)
+    F = expm_batch(A, terms.lag) @ roots[terms.window]
+    AF = A @ F
+    AAF = A @ AF
+    Y = F @ np.swapaxes(F, 1, 2)
+    first = A @ Y + Y @ A.T
+    second = A @ first + first @ A.T
+    third = A @ second + second @ A.T
+    with np.errstate(over="ignore"):
+        spread = np.exp(2 * float(np.linalg.norm(A, 2)) * terms.reach)
+    C = (
+        np.where(terms.own[:, None, None], _padded(rows.S, problem), _padded(rows.C, problem))
+        * terms.weights[..., None]
+    )
+    y, dy, ddy = C @ F, C @ AF, C @ AAF
+    value = np.einsum("spr,spr->s", y, y)
+    change = 2 * np.einsum("spr,spr->s", y, dy)
+    bend = 2 * np.einsum("spr,spr->s", dy, dy) + 2 * np.einsum("spr,spr->s", y, ddy)
+    size = np.einsum("spn,spn->s", C, C) * spread
+    most = size * np.stack([np.linalg.norm(M, axis=(1, 2)) for M in (Y, first, second, third)])
+    most[0] = np.minimum(most[0], value + most[1] * terms.reach)
+    return _Forms(value, change, bend, np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0))
+
+
+def _padded(rows: Array, problem: DesignProblem) -> Array:
+    count = max(problem.plant.n_outputs, problem.plant.n_states)
+    return np.vstack([rows, np.zeros((count - len(rows), rows.shape[1]))])
+
+
+def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> Expansion | None:
+    """The geometric mean of all windows about the middle of the box, for V_m = F_m F_m' in the scaled basis.
+
+    Windows weigh as much as their own state does in the middle. None where too little is known of the logarithms.
+    """
+    k, M, rate = problem.samples, len(windows), growth_rate(problem)
+    half = (zones[:, 1] - zones[:, 0]) / 2
+    terms = _terms(problem, zones, windows)
+    forms = _forms(problem, terms, roots)
+    own = np.flatnonzero(terms.own)
+    order = terms.window[own]
+    states = np.empty(M, dtype=np.intp)
+    states[order] = own
+    K, K_lag = forms.value[states], terms.lag[states]
+    with np.errstate(divide="ignore"):
+        size = np.where(terms.own, -np.inf, np.log(forms.value) + 2 * rate * terms.lag)
+    leading = np.array([_largest(size, terms.window == m) for m in range(M)])
+    lead, lead_lag = terms.first[leading], terms.lag[leading]
+    other = (terms.first != lead[terms.window]) & ~terms.own
+    apart = 2 * rate * (half[terms.first] + half[lead[terms.window]]) * other
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        factor = np.where(terms.own, 0.0, np.exp(2 * rate * (terms.lag - lead_lag[terms.window])))
+        Q = np.bincount(terms.window, factor * forms.value, M)
+        # a window's own state weighs with its growth, relative to the others
+        weight = K * np.exp(2 * rate * (K_lag - K_lag.max()))
+        mu = weight / weight.sum()
+        share = np.where(terms.own, -mu[terms.window] / K[terms.window], mu[terms.window] / Q[terms.window] * factor)
+        powers = np.stack([forms.most[p] * terms.reach**p * apart ** (3 - p) for p in range(4)])
+        rest = np.array([1.0, 3.0, 3.0, 1.0]) @ powers * np.exp(apart) / 6
+        changed = np.abs(forms.change) * terms.reach + np.abs(forms.bend) * terms.reach**2 / 2 + rest
+        Y = (changed / forms.value)[states]
+        constant = mu @ (np.log(Q) - np.log(K) + 2 * rate * (lead_lag - K_lag))
+        remainder = float(np.sum(np.abs(share) * np.where(terms.own & (terms.reach == 0), 0.0, rest)))
+    used = mu > 0
+    if not (np.all(np.isfinite(mu)) and np.isfinite(constant) and np.isfinite(remainder)) or np.any(
+        Y[used] > _MOST_CHANGE
+    ):
+        return None
+    remainder += float(mu[used] @ (Y[used] ** 2 / (2 * (1 - Y[used]))))
+    slope, hessian = np.zeros(k), np.zeros((k, k))
+    np.add.at(slope, lead, 2 * rate * mu)
+    np.add.at(slope, windows[:, 0], -2 * rate * mu)
+    i, a, b = terms.first, terms.second, lead[terms.window]
+    lagged = np.eye(k)[i] - np.eye(k)[a]
+    grown = 2 * rate * (np.eye(k)[i] - np.eye(k)[b]) * ~terms.own[:, None]
+    slope += (share * forms.change) @ lagged + (share * forms.value) @ grown
+    hessian += np.einsum("s,si,sj->ij", share * forms.bend, lagged, lagged)
+    crossed = np.einsum("s,si,sj->ij", share * forms.change, lagged, grown)
+    hessian += crossed + crossed.T + np.einsum("s,si,sj->ij", share * forms.value, grown, grown)
+    return Expansion(float(constant), slope, hessian, remainder)
+
+
+def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Array, Array]:
+    """Bounds below and above of the forms without growth, over the ranges of the lags: values and second order."""
+    rows, n = problem.rows, problem.plant.n_states
+    A = rows.A - growth_rate(problem) * np.eye(n)
+    at = terms.low + np.linspace(0.0, 1.0, _PLACES)[:, None] * (terms.high - terms.low)
+    F = expm_batch(A, at.ravel()).reshape(*at.shape, n, n) @ roots[terms.window]
+    C = np.where(terms.own[:, None, None], _padded(rows.S, problem), _padded(rows.C, problem))
+    C = C * terms.weights[..., None]
+    AF = A @ F
+    y, dy, ddy = C @ F, C @ AF, C @ A @ AF
+    value = np.sum(y**2, axis=(2, 3))
+    bend = 2 * np.sum(dy**2 + y * ddy, axis=(2, 3))
+    width = (terms.high - terms.low) / (_PLACES - 1)
+    Y = F @ np.swapaxes(F, 2, 3)
+    for _ in range(3):
+        Y = A @ Y + Y @ A.T
+    with np.errstate(over="ignore"):
+        spread = np.exp(2 * float(np.linalg.norm(A, 2)) * width)
+    third = np.einsum("spn,spn->s", C, C) * np.max(np.linalg.norm(Y, axis=(2, 3)), axis=0) * spread * width
+    third = np.where(width > 0, third, 0.0)
+    rest = width**2 / 8
+    low = value.min(axis=0) - rest * (np.maximum(bend.max(axis=0), 0.0) + third)
+    high = value.max(axis=0) + rest * (np.maximum(-bend.min(axis=0), 0.0) + third)
+    return low, high
+
+
+def _wide_expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> Expansion | None:
+    """The geometric mean with growth as it is and everything else at its extremes: no Hessian, no remainder."""
+    k, M, rate = problem.samples, len(windows), growth_rate(problem)
+    half = (zones[:, 1] - zones[:, 0]) / 2
+    terms = _terms(problem, zones, windows)
+    least, most = _extremes(problem, terms, roots)
+    states = np.empty(M, dtype=np.intp)
+    own = np.flatnonzero(terms.own)
+    states[terms.window[own]] = own
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        size = np.where(terms.own, -np.inf, np.log(most) + 2 * rate * terms.lag)
+        leading = np.array([_largest(size, terms.window == m) for m in range(M)])
+        lead = leading[terms.window]
+        same = terms.first == terms.first[lead]
+        apart = terms.lag - terms.lag[lead]
+        change = np.where(same, 0.0, half[terms.first] + half[terms.first[lead]])
+        farthest = np.where(apart < 0, np.minimum(apart + change, -problem.spacing), apart + change)
+        ahead = np.where(terms.own, 0.0, np.exp(2 * rate * np.where(same, apart, farthest)))
+        Q = np.bincount(terms.window, np.where(most > 0, ahead * most, 0.0), M)
+        K, lag = least[states], terms.lag[states]
+        mu = np.maximum(K, 0.0) * np.exp(2 * rate * (lag - lag.max()))
+        mu = mu / mu.sum()
+        used = mu > 0
+        constant = float(mu[used] @ (np.log(Q) - np.log(K) + 2 * rate * (terms.lag[leading] - lag))[used])
+    if not np.isfinite(constant):
+        return None
+    slope = np.zeros(k)
+    np.add.at(slope, terms.first[leading], 2 * rate * mu)
+    np.add.at(slope, windows[:, 0], -2 * rate * mu)
+    return Expansion(constant, slope, np.zeros((k, k)), 0.0)
+
+
+def _largest(size: Array, within: Mask) -> int:
+    return int(np.argmax(np.where(within, size, -np.inf)))
+
+
+def _spacing(problem: DesignProblem, zones: Array) -> tuple[Array, Array]:
+    """Rows D and room b >= 0 with D d <= b for every move d that keeps the spacing, in the zones as far as it can."""
+    k, P = problem.samples, problem.period
+    middle = zones.mean(axis=1)
+    gaps = np.diff(np.append(middle, middle[0] + P))
+    eye = np.eye(k)
+    return eye - np.roll(eye, 1, axis=1), gaps - problem.spacing * (1 - _SAME)
+
+
+def local_bound(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array, push: Array) -> float:
+    """Bound sigma of every schedule whose samples lie in `zones`, by psd multipliers F F' and spacing's `push` >= 0."""
+    values = [_value(problem, zones, _expansion(problem, zones, windows, roots), push)]
+    if growth_rate(problem) > 0:
+        values.append(_value(problem, zones, _wide_expansion(problem, zones, windows, roots), push))
+    return min(values)
+
+
+def _value(problem: DesignProblem, zones: Array, found: Expansion | None, push: Array) -> float:
+    """The most that an expansion says sigma can be in the box."""
+    if found is None:
+        return np.inf
+    half = (zones[:, 1] - zones[:, 0]) / 2
+    D, room = _spacing(problem, zones)
+    H = found.hessian * half[:, None] * half
+    crossed = np.abs(H - np.diag(np.diagonal(H))).sum() + np.maximum(np.diagonal(H), 0.0).sum()
+    widest = max(float(np.linalg.eigvalsh((H + H.T) / 2)[-1]), 0.0) * int(np.sum(half > 0))
+    linear = float(np.abs(found.slope - D.T @ push) @ half + push @ room)
+    with np.errstate(over="ignore"):
+        return rooted(float(np.exp(found.constant + linear + min(crossed, widest) / 2 + found.remainder)))

@@ -141,7 +141,7 @@ def main():
         gaps.append(design.gap)
         print(line(f"random {seed}", design, seconds), flush=True)
     if gaps:
-        print(f"\n{sum(gap > 0.03 for gap in gaps)} of {len(gaps)} above 3 %, {sum(gap > 0.1 for gap in gaps)} above 10 %")
+        print(f"\n{sum(gap > 0.03 for gap in gaps)} of {len(gaps)} above 3 %")
 
 
 if __name__ == "__main__":

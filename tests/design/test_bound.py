@@ -9,11 +9,12 @@ from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.averaged import averaged_bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
+from sampling_design.design.bounds.local_bound import local_bound, relax_local, tied_windows
 from sampling_design.design.bounds.zone_bound import zone_bound
 from sampling_design.design.bounds.zones import origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
-from tests.oracles.design import random_schedule
+from tests.oracles.design import random_schedule, window_sigma_scan
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
 C = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
@@ -176,7 +177,7 @@ def test_multipliers_that_prove_nothing_give_an_infinite_bound():
     assert good.value_for(closed) == np.inf  # its laws ask for schedules that may be shifted
     assert good.value_for(problem(samples=4)) == np.inf
     assert UpperBound(1.0, ()).value_for(case) == np.inf
-    assert not zoned(problem(fixed=[0.0, 1.0]))
+    assert zoned(problem(fixed=[0.0, 1.0]))
     assert part.value_for(problem(fixed=[0.0, 1.0])) == np.inf
     assert UpperBound(1.0, (part,)).value_for(problem(fixed=[0.0, 1.0])) == np.inf
 
@@ -188,6 +189,52 @@ def test_a_part_without_schedules_bounds_them_by_nothing():
     assert BoundPart("zones", np.zeros(1), np.eye(3)[None], zones).value_for(case) == 0.0
 
 
+MATRICES = {
+    "turning": (A, C),
+    "growing": (np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([[1.0, 0.2]])),
+    "growing apart": (np.array([[3.0, 1.0], [0.0, 0.1]]), np.array([[1.0, 0.4]])),
+    "fading": (np.array([[-1.0, 1.0], [0.0, -1.5]]), np.array([[1.0, 1.0]])),
+}
+
+
+@pytest.mark.parametrize("window", [4.0, 6.0, 3.1])
+@pytest.mark.parametrize("name", MATRICES)
+def test_windows_that_follow_their_samples_bound_every_schedule_of_the_box(name, window):
+    """Any psd multipliers, any windows, any anchors: random schedules of the box see no more, by a plain scan."""
+    rng = np.random.default_rng(2)
+    A, C = MATRICES[name]
+    case = DesignProblem(Plant(A, C), window, 4.0, 0.3, 4, np.zeros((0, 2)), np.zeros(0), (None,) * len(C))
+    middle = np.array([0.0, 1.1, 1.9, 3.0])
+    for width in (0.02, 0.2):
+        zones = middle[:, None] + np.array([-width, width]) / 2 * (np.arange(4) > 0)[:, None]
+        box = zones
+        drawn = [rng.uniform(*box.T) for _ in range(6)]
+        reached = max(window_sigma_scan(A, C, times, 4.0, window, places=0) for times in drawn)
+        good = relax_local(case, box, reached)
+        assert reached <= local_bound(case, box, good.windows, good.roots, good.push) * (1 + 1e-9)
+        every = tied_windows(case, box)
+        for _ in range(3):
+            chosen = every[rng.choice(len(every), 3, replace=False)]
+            chosen[:, 3] = chosen[:, 0] + rng.integers(-2, 5, 3)
+            roots = rng.normal(size=(3, len(A), 2))
+            assert reached <= local_bound(case, box, chosen, roots, rng.uniform(0, 0.1, 4)) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("name", MATRICES)
+def test_windows_that_follow_their_samples_are_exact_in_a_box_that_shrinks(name):
+    A, C = MATRICES[name]
+    case = DesignProblem(Plant(A, C), 4.0, 4.0, 0.3, 4, np.zeros((0, 2)), np.zeros(0), (None,) * len(C))
+    times = np.array([0.0, 1.1, 1.9, 3.0])
+    sigma = window_sigma_scan(A, C, times, 4.0, 4.0, places=0)
+    excess = []
+    for width in (2e-3, 1e-3):
+        zones = times[:, None] + np.array([-width, width]) / 2 * (np.arange(4) > 0)[:, None]
+        best = max(window_sigma_scan(A, C, t, 4.0, 4.0, places=0) for t in (times, zones[:, 0], zones[:, 1]))
+        found = relax_local(case, zones, sigma)
+        excess.append(local_bound(case, zones, found.windows, found.roots, found.push) / best - 1)
+    assert excess[1] <= 0.02  # at an arbitrary schedule the first order is left, and nothing else
+
+
 def test_a_bound_survives_its_own_dictionary():
     part = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, origin_zones(problem(), "late"), np.zeros(4))
     whole = UpperBound(2.0, (part,))
@@ -196,16 +243,20 @@ def test_a_bound_survives_its_own_dictionary():
     assert again.method == "averaged"
     assert again.value_for(problem()) == whole.value_for(problem())
     with pytest.raises(
-        ArgumentError, match="a bound's `method` must be one of placed, alone, averaged, zones, got 'guess'"
+        ArgumentError, match="a bound's `method` must be one of placed, alone, averaged, zones, local, got 'guess'"
     ):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
-    with pytest.raises(ArgumentError, match="a bound's `side` must be late or early, got 'left'"):
+    with pytest.raises(ArgumentError, match="a bound's `side` must be one of late, early, sorted, got 'left'"):
         UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "side": "left"}]})
     for wrong, words in (
         ({}, "a bound must hold `value`; it holds nothing"),
         ({**whole.to_dict(), "value": "2"}, "a bound's `value` must be a number, got str '2'"),
         ({**whole.to_dict(), "parts": 3}, "a bound's `parts` must be a list, got int 3"),
         ({**whole.to_dict(), "parts": [3]}, "a part of a bound must be a table of names and values, got int 3"),
+        (
+            {**whole.to_dict(), "parts": [{**part.to_dict(), "tied": [[0.5, 0, 0, 0]]}]},
+            "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows",
+        ),
         ({**whole.to_dict(), "sides": 3}, "unknown key 'sides' in a bound"),
         (
             {**whole.to_dict(), "parts": [{**part.to_dict(), "zones": [[1.0]]}]},

@@ -5,12 +5,14 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.design.bounds.zones import (
-    SIDES,
     covered,
     follower_zones,
     halves,
     lateness,
     origin_zones,
+    region_of,
+    regions,
+    sides,
     tightened,
     turn,
     widest_gap,
@@ -19,6 +21,7 @@ from sampling_design.design.bounds.zones import (
 from sampling_design.design.problem.numbers import DesignProblem
 from tests.oracles.design import random_schedule
 
+COUNTED = ("late", "early")
 P, SPACING, COUNT = 4.0, 0.3, 6
 
 
@@ -48,7 +51,7 @@ def draws(count, seed=9):
     yield from (random_schedule(rng, P, SPACING, COUNT) for _ in range(count))
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", COUNTED)
 def test_from_some_sample_all_others_come_late_and_from_some_early(side):
     zones = origin_zones(problem(), side)
     assert all(held(zones, counted(times, side)) for times in draws(60))
@@ -78,7 +81,7 @@ def test_a_requirement_may_be_turned_by_what_its_allowed_times_repeat_after(chan
     assert origin_zones(case, "late")[0] == pytest.approx([0.0, shift], abs=1e-9)
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", COUNTED)
 def test_tightening_loses_no_schedule_and_sees_where_there_is_none(side):
     case, rng = problem(), np.random.default_rng(3)
     for times in draws(60):
@@ -95,7 +98,7 @@ def test_tightening_loses_no_schedule_and_sees_where_there_is_none(side):
     assert tightened(case, crowded, side) is None
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", COUNTED)
 def test_tightening_knows_closed_times(side):
     case = problem(forbidden=DAYS, spacing=0.1)
     root = origin_zones(case, side)
@@ -152,7 +155,7 @@ def test_boxes_that_no_cut_parts_are_not_taken_for_a_cover():
     assert not covered(case, region, pinwheel, "late")
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", COUNTED)
 def test_follower_zones_hold_the_followers_of_every_sample(side):
     case = problem()
     for times in draws(40):
@@ -169,10 +172,39 @@ def test_follower_zones_hold_the_followers_of_every_sample(side):
         assert np.all(late[0] == 0.0)
 
 
-def test_zones_need_two_samples_and_none_that_is_fixed_elsewhere():
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"fixed": np.array([0.5, 2.2])},
+        {"fixed": np.array([0.2, 1.0, 3.1])},
+        {"fixed": np.array([0.9]), "forbidden": np.array([[1.2, 2.0]])},
+        {"forbidden": np.array([[0.3, 1.2], [2.0, 2.1]])},
+    ],
+)
+def test_every_schedule_lies_in_a_region_of_sorted_samples_and_in_one_only(changes):
+    case, rng, seen = problem(spacing=0.15, **changes), np.random.default_rng(5), 0
+    assert sides(case) == ("sorted",)
+    whole = regions(case, "sorted")
+    for _ in range(3000):
+        times = np.sort(np.concatenate([case.fixed, rng.uniform(0, P, COUNT - case.fixed.size)]))
+        gaps = np.diff(np.append(times, times[0] + P))
+        if gaps.min() < case.spacing or not case.mask(times).all():
+            continue
+        seen += 1
+        first = int(np.argmin(np.abs(times - case.fixed[0]))) if case.fixed.size else 0
+        line = np.concatenate([times[first:], times[:first] + P])
+        assert sum(held(tightened(case, region, "sorted"), line) for region in whole) == 1
+    assert seen > 15
+    assert [region_of(case, "sorted", region) for region in whole] == list(range(len(whole)))
+    assert region_of(case, "sorted", whole[0] + 10 * P) is None
+
+
+def test_zones_need_two_samples_and_a_free_one():
     assert zoned(problem())
     assert zoned(problem(fixed=np.array([1.0])))
     assert zoned(problem(forbidden=DAYS))
-    assert not zoned(problem(fixed=np.array([1.0, 2.0])))
-    assert not zoned(problem(fixed=np.array([1.0]), forbidden=DAYS))
+    assert zoned(problem(fixed=np.array([1.0, 2.0])))
+    assert zoned(problem(fixed=np.array([1.0]), forbidden=DAYS))
+    assert not zoned(problem(fixed=np.linspace(0.0, 3.0, COUNT)))  # nothing is free
+    assert not zoned(problem(samples=24, fixed=np.linspace(0.0, 3.0, 5)))  # 8855 ways to share the others out
     assert not zoned(problem(samples=1))

@@ -81,7 +81,7 @@ class BoundPart:
             return placed_bound(problem, self.starts, Z, self.price)
         if self.method == "alone":
             return alone_bound(problem, self.starts, Z)
-        if not zoned(problem) or self.zones.shape != (problem.samples, 2):
+        if not zoned(problem) or self.zones.shape != (problem.samples, 2) or self.side not in sides(problem):
             return np.inf
         zones = tightened(problem, self.zones, self.side)
         if zones is None:

@@ -30,7 +30,7 @@ _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows t
 _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
 _CLEARLY = 0.9  # of the relaxation's bound: below, the parts of the box need no relaxation
-_LOCAL_COST = 0.04  # of a cut: such a bound takes a fraction of a relaxation's time
+_LOCAL_COST = 0.06  # of a cut: such a bound takes a fraction of a relaxation's time
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.errors import InfeasibleRequirementError
 from tests.oracles.requirements import Problem, random_admissible, random_problem, sigma_of
 
@@ -110,3 +111,30 @@ def test_one_fixed_sample_is_all_there_is():
     design = check(problem(plant, window=5.0, period=5.0, spacing=1.0, samples=1, fixed=[4.0]))
     assert design.schedule.times.tolist() == [4.0]
     assert design.sigma == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("seed", "least"), [(25, 3.0), (71, 3.06), (84, 0.272)])
+def test_what_leaves_a_window_as_something_else_enters_it_does_so_to_the_last_bit(seed, least):
+    """Windows of 1.5 or 3 periods, fixed and closed times: rounding that parts what is tied would cost sigma."""
+    design = check(random_problem(np.random.default_rng(seed)), seed)
+    assert design.sigma > least
+    assert design.gap < 0.01
+
+
+@pytest.mark.parametrize(
+    ("A", "window"), [([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)]
+)
+def test_growth_within_the_window_leaves_no_gap(A, window):
+    asked = problem((np.array(A), np.array([[1.0, 0.0]])), window=window, period=window, spacing=0.02, samples=4)
+    design = check(asked)
+    assert design.gap < 0.01
+    assert design.bound.method == "local"
+    again = UpperBound.from_dict(design.bound.to_dict())
+    assert again.value_for(design.problem) == pytest.approx(design.bound.value, rel=1e-12)
+    for part in again.parts:  # windows that are none prove nothing
+        if part.method == "local":
+            wrong = replace(part, tied=part.tied + np.array([design.problem.samples, 0, 0, 0]))
+            assert wrong.value_for(design.problem) == np.inf
+            assert replace(part, tilt=part.tilt - 1.0).value_for(design.problem) == np.inf
+            assert replace(part, tied=part.tied + np.array([0, 0, 0, 10**6])).value_for(design.problem) == np.inf
+            break

@@ -199,7 +199,17 @@ def _box(
         part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
     small = small or (part.method == "local" and part.value < _CLEARLY * found[-1][0].value)
     cost = (0.5 if len(found) == 2 or not small else 0.0) + _LOCAL_COST
-    return _Box(-part.value, 0, part, index, cut, width, hints, small, cost)
+    return _Box(
+        rank=-part.value,
+        number=0,
+        part=part,
+        index=index,
+        at=cut,
+        width=width,
+        hints=hints,
+        small=small,
+        cost=cost,
+    )
 
 
 def _evened(problem: DesignProblem, box: _Box) -> _Box:

@@ -27,7 +27,6 @@ from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
 
 _SAME = 1e-11  # of the period: what lies this near to the end of a window lies on it
 _GROWS = 1.0  # exponent of growth over a window from which states are judged at its last sample
@@ -60,12 +59,12 @@ def tied_windows(problem: DesignProblem, zones: Array) -> TiedWindows:
     return np.array(rows, dtype=np.intp)
 
 
-def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Indices:
+def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> npt.NDArray[np.intp]:
     """Samples, counted on over the periods, that the window can hold for some schedule in the zones."""
     k, P, T = problem.samples, problem.period, problem.window
     tiny = _SAME * P
-    laps = int(np.ceil(T / P)) + 1
-    index = np.arange(-laps * k, (laps + 1) * k)
+    cycles = int(np.ceil(T / P)) + 1
+    index = np.arange(-cycles * k, (cycles + 1) * k)
     offset = -T if ends else 0.0
     low, high = zones[index % k].T + P * (index // k)
     nearest, farthest = low - zones[j, 1] - offset, high - zones[j, 0] - offset
@@ -84,9 +83,9 @@ class _Terms:
     """All measurements of all windows: window, sample and anchor (both mod k), the lag at the middle of the box, half
     the range of its change, and which rows count; the term of the window's own state is one of them."""
 
-    window: Indices
-    first: Indices
-    second: Indices
+    window: npt.NDArray[np.intp]
+    first: npt.NDArray[np.intp]
+    second: npt.NDArray[np.intp]
     lag: Array
     reach: Array
     low: Array
@@ -126,7 +125,17 @@ def _terms(problem: DesignProblem, zones: Array, windows: TiedWindows) -> _Terms
     mid, order = np.array(lag), np.array(ahead) * problem.spacing
     low = np.where(order > 0, np.maximum(mid - reach, order), mid - reach)
     high = np.where(order < 0, np.minimum(mid + reach, order), mid + reach)
-    return _Terms(np.array(window), i, a, mid, reach, low, np.maximum(low, high), np.array(weights), np.array(own))
+    return _Terms(
+        window=np.array(window),
+        first=i,
+        second=a,
+        lag=mid,
+        reach=reach,
+        low=low,
+        high=np.maximum(low, high),
+        weights=np.array(weights),
+        own=np.array(own),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +252,7 @@ def _can_measure(problem: DesignProblem, zones: Array) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class Expansion:
+class LogExpansion:
     """log sigma^2 <= constant + slope'd + d'Hd/2 + remainder for moves d of the box."""
 
     constant: float
@@ -299,7 +308,7 @@ def _padded(rows: Array, problem: DesignProblem) -> Array:
     return np.vstack([rows, np.zeros((count - len(rows), rows.shape[1]))])
 
 
-def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> Expansion | None:
+def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> LogExpansion | None:
     """The geometric mean of all windows about the middle of the box, for V_m = F_m F_m' in the scaled basis.
 
     Windows weigh as much as their own state does in the middle. None where too little is known of the logarithms.
@@ -348,7 +357,7 @@ def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots
     hessian += np.einsum("s,si,sj->ij", share * forms.bend, lagged, lagged)
     crossed = np.einsum("s,si,sj->ij", share * forms.change, lagged, grown)
     hessian += crossed + crossed.T + np.einsum("s,si,sj->ij", share * forms.value, grown, grown)
-    return Expansion(float(constant), slope, hessian, remainder)
+    return LogExpansion(float(constant), slope, hessian, remainder)
 
 
 def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Array, Array]:
@@ -377,7 +386,7 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
     return low, high
 
 
-def _wide_expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> Expansion | None:
+def _wide_expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> LogExpansion | None:
     """The geometric mean with growth as it is and everything else at its extremes: no Hessian, no remainder."""
     k, M, rate = problem.samples, len(windows), growth_rate(problem)
     half = (zones[:, 1] - zones[:, 0]) / 2
@@ -406,7 +415,7 @@ def _wide_expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, 
     slope = np.zeros(k)
     np.add.at(slope, terms.first[leading], 2 * rate * mu)
     np.add.at(slope, windows[:, 0], -2 * rate * mu)
-    return Expansion(constant, slope, np.zeros((k, k)), 0.0)
+    return LogExpansion(constant, slope, np.zeros((k, k)), 0.0)
 
 
 def _largest(size: Array, within: Mask) -> int:
@@ -430,7 +439,7 @@ def local_bound(problem: DesignProblem, zones: Array, windows: TiedWindows, root
     return min(values)
 
 
-def _value(problem: DesignProblem, zones: Array, found: Expansion | None, push: Array) -> float:
+def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, push: Array) -> float:
     """The most that an expansion says sigma can be in the box."""
     if found is None:
         return np.inf

@@ -25,7 +25,7 @@ from sampling_design.recovery.question import Question
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch, RowSearch
 from sampling_design.recovery.start import InitialError
-from sampling_design.recovery.unknown import Known
+from sampling_design.recovery.unknown import Known, open_modes
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -76,7 +76,8 @@ class Accuracy(Gridded):
     witnesses : tuple of AccuracyWitness
         In the coordinates of the known part where something is unknown; None for an infinite row.
     unknown : tuple of str
-        Eigenvalues of the modes that no sample shows and that do not decay: rows that they touch are infinite.
+        Eigenvalues of the modes that no sample shows and that do not decay, or that the samples of a finite schedule do
+        not determine: rows that they touch are infinite.
     """
 
     question: Question
@@ -154,7 +155,7 @@ class Accuracy(Gridded):
             return False
         if lost.all():
             return True
-        search = ChainSearch(*self.question.chain(known.plant))
+        search = ChainSearch(*self.question.chain(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)
@@ -183,17 +184,34 @@ class Accuracy(Gridded):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
                 text = f"unknown for ever: {self._why()}"
+            elif np.isinf(self.known_from[k]) and self.question.initial is not None:
+                text += ", at single times only"
             elif self.known_from[k] > self.question.nodes[0]:
                 text += f", unknown before {short(self.known_from[k])} {unit}"
             lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
             if self.offset[k]:
                 lines.append((f"offset of {label}", short(self.offset[k])))
+        if self.notice:
+            lines.append(("notice", self.notice))
         return lines + ([] if self.deviation is None else self.deviation.lines())
 
     def _why(self) -> str:
-        if self.unknown:
-            return f"no sample shows {', '.join(self.unknown)}"
-        return "the samples do not determine it"
+        names = ", ".join(self.unknown)
+        if self.question.initial is not None:
+            return f"the samples do not determine what belongs to the eigenvalue{'s' * (len(self.unknown) > 1)} {names}"
+        return f"no sample shows {names}"
+
+    @property
+    def notice(self) -> str:
+        """Say where the program is degenerate: exact sensors leave what is possible without interior."""
+        exact = np.any(self.bounds.v == 0, axis=0)
+        names = [name for name, zero in zip(self.plant.outputs.names, exact, strict=True) if zero]
+        if not names:
+            return ""
+        return (
+            f"Samples of {', '.join(names)} count as exact (noise bound 0): what is possible has no interior there, so "
+            "that the program is degenerate. Both bounds hold; that they meet is not guaranteed."
+        )
 
     def explain(self) -> str:
         """Say what can be guaranteed."""
@@ -209,11 +227,14 @@ class Accuracy(Gridded):
         width = float(np.max(np.divide(up, low, out=np.ones_like(up), where=low > 0))) - 1
         late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
         when = "At all times"
-        if late:
+        if any(np.isinf(self.known_from[k]) for k in late):
+            when = "Where the samples determine them"
+        elif late:
             when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
             f"{short(low, 4)} (brackets within {100 * width:.2g} %)."
+            + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )
 
@@ -343,8 +364,6 @@ def accuracy(
     ArgumentError
         If a bound is missing, negative or of another shape, a name is unknown, a sample of a finite schedule lies
         outside `start` and `end`, or an endless one is given a start.
-    NotDetectableError
-        If an endless schedule, not the outputs, hides a mode.
 
     Notes
     -----
@@ -397,7 +416,7 @@ def accuracy(
         deviation = deviations(question, rows, w_intensity, v_deviation)
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    search = ChainSearch(*question.chain(known.plant)) if safe else None
+    search = ChainSearch(*question.chain(known.plant, known.moving)) if safe else None
     found: dict[int, RowSearch] = {}
     if search is not None:
         for k in safe:
@@ -461,9 +480,18 @@ def _record(
         at_samples=freeze(at_samples[:, question.samples]),
         profile=AccuracyProfile(freeze(edges), freeze(below), freeze(above), freeze(times[question.samples])),
         witnesses=tuple(witnesses),
-        unknown=known.modes,
+        unknown=known.modes if plain else _left_open(question, finder, upper),
         proof=proof,
     )
+
+
+def _left_open(question: Question, finder: ChainSearch | None, upper: Array) -> tuple[str, ...]:
+    """Eigenvalues of what the samples of a finite schedule leave open at their end, if a wanted row is infinite."""
+    if finder is None or np.isfinite(upper).all():
+        return ()
+    chain, basis = finder.chain, finder.atoms[-1].basis
+    free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
+    return open_modes(question.plant.A, chain.D[:, None] * chain.L[-1] @ free)
 
 
 def _flown(finder: ChainSearch, row: Array, question: Question, found: RowSearch) -> tuple[AccuracyWitness, int, int]:

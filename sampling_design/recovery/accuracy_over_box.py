@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Plain, Record, short
-from sampling_design.errors import ArgumentError, NotDetectableError, UndecidedError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.model import require_constant_box
 from sampling_design.observability.box.question import at_parameters
@@ -290,13 +290,10 @@ class Bracketed(Protocol):
 
 
 def one_plant(verb: Callable[..., Bracketed], schedule: Schedule | PeriodicSchedule) -> OnePlant:
-    """Both bounds of one plant of a box; nothing is proven where some mode of it is not seen."""
+    """Both bounds of one plant of a box."""
 
     def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
-        try:
-            found = verb(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
-        except NotDetectableError:
-            return np.zeros(len(rows)), np.full(len(rows), np.inf)
+        found = verb(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
         return np.asarray(found.lower), np.asarray(found.upper)
 
     return one

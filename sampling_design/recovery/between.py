@@ -55,6 +55,8 @@ class Open:
         nodes = atoms.bound(self.mu) + self.above
         turn = atoms.bound(self.bend)
         drift = self.third @ np.abs(atoms.basis) @ atoms.reach
+        if h == 0:  # a schedule that ends with a sample
+            return nodes, np.maximum(nodes[1:], nodes[:-1])
         sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
         return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
 

@@ -38,6 +38,9 @@ PANEL = 0.125
 CELL_LOSS = 8e-3
 """What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
 
+BETWEEN = (0.2360, 0.6180)
+"""Shares of a gap at which the outputs are looked at for the sizes of what its samples hide."""
+
 CONTRACTED = 1e-3
 """Periods are added until the filter's error forgets all but this share of its past."""
 
@@ -114,6 +117,9 @@ class SampleChain:
         How long a finite chain goes on after its last sample.
     known : (n,) array of bool or None
         Entries of x that are exactly their centre at the start.
+    hidden : int
+        How many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
+        others are free of them.
     """
 
     plant: Plant
@@ -127,6 +133,12 @@ class SampleChain:
     start: StartSet | None = None
     last: float = 0.0
     known: npt.NDArray[np.bool_] | None = None
+    hidden: int = 0
+
+    @property
+    def determined(self) -> int:
+        """How many entries of z samples determine."""
+        return self.D.size - self.hidden
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -164,7 +176,7 @@ class SampleChain:
     @cached_property
     def memory(self) -> int:
         """Samples after which a filter's error forgets all but a small share of its past; endless."""
-        mu, j = np.eye(self.D.size), 0
+        mu, j = np.eye(self.D.size)[:, : self.determined], 0
         for count in range(PERIODS * len(self)):
             sample, gap = self.samples[j], self.gaps[(j - 1) % len(self)]
             mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
@@ -175,11 +187,14 @@ class SampleChain:
 
     @cached_property
     def reach(self) -> Array:
-        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was; endless."""
-        count, n = len(self), self.D.size
-        found = np.empty((count, n))
+        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was; endless.
+
+        1 where nothing is known, of which nothing is asked.
+        """
+        count, n, r = len(self), self.D.size, self.determined
+        found = np.ones((count, n))
         for j in range(count):
-            mu, cost = np.eye(n), np.zeros(n)
+            mu, cost = np.eye(n)[:, :r], np.zeros(r)
             at = j
             for step in range(PERIODS * count):
                 sample = self.samples[at]
@@ -193,7 +208,7 @@ class SampleChain:
                 cost += gap.panels.integral(mu, self.bounds.w_ball)
                 mu = gap.F.T @ mu
             # R <= cost + |rest|'R, and |rest| contracts
-            found[j] = np.linalg.solve(np.eye(n) - np.abs(mu).T, cost)
+            found[j, :r] = np.linalg.solve(np.eye(r) - np.abs(mu[:r]).T, cost)
         return found
 
 
@@ -203,31 +218,66 @@ def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
     return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
 
 
-def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds) -> SampleChain:
-    """Return the chain of a periodic schedule; gaps[j] lies behind sample j."""
+def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array | None = None) -> SampleChain:
+    """Return the chain of a periodic schedule; gaps[j] lies behind sample j.
+
+    `moving` (n, m) is what no sample shows, as it is at the first one; nobody knows it.
+    """
     balance = balanced_schur(plant.A).d
     A = plant.A * balance / balance[:, None]
     G = plant.G * bounds.w / balance[:, None]
     F, W = discounted_flow(A, G @ G.T, gaps)
     W = W * float(np.mean(gaps))
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
-    D = state_scales(F, W, rows)
+    D = state_scales(F, W, rows if moving is None else _seen_between(A, gaps, rows))
     A, G = A * D / D[:, None], G / D[:, None]
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
-    P = _covariances(F, W, rows)
-    after = [updated(P[j], rows[j].T @ rows[j]) for j in range(len(rows))]
-    L = np.array([np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))) for X in after])
-    samples = []
+    U = np.zeros((len(A), 0)) if moving is None else moving / (balance * D)[:, None]
+    bases = _bases(F, U)
+    r, count = len(A) - U.shape[1], len(rows)
+    # what samples determine moves by itself, whatever the rest does
+    N = [basis[:, :r] for basis in bases]
+    inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
+    spread = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
+    P = _covariances(inner, spread, [H @ X for H, X in zip(rows, N, strict=True)])
+    L, samples = np.zeros_like(F), []
     for j, H in enumerate(rows):
-        gain = np.linalg.solve(H @ P[j] @ H.T + np.eye(len(H)), H @ P[j]).T
-        K = np.linalg.solve(L[j], gain)
-        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+        seen = H @ N[j]
+        X = updated(P[j], seen.T @ seen)
+        root = np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X)))
+        L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
+        gain = np.linalg.solve(seen @ P[j] @ seen.T + np.eye(len(H)), seen @ P[j]).T
+        K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
+        shown = H @ L[j]
+        shown[:, r:] = 0.0
+        samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
     steps = []
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
-        steps.append(make_gap(A, G, float(h), L[j], following, F[j]))
-    return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps))
+        gap = make_gap(A, G, float(h), L[j], following, F[j])
+        gap.F[:r, r:] = 0.0
+        steps.append(gap)
+    return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
+
+
+def _seen_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:
+    """Rows of the samples and of times between them, for sizes: what samples alone hide must not look small."""
+    flows = [expm_batch(A, h * np.array(BETWEEN)) for h in gaps]
+    return [np.vstack([H, *(H @ E)]) for H, E in zip(rows, flows, strict=True)]
+
+
+def _bases(F: Array, U: Array) -> list[Array]:
+    """Orthonormal [N_j, U_j] at every sample, U_j what U has become; plain axes where it is nothing."""
+    if not U.shape[1]:
+        return [np.eye(len(U))] * len(F)
+    found = []
+    for step in F:
+        Q = np.linalg.qr(U, mode="complete")[0]
+        m = U.shape[1]
+        found.append(np.hstack([Q[:, m:], Q[:, :m]]))
+        U = step @ Q[:, :m]
+    return found
 
 
 def noise_units(

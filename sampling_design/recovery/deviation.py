@@ -179,7 +179,7 @@ def deviations(
     else:
         question = Question.finite(plant, schedule, amplitude, v, None, float(question.nodes[0]), question.end)
     known = question.known()
-    curves = _Curves(question, known.plant, W)
+    curves = _Curves(question, known.plant, W, known.moving)
     lengths = np.diff(question.nodes, append=question.end)
     offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
     times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
@@ -201,10 +201,10 @@ def deviations(
 class _Curves:
     """Covariances after each node, in scaled coordinates, and variances of rows between nodes."""
 
-    def __init__(self, question: Question, plant: Plant, W: Array):
+    def __init__(self, question: Question, plant: Plant, W: Array, moving: Array | None):
         self.question = question
-        chain, atoms = question.chain(plant)
-        self.D, self.A, self._L, self._atoms = chain.D, chain.A, chain.L, atoms
+        chain, atoms = question.chain(plant, moving)
+        self.D, self.A, self._L, self._atoms, self._r = chain.D, chain.A, chain.L, atoms, chain.determined
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)
         rows = [np.linalg.solve(L.T, s.H.T).T for s, L in zip(chain.samples, chain.L, strict=True)]
@@ -219,15 +219,23 @@ class _Curves:
 
     def _endless(self, information: list[Array]) -> list[Array]:
         lengths = np.diff(self.question.nodes, append=self.question.end)
-        maps = [CovarianceMap(f, G, w) for (f, w), G in zip(self._flows(lengths), information, strict=True)]
+        n, r, count = len(self.A), self._r, len(lengths)
+        bases = [np.eye(n)] * count if r == n else list(self._L)  # the last n - r entries nobody knows, or needs
+        maps = []
+        for j, ((F, W), G) in enumerate(zip(self._flows(lengths), information, strict=True)):
+            L, following = bases[j], bases[(j + 1) % count]
+            step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
+            noise = np.linalg.solve(following, noise.T)
+            maps.append(CovarianceMap(step[:r, :r], (L.T @ G @ L)[:r, :r], symmetrise(noise[:r, :r])))
         period = maps[0]
-        for following in maps[1:]:
-            period = period.then(following)
-        P = strong(period, np.eye(len(self.A)) * DIFFUSE, WALK)
+        for following_map in maps[1:]:
+            period = period.then(following_map)
+        P = strong(period, np.eye(r) * DIFFUSE, WALK)
         after = []
-        for step, G in zip(maps, information, strict=True):
-            after.append(updated(P, G))
-            P = symmetrise(step.Q + step.F @ after[-1] @ step.F.T)
+        for map_, L in zip(maps, bases, strict=True):
+            X = updated(P, map_.G)
+            P = symmetrise(map_.Q + map_.F @ X @ map_.F.T)
+            after.append(L[:, :r] @ X @ L[:, :r].T)
         return after
 
     def _finite(self, information: list[Array]) -> list[Array]:

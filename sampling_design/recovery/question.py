@@ -103,10 +103,14 @@ class Question:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
         return known_part(self.plant, self.nodes, self.schedule.period, outputs)
 
-    def chain(self, plant: Plant) -> tuple[SampleChain, list[Atoms]]:
-        """The chain whose gap j lies behind node j, and what its filter bounds; `plant` is the known part."""
+    def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[Atoms]]:
+        """The chain whose gap j lies behind node j, and what its filter bounds; `plant` is the known part.
+
+        `moving` (n, m) is what no sample of an endless schedule shows, as it is at the first one.
+        """
         if self.initial is not None:
             chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
             return chain, finite_atoms(chain)
-        chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds)
-        return chain, [Atoms(np.eye(plant.n_states), reach) for reach in chain.reach]
+        chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
+        r = chain.determined
+        return chain, [Atoms(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]

@@ -135,7 +135,9 @@ class ChainSearch:
                 nodes = self.chain.nodes(j, len(self.chain))
             if not nodes[0]:
                 return nodes, self.chain.start
-        return nodes, np.zeros(self.chain.D.size) if from_zero else self.atoms[nodes[0]].reach
+        if from_zero:
+            return nodes, np.zeros(self.chain.D.size)
+        return nodes, self.chain.reach[nodes[0]] if self.chain.start is None else self.atoms[nodes[0]].reach
 
     def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
         """The window of `count` samples that ends with sample j."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import NotDetectableError
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant, Signals
@@ -30,6 +29,9 @@ GROWN = 200.0
 GOLDEN = 1.618
 """Exponent that spreads times so that no mode is missed by its period."""
 
+ROUNDED = 1e-12
+"""An entry of orthonormal columns below this is none."""
+
 TOUCHED = 1e-9
 """A row counts as free of the unknown part if it is below this share of the row, in balanced coordinates."""
 
@@ -48,12 +50,16 @@ class Known:
         What spans the unknown part.
     modes : tuple of str
         Its eigenvalues, in words.
+    moving : (n, m) array or None
+        What no sample shows, as it is at the first one, where that moves on (the samples come at a period of a mode
+        that the outputs see at other times): `plant` is then whole, and `unknown` all that it passes through.
     """
 
     plant: Plant
     lift: Array
     unknown: Array
     modes: tuple[str, ...]
+    moving: Array | None = None
 
     def touches(self, row: Array) -> bool:
         """Whether the unknown part changes row'x."""
@@ -62,19 +68,12 @@ class Known:
 
 
 def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDArray[np.intp]]) -> Known:
-    """Return what an endless schedule lets anybody know of a plant.
-
-    Raises
-    ------
-    NotDetectableError
-        If the samples alone, not the outputs, hide a mode (they come at a period of it): then what is hidden differs
-        from time to time.
-    """
+    """Return what an endless schedule lets anybody know of a plant."""
     d = _scales(plant, period)
     A, C = plant.A * d / d[:, None], plant.C * d
     size = np.linalg.norm(C, axis=1, keepdims=True)
     C = C / np.where(size > 0, size, 1.0)
-    found, modes = [], []
+    found = []
     values = [complex(c.value) for c in eigenvalue_clusters(plant.A)]
     for group in _alike(values, period):
         if group[0].real * period < -DECAYS:
@@ -83,19 +82,16 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDAr
         hidden = _hidden(A, C, X, group[0], times, period, outputs)
         if hidden.shape[1]:
             found.append(X @ hidden)
-            modes += [format_eigenvalue(value) for value in group]
     if not found:
         return Known(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
     joined = np.hstack(found)
     real = np.hstack([joined.real, joined.imag])
     left, sizes, _ = np.linalg.svd(real, full_matrices=True)
     rank = int(np.sum(sizes > 1e-7 * sizes[0]))
-    U, N = left[:, :rank], left[:, rank:]
+    U, N = _cleaned(left[:, :rank]), left[:, rank:]
     if np.linalg.norm(N.T @ A @ U) > 1e-7 * np.linalg.norm(A):
-        raise NotDetectableError(
-            f"`schedule` hides {', '.join(modes)} from the outputs, which see it at other times: what is unknown then "
-            "differs from time to time, and no row is safe. Move a sample off the period of that mode."
-        )
+        passed = d[:, None] * _cleaned(_invariant_hull(A, U))
+        return Known(plant, np.eye(plant.n_states), passed, open_modes(plant.A, d[:, None] * U), d[:, None] * U)
     reduced = Plant(
         N.T @ A @ N,
         plant.C * d @ N,
@@ -106,7 +102,38 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDAr
         disturbances=plant.disturbances,
         states=Signals([f"known{i + 1}" for i in range(N.shape[1])]),
     )
-    return Known(reduced, d[:, None] * N, d[:, None] * U, tuple(modes))
+    return Known(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
+
+
+def _cleaned(U: Array) -> Array:
+    """Orthonormal columns without entries that are rounding."""
+    return np.where(np.abs(U) > ROUNDED, U, 0.0)
+
+
+def _invariant_hull(A: Array, U: Array) -> Array:
+    """Orthonormal columns that span the least invariant subspace of A with the columns of U in it."""
+    size = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    for _ in range(len(A)):
+        left, sizes, _ = np.linalg.svd(np.hstack([U, A @ U / size]), full_matrices=False)
+        wider = left[:, sizes > 1e-7 * sizes[0]]
+        if wider.shape[1] == U.shape[1]:
+            break
+        U = wider
+    return U
+
+
+def open_modes(A: Array, U: Array) -> tuple[str, ...]:
+    """Return the eigenvalues of A, in words, of which the columns of U have a share."""
+    d = balanced_schur(A).d
+    A, U = A * d / d[:, None], U / d[:, None]
+    U = U / np.linalg.norm(U, axis=0)
+    values = [complex(cluster.value) for cluster in eigenvalue_clusters(A)]
+    found = []
+    for value in values:
+        left = _invariant(A.T, [value], values)
+        if np.linalg.norm(left.T @ U) > UNSEEN:
+            found.append(format_eigenvalue(value))
+    return tuple(found)
 
 
 def unseen_modes(A: Array, C: Array) -> tuple[str, ...]:

@@ -145,10 +145,51 @@ def test_rows_are_known_where_the_whole_state_is_not():
     assert found.to_dict()["upper"][2] is None
 
 
-def test_a_mode_that_only_the_samples_hide_is_refused():
+def _hidden_by_samples(shared):
+    """An oscillation at twice the samples' period, and a level that drifts; one sensor for both, or one for each."""
+    A = np.zeros((3, 3))
+    A[0, 1], A[1, 0] = np.pi, -np.pi
+    return A, np.array([[1.0, 0.0, 1.0]]) if shared else np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("gaps", [[1.0], [1.0, 1.0]])
+@pytest.mark.parametrize("shared", [False, True])
+def test_rows_are_known_where_only_the_samples_hide_a_mode(shared, gaps):
+    A, C = _hidden_by_samples(shared)
+    schedule, bounds = sd.PeriodicSchedule(gaps), {"w_bound": [0.1, 0.1, 0.1], "v_bound": 0.1}
+    found = sd.accuracy(sd.Plant(A, C), schedule, **bounds)
+    assert np.isinf(found.upper).tolist() == [True, True, False]
+    assert np.all(found.upper[2] <= 1.01 * found.lower[2])
+    assert "3.14159i" in found.explain()
+    assert found.verify()
+    T = np.random.default_rng(1).standard_normal((3, 3)) * [[1e-6], [1.0], [1e6]]
+    back = np.linalg.inv(T)
+    turned = sd.accuracy(sd.Plant(T @ A @ back, C @ back, G=T), schedule, of=back, **bounds)
+    assert np.isinf(turned.upper).tolist() == [True, True, False]
+    assert turned.lower[2] <= found.upper[2]
+    assert found.lower[2] <= turned.upper[2]
+    if not shared:  # the level alone: what moves it between samples, and the noise
+        assert found.lower[2] <= 0.2 <= found.upper[2]
+    else:  # the oracle knows nothing of the start, and has as good as forgotten it
+        ball = sd.accuracy(sd.Plant(A, C), schedule, w_bound=0.1, v_bound=0.1, of="x3")
+        value = oracle.adversary(A, C, np.eye(3), np.arange(16.0), [0.0, 0.0, 1.0], 0.1, 0.1, cells=12)[0]
+        assert abs(ball.at_samples[0, 0] - value) <= 0.01 * value
+
+
+def test_every_row_of_an_oscillation_that_samples_hide_is_unknown():
     plant = sd.Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
-    with pytest.raises(sd.errors.NotDetectableError, match="from the outputs, which see it at other times"):
-        sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1)
+    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1)
+    assert np.all(np.isinf(found.upper))
+    assert found.unknown == ("0+3.14159i", "0-3.14159i")
+
+
+def test_exact_sensors_say_that_the_program_is_degenerate():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["position"])
+    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.0)
+    assert "Samples of position count as exact (noise bound 0)" in found.notice
+    assert found.notice in found.explain()
+    assert "degenerate" in str(found)
+    assert sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1).notice == ""
 
 
 def test_what_is_unseen_and_decays_is_known():

@@ -104,3 +104,13 @@ def test_more_samples_average_the_noise():
 def test_bad_input_is_refused(change, match):
     with pytest.raises(ArgumentError, match=match):
         sd.standard_deviation(PLANT, SCHEDULE, **({"w_intensity": W, "v_deviation": V} | change))
+
+
+def test_a_mode_that_only_the_samples_hide_leaves_other_rows_as_they_are():
+    """An oscillation at twice the samples' period beside a level with a sensor of its own."""
+    A = np.zeros((3, 3))
+    A[0, 1], A[1, 0] = np.pi, -np.pi
+    both = sd.Plant(A, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    found = sd.standard_deviation(both, sd.PeriodicSchedule([1.0, 1.0]), w_intensity=1.0, v_deviation=1.0)
+    assert np.isinf(found.worst).tolist() == [True, True, False]
+    assert abs(found.worst[2] ** 2 - (1 + 5**0.5) / 2) < 1e-9

@@ -172,3 +172,22 @@ def test_intervals_off_centre_need_an_owner():
 
     with pytest.raises(ArgumentError, match="`v_bound` must be centred at 0 here"):
         SignalBounds.of(PLANT, 2, None, 0.1, {"y1": (0.0, 1.0)})
+
+
+def test_a_row_that_stays_unknown_has_its_mode_named():
+    hidden = sd.Plant([[0.1, 0.0], [0.0, 0.0]], [[0.0, 1.0]], states=["hidden", "seen"])
+    found = sd.accuracy(hidden, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1)
+    assert found.unknown == ("0.1",)
+    assert "Of hidden nothing can ever be known: the samples do not determine what belongs to the eigenvalue 0.1" in (
+        found.explain()
+    )
+    early = sd.accuracy(sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), sd.Schedule([0.0]), w_bound=0.1, v_bound=0.1)
+    assert early.unknown == ("0",)
+    assert sd.accuracy(hidden, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1, of="seen").unknown == ()
+
+
+def test_a_row_that_is_known_at_its_sample_alone_says_so():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+    found = sd.accuracy(plant, sd.Schedule([0.0]), w_bound=0.1, v_bound=0.1, end=2.0)
+    assert "at single times only" in str(found)
+    assert "Where the samples determine them, some estimator guarantees position within 0.1" in found.explain()

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._conic import INFEASIBLE, UNBOUNDED, ConeSolver
+from sampling_design._conic import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
+from sampling_design._stages import StageProgram
 from sampling_design.planning.motion import Motion
 
 Array = npt.NDArray[np.float64]
@@ -21,6 +22,13 @@ Mask = npt.NDArray[np.bool_]
 
 TOLERANCE = 1e-7
 """Asked of the solver: attacks are scaled until they are admissible, so it only costs strength."""
+
+STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
+"""Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
+entries of w from which on stages are quicker."""
+
+SAME = 1 - 1e-12
+"""Two directions are one if their cosine is beyond this."""
 
 BEYOND = 1 + 1e-4
 """A faintest motion reaches this much more than asked, so that scaling leaves it above."""
@@ -90,9 +98,17 @@ class RasterWindow:
         self._slack_at = int(self._w_at[-1])
         soft = [] if faint is None else [int(np.count_nonzero(f)) for f in faint]
         self._columns = self._slack_at + sum(soft)
-        self._build(soft)
+        self._soft, self._built = soft, False
+        self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
+        self._stages: StageProgram | None = None
+        if faint is None and not motion.ball and self._w_at[-1] - self._w_at[0] > MANY:
+            seen_rows = [motion.H[chosen] for chosen in seen]
+            self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
+        else:
+            self._build(soft)
 
     def _build(self, soft: list[int]) -> None:
+        self._built = True
         motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]
         rows = _RowGatherer()
         rows.add(np.zeros(n), (0, np.eye(n)))
@@ -132,9 +148,25 @@ class RasterWindow:
         self._solver: ConeSolver | None = None
 
     def _solved(self, mu: Array) -> tuple[Array, Array, str]:
+        """What the solver says of a target; a direction is solved once, whatever its length and sign."""
+        unit = mu / (float(np.linalg.norm(mu)) or 1.0)
+        for known, (x, y, status) in self._known:
+            near = float(known @ unit)
+            if abs(near) > SAME:
+                return float(np.sign(near)) * x, y, status
+        self._known.append((unit, self._freshly(mu)))
+        return self._known[-1][1]
+
+    def _freshly(self, mu: Array) -> tuple[Array, Array, str]:
         cost = np.zeros(self._columns)
         size = float(np.linalg.norm(mu))
         n, K = self.motion.n, len(self.knots)
+        if self._stages is not None and size:
+            found = self._stages.solve(mu, [np.zeros(np.count_nonzero(seen)) for seen in self.seen], STAGED)
+            if found.gap <= STALLED:
+                return np.concatenate([found.z.ravel(), *found.u]), np.zeros(0), SOLVED
+        if not self._built:
+            self._build(self._soft)
         cost[(K - 1) * n : K * n] = -mu / (size or 1.0)
         if self._solver is None:
             self._solver = ConeSolver(self._A, self._cones, tolerance=TOLERANCE)

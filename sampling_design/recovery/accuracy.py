@@ -25,8 +25,9 @@ from sampling_design.recovery.question import Question
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch, RowSearch
 from sampling_design.recovery.start import InitialError
-from sampling_design.recovery.unknown import Known, open_modes
-from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
+from sampling_design.recovery.strongest import left_open, strongest_witness
+from sampling_design.recovery.unknown import Known
+from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 if TYPE_CHECKING:
@@ -457,7 +458,7 @@ def _record(
         below[k] = np.concatenate([part[:-1] for part in attained])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
-        witness, j, offset = _flown(finder, search.row, question, again)
+        witness, j, offset = strongest_witness(finder, search.row, question, again)
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         worst[k] = times[j] + again.opened[j].d[offset]
@@ -480,43 +481,9 @@ def _record(
         at_samples=freeze(at_samples[:, question.samples]),
         profile=AccuracyProfile(freeze(edges), freeze(below), freeze(above), freeze(times[question.samples])),
         witnesses=tuple(witnesses),
-        unknown=known.modes if plain else _left_open(question, finder, upper),
+        unknown=known.modes if plain else left_open(question, finder, upper),
         proof=proof,
     )
-
-
-def _left_open(question: Question, finder: ChainSearch | None, upper: Array) -> tuple[str, ...]:
-    """Eigenvalues of what the samples of a finite schedule leave open at their end, if a wanted row is infinite."""
-    if finder is None or np.isfinite(upper).all():
-        return ()
-    chain, basis = finder.chain, finder.atoms[-1].basis
-    free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
-    return open_modes(question.plant.A, chain.D[:, None] * chain.L[-1] @ free)
-
-
-def _flown(finder: ChainSearch, row: Array, question: Question, found: RowSearch) -> tuple[AccuracyWitness, int, int]:
-    """The strongest strike as a witness that is flown anew and made admissible, its sample and its offset."""
-    best: tuple[AccuracyWitness, int, int] | None = None
-    strikes = []
-    for j, opened in enumerate(found.opened):
-        sure = np.isfinite(found.nodes[j])
-        if not sure.any():
-            continue
-        for strike in finder.strikes[j] or [finder.idle(j)]:
-            values = np.where(sure, np.abs(opened.mu @ strike.end) + opened.below, -1.0)
-            strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
-    for value, offset, strike in sorted(strikes, key=lambda a: -a[0]):
-        if best is not None and best[0].value >= value:
-            break
-        witness = physical(row, found.opened[strike.sample], strike, offset)
-        value, excess = attains(witness, question.bounds, question.initial)
-        factor = max(excess, 1.0)
-        w, states = freeze(witness.w / factor), freeze(witness.states / factor)
-        witness = replace(witness, w=w, states=states, value=value / factor)
-        if best is None or witness.value > best[0].value:
-            best = witness, strike.sample, offset
-    assert best is not None
-    return best
 
 
 def _finite(values: Array) -> list[float | None]:

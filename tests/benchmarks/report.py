@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
@@ -60,7 +61,9 @@ def table(benchmarks: list[dict]) -> list[str]:
 
 def main() -> None:
     """Write the page."""
-    lines = ["# Benchmarks", "", "Made by `python tests/benchmarks/report.py` with the `test` extra installed.", ""]
+    lines = ["# Benchmarks", "", "Made by `python tests/benchmarks/report.py` with the `test` extra installed, "]
+    lines[-1] += f"on {date.today()}."
+    lines += [""]
     lines += [f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}; "]
     lines[-1] += ", ".join(f"{name} {version(name)}" for name in LIBRARIES) + ". One BLAS thread."
     for path in sorted(HERE.glob("bench_*.py")):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import platform
+from datetime import date
 from pathlib import Path
 
 import sampling_design as sd
@@ -28,7 +29,10 @@ SETTINGS = {
 def written(tables: list[Table], folder: Path, spent: float, quick: bool) -> Path:
     """Write the page and its figures into `folder` and return the page's path."""
     lines = ["# Arena: the same plants and data, this toolbox and its peers", ""]
-    lines += [f"Made by `{COMMAND}{' --quick' if quick else ''}` in {spent:.0f} s of processor time; ", ""]
+    lines += [
+        f"Made by `{COMMAND}{' --quick' if quick else ''}` on {date.today()} in {spent:.0f} s of processor time; ",
+        "",
+    ]
     lines[-2] += f"Python {platform.python_version()}, {os.cpu_count()} cores ({platform.machine()}), one BLAS thread, "
     lines[-2] += (
         f"sampling_design {sd.__version__}. Times are processor time, medians of several calls, first calls apart; "

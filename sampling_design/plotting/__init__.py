@@ -33,6 +33,7 @@ _PICTURES = {
     "FamilyCertificate": ("certificates", "draw_family_certificate"),
     "InclusionCertificate": ("inclusions", "draw_inclusion"),
     "InformationCurve": ("certificates", "draw_information"),
+    "TradeoffCurve": ("certificates", "draw_tradeoff"),
     "Robustness": ("robustness", "draw_robustness"),
     "FourHorizons": ("certificates", "draw_four_horizons"),
     "EstimateRecord": ("estimates", "draw_estimates"),

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from sampling_design._linalg import discounted_flow
 from sampling_design._record import short
 from sampling_design.certificates.compare.four_horizons import FourHorizons
+from sampling_design.certificates.compare.tradeoff import TradeoffCurve
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.information import InformationCurve, information_curve
 from sampling_design.certificates.exact.window_problem import noise_input
@@ -38,6 +39,19 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     ax.vlines(curve.samples, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
     ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
     ax.set_ylabel("least information relative to P1")
+    style.legend(ax)
+    return ax
+
+
+def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
+    """Draw the horizon over the noise gain, one dot per budget."""
+    ax = style.new_axes(ax)
+    ax.semilogx(curve.C_v, curve.horizons, "o-", color=style.PROVEN, linewidth=1.2, markersize=5, label="proven")
+    for budget, gain, horizon in zip(curve.budgets, curve.C_v, curve.horizons, strict=True):
+        label = f"budget {short(budget, 4)}"
+        ax.annotate(label, (gain, horizon), xytext=(5, 4), textcoords="offset points", fontsize="small")
+    ax.set_xlabel("noise gain C_v")
+    ax.set_ylabel(f"least horizon [{curve.certificates[0].plant.time_unit}]")
     style.legend(ax)
     return ax
 

@@ -115,6 +115,9 @@ def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():
     assert np.all(np.diff(curve.C_w) > 0)
     assert all(made.verify() for made in curve.certificates)
     assert "noise gain rises" in curve.explain()
+    assert curve.to_frame()["horizons"].tolist() == curve.horizons.tolist()
+    drawn = curve.plot().lines[0]
+    assert (drawn.get_xdata().tolist(), drawn.get_ydata().tolist()) == (curve.C_v.tolist(), curve.horizons.tolist())
     with pytest.raises(ArgumentError, match="`budgets` must increase strictly"):
         tradeoff_curve(DOUBLE, EVERY, 0.4, [3.0, 2.0])
 

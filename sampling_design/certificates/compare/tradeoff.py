@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Table, short
 from sampling_design.certificates.certify import chosen
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.given_weights import met, weights_of
@@ -24,7 +24,7 @@ BUDGETS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TradeoffCurve(Record):
+class TradeoffCurve(Table):
     """One certificate per noise budget.
 
     Attributes
@@ -44,6 +44,9 @@ class TradeoffCurve(Record):
     C_v: Array
     lam: Array
     certificates: tuple[Certificate, ...]
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        return {key: getattr(self, key) for key in ("budgets", "horizons", "C_w", "C_v", "lam")}
 
     def _rows(self) -> list[tuple[str, str]]:
         columns = zip(self.budgets, self.horizons, self.C_w, self.C_v, strict=True)

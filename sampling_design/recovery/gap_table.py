@@ -192,13 +192,16 @@ class _Stacked:
     """Gaps with equally many panels."""
 
     def __init__(self, gaps: list[FlownGap]):
-        self.flown, self.bend = np.array([gap.flown for gap in gaps]), np.array([gap.bend for gap in gaps])
+        both = np.array([[gap.flown, gap.bend] for gap in gaps])  # (J, 2, panels + 1, n, q)
+        self._shape = (len(gaps), 2, both.shape[2], both.shape[4])
+        self._rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(gaps), -1, both.shape[3])
         self.third, self.step = np.array([gap.third for gap in gaps]), np.array([gap.step for gap in gaps])[:, None]
 
     def integral(self, g: Array, ball: bool) -> float:
         """As `Quadrature.integral`, of these gaps."""
-        costate, d = g[:, None, :, None], self.step
-        p, curved = (self.flown * costate).sum(axis=2), (self.bend * costate).sum(axis=2)
+        d = self.step
+        both = np.matmul(self._rows, g[:, :, None]).reshape(self._shape)
+        p, curved = both[:, 0], both[:, 1]
         steep = self.third * np.linalg.norm(g, axis=1)[:, None]
         if ball:
             value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))

@@ -255,7 +255,7 @@ class RecordProgram:
 
     def _offset(self, k: int, open_: Array, e: Array) -> Array:
         """The costates' difference one time earlier."""
-        return np.asarray(self._through[k - 1] @ e + self.F[k - 1].T @ open_)
+        return np.asarray(self._through[k - 1].dot(e) + open_.dot(self.F[k - 1]))
 
     @cached_property
     def _through(self) -> Array:
@@ -291,7 +291,7 @@ class RecordProgram:
         for k in range(len(steps) - 1, 0, -1):
             g = g - steps[k]
             found[k - 1] = g
-            g = self.F[k - 1].T @ g
+            g = g.dot(self.F[k - 1])
         return found, g - steps[0]
 
     def _terms(self, c: Array, gains: Array) -> float:

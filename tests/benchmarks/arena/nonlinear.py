@@ -157,7 +157,7 @@ def windowed(case: Case, data: tuple[np.ndarray, ...]) -> tuple[np.ndarray, floa
     times, found = np.cumsum(counts) * dt, []
     u = {"u": case.u} if case.u else {}
     if case.u:  # an input counts from when it is given; nothing is measured then
-        estimator.update(0.0, [np.nan] * shown.shape[1], **u)
+        estimator.update(0.0, None, **u)
     before = time.process_time()
     for t, y in zip(times.tolist(), shown, strict=True):
         found.append(estimator.update(t, y, **u).x)

@@ -12,10 +12,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from tests import rigour
 
-from . import page, proving, radii, records, scaling, searching, seeing, windows
+from . import nonlinear, page, proving, radii, records, scaling, searching, seeing, windows
 
 TASKS = {
-    task.__name__.rsplit(".", 1)[-1]: task for task in (seeing, searching, proving, windows, records, radii, scaling)
+    task.__name__.rsplit(".", 1)[-1]: task
+    for task in (seeing, searching, proving, windows, records, radii, nonlinear, scaling)
 }
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -31,7 +31,7 @@ def draw_estimates(
     states = record.plant.states
     if ax is not None:
         return _panel(ax, record, 0, measurements, tube)
-    figure, axes = style.new_figure(len(states), row_height=1.7)
+    figure, axes = style.new_figure(len(states), row_height=1.7 if len(states) > 1 else 2.6)
     for i, panel in enumerate(axes):
         _panel(panel, record, i, measurements, tube)
         if i + 1 < len(axes):
@@ -52,7 +52,7 @@ def draw_envelope(
 ) -> Axes | style.Panels:
     """Draw one panel per state: over stretches of time the extremes of the estimates and of what is proven."""
     states = record.plant.states
-    figure, axes = style.new_figure(len(states) if ax is None else 1, row_height=1.7)
+    figure, axes = style.new_figure(len(states) if ax is None else 1, row_height=1.7 if len(states) > 1 else 2.6)
     panels: Sequence[Axes] = axes if ax is None else [ax]
     edges = record.edges
     for i, panel in enumerate(panels):

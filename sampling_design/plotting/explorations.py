@@ -51,7 +51,8 @@ def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes | style.Pane
     top.tick_params(labelbottom=False)
     top.set_xlabel("")
     _room(points, bottom)
-    bottom.set_xlim(top.get_xlim())
+    for one in (top, bottom):
+        one.set_xlim(points[0].samples - 0.6, points[-1].samples + 0.6)
     return style.Panels([top, bottom])
 
 

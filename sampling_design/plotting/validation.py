@@ -23,7 +23,7 @@ def draw_validation(report: ValidationReport, ax: Axes | None = None) -> Axes | 
     if report.example is None:
         return _errors(report, style.new_axes(height=3.6))
     count = len(report.plant.states)
-    _, axes = style.new_figure(1 + count, row_height=1.8, ratios=(2.2, *([1.0] * count)))
+    _, axes = style.new_figure(1 + count, row_height=1.8 if count > 1 else 2.6, ratios=(2.2, *([1.0] * count)))
     _errors(report, axes[0])
     for i, panel in enumerate(axes[1:]):
         _tube(report, i, panel)
@@ -52,7 +52,7 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
     verdict = "all promises held" if report.passed else f"{broken} promise{'s' * (broken != 1)} broken"
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
     ax.set_xlabel(style.time_label(report.plant.time_unit))
-    ax.set_ylabel(f"error: {report.norm}", fontsize="small")
+    ax.set_ylabel(f"error: {report.norm}".replace(", ", ",\n"), fontsize="small")
     style.legend(ax, 3)
     return ax
 

@@ -23,7 +23,7 @@ from sampling_design import (
     validate,
 )
 from sampling_design.estimators.baselines import standard_mhe
-from sampling_design.estimators.constraints.convex_set import Ball, ConvexSet
+from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from tests.rescale import Units
 
@@ -55,7 +55,7 @@ def box(units, low, high):
 def ball(units, radius):
     """|z| <= radius in the old units."""
     whole, k = np.full(units.size, np.inf), units.size
-    return ConvexSet(-whole, whole, None, None, (Ball(radius, np.zeros(k), np.diag(1 / units)),))
+    return ConvexSet(-whole, whole, None, None, (NormBall(radius, np.zeros(k), np.diag(1 / units)),))
 
 
 KINDS = {

@@ -25,6 +25,10 @@ from sampling_design.plants.plant import Plant, first_difference
 Array = npt.NDArray[np.float64]
 
 
+INVERTED = 1e-15
+"""Relative error of a weight in units of its diagonal: its inverse is off by as much times its condition."""
+
+
 class SampleWeights(NamedTuple):
     """Weights of one sample, or of (N, ...) samples: those of its measured outputs, zero rows and columns elsewhere.
 
@@ -67,6 +71,18 @@ class Weights:
     def noise(self) -> Array:
         """G Qw^-1 G', the intensity with which information is lost between samples."""
         return symmetrise(self.plant.G @ np.linalg.solve(self.w, self.plant.G.T))
+
+    @cached_property
+    def loose(self) -> float:
+        """How far what is found from the weights' inverses may be off, relative, as a quadratic form."""
+        found = [0.0]
+        for weight in (self.prior, self.w, self.R, self.v, self.y):
+            if len(weight):
+                size = np.sqrt(np.diag(weight))
+                values = np.linalg.eigvalsh(weight / size[:, None] / size)
+                least = max(float(values[0]), float(np.finfo(float).eps))
+                found.append(INVERTED * float(values[-1]) / least)
+        return max(found)
 
     @cached_property
     def units(self) -> Array:

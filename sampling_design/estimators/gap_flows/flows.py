@@ -34,6 +34,10 @@ class Arrival(NamedTuple):
     band: Array
 
 
+COVARIANCE_ERROR = 2e-14
+"""Relative error of a W in units of its diagonal: its inverse is off by as much times its condition."""
+
+
 class GapFlow:
     """Transition over one gap h; roots and information are found when they are first asked for.
 
@@ -56,7 +60,7 @@ class GapFlow:
         Its lower triangle, column after column, from the diagonal down.
     """
 
-    __slots__ = ("F", "W", "_arrival", "_band", "_joint", "_roots", "gap", "growth", "inputs", "integral")
+    __slots__ = ("F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "gap", "growth", "inputs", "integral")
 
     def __init__(
         self,
@@ -71,6 +75,7 @@ class GapFlow:
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self._roots = roots
         self._band: Array | None = None
+        self._loose: float | None = None
         self._arrival: tuple[Array, Arrival | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
 
@@ -95,6 +100,16 @@ class GapFlow:
         if isinstance(self._joint, bool):
             self._joint = _joint(self.F, self.W)
         return self._joint
+
+    @property
+    def loose(self) -> float:
+        """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
+        if self._loose is None:
+            finite = np.isfinite(self.W).all()
+            half = _half(self.W) if finite and self.joint is not None else None
+            unit = np.zeros(1) if half is None else half * np.sqrt(self.W.diagonal())
+            self._loose = COVARIANCE_ERROR * float(np.vdot(unit, unit))
+        return self._loose
 
     @property
     def band(self) -> Array:

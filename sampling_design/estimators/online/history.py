@@ -25,7 +25,8 @@ class Node(NamedTuple):
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
     on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
     the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
-    `limited` when one last had limits or means.
+    `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
+    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off.
     """
 
     t: float
@@ -45,6 +46,8 @@ class Node(NamedTuple):
     limits: Array | None = None
     counted: float = np.nan
     limited: float = -np.inf
+    held: float = 0.0
+    loose: float = 0.0
 
 
 class InputHistory(Sequence[tuple[float, Array]]):

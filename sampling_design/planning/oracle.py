@@ -18,6 +18,9 @@ Mask = npt.NDArray[np.bool_]
 SETTLED = 2e-3
 """A longer past is looked at until it adds less than this share."""
 
+LONGEST = 8
+"""Gaps that are looked at where only the longest are."""
+
 LOOKS = 4
 """Offsets of a gap at which it is judged, its end among them."""
 
@@ -42,9 +45,10 @@ class Oracle:
         self.spread = RasterFilter(problem, motion, self.work) if spread else None
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
-    def judge(self, chosen: Mask, above: float = np.inf) -> tuple[float, list[HiddenMotion]]:
+    def judge(self, chosen: Mask, above: float = np.inf, *, longest: bool = False) -> tuple[float, list[HiddenMotion]]:
         """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`.
 
+        `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
         Infinite, without an attack, where the choice hides a motion that never fades.
         """
         if self.hidden(chosen) is not None:
@@ -54,7 +58,8 @@ class Oracle:
         worst, found, known = self._deviations(chosen)
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        for k in np.argsort(-gaps, kind="stable").tolist() if goals else []:
+        order = np.argsort(-gaps, kind="stable").tolist() if goals else []
+        for k in order[: LONGEST if longest and turns else None]:
             if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
                 like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
                 if like in known:

@@ -161,12 +161,12 @@ class _Planning:
         """The least cost that keeps every tolerance."""
         search, best, chosen = self.search, None, None
         self._require_seen()
-        worst, attacks = self.oracle.judge(self.problem.allowed)
+        worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(attacks, 1.0)
         if worst > 1:
             self._refuse(worst)
         everything = self._densest()
-        search.add(self.oracle.judge(everything)[1], 1.0)
+        search.add(self.oracle.judge(everything, longest=True)[1], 1.0)
         search.seed(1.0)
         for margin in NARROW_MARGINS if search.spread else MARGINS:
             again = True

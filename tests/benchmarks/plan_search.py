@@ -1,0 +1,91 @@
+"""Rivals of a plan: differential evolution and random search with ten times its CPU time.
+
+    python -m tests.benchmarks.plan_search [TIMES]
+
+Both look for times on the raster, judged by the search's own program; their best is then proven by `accuracy`: it must
+neither lie below what the plan says is out of reach, nor below the plan by more than its gap.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+import sampling_design as sd
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.plan import accuracy_of
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
+INTEGRATOR = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
+CASES = {
+    "oscillator, position": (OSCILLATOR, "position", 6.4, 64, 4, 0.2),
+    "oscillator, velocity": (OSCILLATOR, "velocity", 6.4, 64, 4, 0.2),
+    "double integrator, place": (INTEGRATOR, "place", 5.0, 50, 3, 0.1),
+}
+
+
+class Spent(Exception):
+    """The rival's time is up."""
+
+
+class Rival:
+    """Times as fractions of the period, judged on the raster; the best is kept."""
+
+    def __init__(self, problem, seconds):
+        self.problem, self.seconds = problem, seconds
+        self.oracle, self.began = Oracle(problem, motion_of(problem)), time.process_time()
+        self.best, self.chosen, self.tried = np.inf, None, 0
+
+    def __call__(self, shares):
+        if time.process_time() - self.began > self.seconds:
+            raise Spent
+        chosen = np.zeros(self.problem.allowed.shape, dtype=bool)
+        chosen[np.floor(np.asarray(shares) * self.problem.steps).astype(int) % self.problem.steps] = True
+        worst = self.oracle.judge(chosen, above=self.best)[0]
+        self.tried += 1
+        if worst < self.best:
+            self.best, self.chosen = worst, chosen
+        return worst
+
+    def evolved(self, samples):
+        with contextlib.suppress(Spent):
+            differential_evolution(self, [(0.0, 1.0)] * samples, seed=3, maxiter=10**6, tol=0.0, polish=False)
+
+    def drawn(self, samples):
+        rng = np.random.default_rng(4)
+        with contextlib.suppress(Spent):
+            while True:
+                self(rng.uniform(size=samples))
+
+
+def main(times):
+    """Print what the plan, its bound and both rivals reach."""
+    print("| | plan | none below | CPU [s] | evolution | random | tried |\n|---|---|---|---|---|---|---|")
+    for name, (plant, row, period, steps, samples, noise) in CASES.items():
+        wanted = sd.PlanRequirement(
+            {row: 1.0}, period=period, raster=period / steps, samples=samples, w_bound=0.02,
+            sensors={"y": {"noise_bound": noise}},
+        )  # fmt: skip
+        began = time.process_time()
+        found = sd.plan(plant, wanted, certificate=False, robustness=False)
+        spent, reached, tried = time.process_time() - began, [], 0
+        for how in ("evolved", "drawn"):
+            rival = Rival(found.problem, times * spent)
+            getattr(rival, how)(samples)
+            proof = accuracy_of(found.problem, rival.chosen)
+            assert proof.upper[0] >= found.bound.ratio.level
+            assert proof.lower[0] >= found.ratio * (1 - found.gap) * (1 - 1e-9)
+            reached.append(float(proof.upper[0]))
+            tried += rival.tried
+        level = found.bound.ratio.level
+        rivals = f"{reached[0]:.4f} | {reached[1]:.4f} | {tried}"
+        print(f"| {name} | {found.ratio:.4f} | {level:.4f} | {spent:.1f} | {rivals} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 10.0)

@@ -8,6 +8,7 @@ import pytest
 from sampling_design import Plant
 from sampling_design.observability.worst_case.spaced_paths import least_path, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.observability.worst_case.spaced_sphere import around
 from sampling_design.observability.worst_case.spaced_tables import Tables
 
 
@@ -51,22 +52,52 @@ def test_windows_may_begin_anywhere_and_both_directions_meet():
 
 @pytest.mark.parametrize("cells", [2, 7, 32])
 @pytest.mark.parametrize("seed", range(4))
-def test_curves_never_sink_below_their_lowered_chords(cells, seed):
+def test_curves_never_sink_below_their_lowered_chords(cells, seed, monkeypatch):
     rng = np.random.default_rng(seed)
     plant = Plant(rng.normal(size=(3, 3)) * 2, rng.normal(size=(2, 3)))
     rows = SpacedRows(plant, 3.0, 2, 0.4)
+    monkeypatch.setattr(Tables, "first_cells", lambda self: cells)
     tables = Tables(rows, np.array([0.0, 1.0]), 1e-4)
-    table = tables.at(cells)
+    cells = tables.least_cells
+    point = np.broadcast_to(np.arange(cells + 1), (1, 2, cells + 1))
+    table, _, at = tables.at(cells, point)
     z, d = rng.normal(size=3), rng.normal(size=3) * 0.3
-    X = np.outer(z, z) + np.outer(d, z) + np.outer(z, d)
-    form = tables.triangle(X)
-    nuclear = np.linalg.norm(X, "nuc")
-    value = table.gram[:, 1:-1] @ form
-    bend = table.bend @ form
-    bent = np.maximum.reduce([bend[:, :-2], bend[:, 1:-1], bend[:, 2:]])
-    low = value - np.maximum(bent + table.beyond * nuclear, 0.0)
-    knots, fine = np.linspace(0, rows.slack, cells + 1), np.linspace(0, rows.slack, 40 * cells + 1)
+    X = (np.outer(z, z + d) + np.outer(z + d, z)) / 2
+    value, bent = (part[0].transpose(0, 2, 1) @ (z + d) for part in table.against(z[None], at))
+    here = at[0, :, :-1]
+    sink = np.maximum(bent[:, :-1], bent[:, 1:]) * table.eighth[here]
+    low = value - around(np.maximum(sink + table.beyond[here] * np.linalg.norm(X, "nuc"), 0.0))
+    knots, fine = tables.knot(cells, np.arange(cells + 1)), np.linspace(0, rows.slack, 40 * cells + 1)
     for i in range(2):
         seen = rows.at(fine + rows.offsets[i]) @ tables.basis
         curve = np.einsum("tpa,ab,tpb->t", seen, X, seen)
         assert np.all(curve >= np.interp(fine, knots, low[i]) - 1e-12 * np.abs(curve).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_states_carried_back_are_no_larger_than_said_for_any_start(seed):
+    rng = np.random.default_rng(seed)
+    plant = Plant(rng.normal(size=(3, 3)) * 2, rng.normal(size=(2, 3)))
+    rows = SpacedRows(plant, 2.0, 2, 0.4)
+    tables = Tables(rows, np.array([0.3, 1.0]), 1e-4)
+    assert tables.pulled
+    starts, y, c = tables.starts(16), rng.normal(size=3), rng.normal(size=3)
+    value = starts.norm @ c @ y
+    bend = (starts.bend @ c @ y).max() + starts.beyond * np.linalg.norm(y) * np.linalg.norm(c)
+    knots, fine = np.linspace(0, rows.slack, 17), np.linspace(0, rows.slack, 600)
+    flow = plant.transition(-fine) @ tables.basis
+    curve = np.einsum("tij,j->ti", flow, y) * np.einsum("tij,j->ti", flow, c)
+    above = np.interp(fine, knots, value) + max(bend, 0.0) * starts.eighth
+    assert np.all(curve.sum(axis=1) <= above + 1e-12 * np.abs(above).max())
+
+
+def test_finer_grids_hold_the_same_rows_whole_or_in_part(monkeypatch):
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    rows = SpacedRows(plant, 4.0, 3, 1e-3)
+    whole, part = (Tables(rows, np.zeros(3), 1e-4) for _ in range(2))
+    part._whole = 0
+    cells = 8 * whole.least_cells
+    point = np.array([[[0, 0], [5, 6], [cells - 1, cells]], [[0, 0], [7, 8], [5, 6]]])
+    for one, other in zip(whole.at(cells, point)[:1], part.at(cells, point)[:1], strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a[whole.at(cells, point)[2]], b[part.at(cells, point)[2]])

@@ -1,14 +1,16 @@
 """Lower bound of sigma over all spaced schedules, proven with enclosed arithmetic (extra `rigorous`).
 
 Claim: z'G z >= mu |L z|^2 for every direction z and G the sum of (C e^{A tau_i} L)'(C e^{A tau_i} L) over any
-admissible schedule. For a cell of directions z0 + d, d in a box, G psd:
+admissible schedule. A schedule's worst z is an eigenvector, Gz = lambda L'Lz, so that for the centre z0 of a cell of
+directions z0 + d, d in a box,
 
-    z'Gz - mu |Lz|^2  >=  z0'Gz0 + 2 d'Gz0 - mu |L(z0 + d)|^2,
+    z0'Gz  =  lambda z0'L'Lz,
 
-concave in d: its corners decide. At a corner the right side is a sum over the samples; between the points of a time
-grid each term lies above its chords minus (h^2/8) max of its second derivative, and the least sum over ordered slacks
-is a least path. Rows come from balls; sums of doubles are lowered by the bound on their rounding; directions are
-dyadic, so that their products are exact.
+both sides linear in z: where z0'Gc > 0 and z0'Gc >= mu z0'L'Lc at each corner c, no worst z of the cell has
+lambda < mu. At a corner the left side is a sum over the samples; between the points of a time grid each term lies
+above its chords minus (h^2/8) max of its second derivative, and the least sum over ordered slacks is a least path.
+Rows come from balls; sums of doubles are lowered by the bound on their rounding; directions are dyadic, so that their
+products are exact.
 """
 
 from __future__ import annotations
@@ -140,16 +142,16 @@ class WorstCase:
     def _vec(self, matrices: Array) -> Array:
         return np.asarray(matrices[..., self.upper[0], self.upper[1]] * self.weight)
 
-    def norms(self, z: Array) -> Array:
-        """At least |L z|^2."""
-        lost = self.terms * UNIT * np.sum(np.abs(z), axis=-1) ** 2 * np.abs(self.metric).max()
-        return np.asarray(np.einsum("...i,ij,...j->...", z, self.metric, z) + lost)
+    def norms(self, y: Array, z: Array) -> Array:
+        """At least y'L'Lz."""
+        lost = self.terms * UNIT * np.abs(y).sum(axis=-1) * np.abs(z).sum(axis=-1) * np.abs(self.metric).max()
+        return np.asarray(np.einsum("...i,ij,...j->...", y, self.metric, z) + lost)
 
     def least(self, cells: BallCells) -> tuple[Array, Array, Array]:
-        """Least sums at the corners (m, c): proven; the same without the bend of time; and at least |L z|^2 there."""
+        """Least z0'Gc at the corners (m, c): proven; the same without the bend of time; and at least z0'L'Lc there."""
         z = cells.centre[:, None, :]
         d = self.signs[cells.face] * cells.half[:, None, :]
-        other = z + 2 * d
+        other = z + d
         pair = z[..., :, None] * other[..., None, :]
         X = ((pair + np.swapaxes(pair, -1, -2)) / 2)[..., self.upper[0], self.upper[1]]
         nuclear = np.linalg.norm(z, axis=-1) * np.linalg.norm(other, axis=-1) * UP
@@ -161,7 +163,7 @@ class WorstCase:
         around = np.concatenate([sink[:, :1], np.maximum(sink[:, :-1], sink[:, 1:]), sink[:, -1:]], axis=1)
         found = [self._path(value - around), self._path(value)]
         shape = X.shape[:-1]
-        return found[0].reshape(shape), found[1].reshape(shape), self.norms(z + d)
+        return found[0].reshape(shape), found[1].reshape(shape), self.norms(z, other)
 
     def _path(self, cost: Array) -> Array:
         """At most the least sum of one cost per sample along non-decreasing grid points, (k, N + 1, K) -> (K,)."""
@@ -204,10 +206,10 @@ class WorstCase:
     def _cut(self, cells: BallCells, mu: float) -> list[BallCells] | None:
         """The cells that stay open, cut in two or with a finer grid; None where one can be cut no further."""
         proven, flat, norms = self.least(cells)
-        needed = mu * norms * UP
+        needed = mu * np.maximum(norms, 0.0) * UP
         if np.any(flat[:, -1] < needed[:, -1] * (1 - FALSE)):
             return None
-        open_ = np.asarray(~np.all(proven >= needed, axis=1))  # nan stays open
+        open_ = np.asarray(~np.all((proven >= needed) & (proven > 0), axis=1))  # nan stays open
         cells, short, flat_short = cells.take(open_), (needed - proven)[open_], (needed - flat)[open_]
         if not open_.any():
             return []

@@ -50,9 +50,13 @@ def sums_so_far(cost: Array, start: Indices) -> Array:
     return total
 
 
-def sums_to_go(cost: Array, start: Indices) -> Array:
-    """Return the least sum of a path that begins at each point, its own cost left out; shapes as for `sums_so_far`."""
+def sums_to_go(cost: Array, start: Indices, end: Array | float = 0.0) -> Array:
+    """Return the least sum of a path that begins at each point, its own cost left out; shapes as for `sums_so_far`.
+
+    `end` (B, c, W) is what ending at each point of the last row costs besides.
+    """
     total = np.zeros_like(cost)
+    total[:, -1] += end
     for i in range(cost.shape[1] - 2, -1, -1):
         later = cost[:, i + 1] + total[:, i + 1]
         running = np.minimum.accumulate(later[..., ::-1], axis=-1)[..., ::-1]

@@ -48,7 +48,7 @@ class SpacedRows:
     def __init__(self, plant: Plant, window: float, count: int, spacing: float) -> None:
         self.A, self.C, self.n, self.p = plant.A, plant.C, plant.n_states, plant.n_outputs
         self.plant, self.window, self.count = plant, window, count
-        self.offsets = spacing * np.arange(count)
+        self.spacing, self.offsets = spacing, spacing * np.arange(count)
         slack = window - float(self.offsets[-1])
         self.slack = slack if slack > 8 * _EPS * window else 0.0
         with np.errstate(over="ignore", invalid="ignore"):

@@ -1,19 +1,23 @@
 """Proven lower bound of sigma over spaced schedules: branch and bound over the sphere of states.
 
-For a cell of directions z0 + d, d in a box, and every schedule, with G psd:
+The state is taken at the first sample, so that a schedule and the same schedule later meet in one cell: a start u and
+slacks 0 = v_1 <= ... <= v_k <= S - u. Its worst state z is an eigenvector, Gz = lambda N(u) z with G the sum of its
+samples and N(u) = (e^{-Au} L)'(e^{-Au} L), hence for every y
 
-    z'Gz - mu |Lz|^2  >=  z0'Gz0 + 2 d'Gz0 - mu |L(z0 + d)|^2,
+    y'Gz = lambda y'N(u)z.
 
-concave in d, so it is enough to look at the corners; at a corner the right side is a sum over the
-samples, and its least value over all schedules is a least path through a table. Between grid times
-the terms lie above their chords minus (h^2/8) max of the second derivative.
+Both sides are linear in z: where y'Gc > 0 and y'Gc >= mu y'N(u)c at every corner c of a cell, for every schedule, none
+whose worst state lies in the cell has lambda < mu. At a corner y'Gc is a sum over the samples, and its least value
+over all schedules that end by a slack v is a least path through a table, to be compared with the largest y'N(u)c over
+u <= S - v. Between grid times the terms lie above their chords minus (h^2/8) max of the second derivative. y is the
+cell's centre z0: at c = z0 + d a sample gives f (f + g) >= -g^2/4, f and g the outputs of z0 and d. (Convexity of z'Gz
+alone would give f (f + 2 g) >= -g^2: cells half as wide in n - 1 directions.)
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +26,7 @@ import numpy.typing as npt
 from sampling_design.observability.worst_case.spaced_paths import sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import Attained, search_from
-from sampling_design.observability.worst_case.spaced_tables import Tables
+from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, StartTable, Tables
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
@@ -36,7 +40,29 @@ _BATCH = 100_000  # numbers per batch: fits into a cache
 _ROUND = 20_000  # cells per round
 _MOST_CELLS = 400_000  # open at once
 _THINNEST = 1e-12  # half-width below which a cell of directions is not cut again
-_TIME_SHARE = 0.5  # the grid is refined where time costs more than this part of what direction costs
+_FAR = 0.1  # below this part of the wanted lambda a cell is cut in four at once
+_FOLLOWED = 4096  # cells at most of the grid on which a better schedule is followed
+_TEAR = 16  # least points of a stretch at which a window is torn
+_TIME_SHARE = 0.5  # the grid is refined where time costs more than this part of what else is missing
+
+
+_PER_CELL = [
+    "sides",
+    "reach",
+    "start",
+    "outside",
+    "own",
+    "most",
+    "own_cost",
+    "sink",
+    "lost",
+    "cost",
+    "so_far",
+    "seen",
+    "room",
+    "rise",
+    "norm",
+]
 
 
 class SphereCells(NamedTuple):
@@ -57,7 +83,7 @@ class SphereCells(NamedTuple):
     def volume(self) -> float:
         """Share of the sphere, as the share of the cube's faces."""
         n = self.centre.shape[1]
-        return float(np.sum(np.prod(self.half, axis=1, where=self.half > 0)) / n)
+        return min(1.0, float(np.sum(np.prod(self.half, axis=1, where=self.half > 0)) / n))
 
 
 class Proof(NamedTuple):
@@ -87,15 +113,14 @@ class _SphereSearch:
     def __init__(self, rows: SpacedRows, found: Attained, rtol: float) -> None:
         self.rows, self.best, self.rtol = rows, found, rtol
         self.tables = Tables(rows, found.slacks, rtol / 100)
-        self.metric = self.tables.basis.T @ self.tables.basis
         n, k = rows.n, rows.count
-        signs = np.array(list(product((-1.0, 1.0), repeat=n - 1))).reshape(2 ** (n - 1), n - 1)
-        self.signs = np.stack([np.insert(signs, f, 0.0, axis=1) for f in range(n)])
-        cells = self.tables.first_cells()
+        self.sides = np.array([[j for j in range(n) if j != face] for face in range(n)], dtype=int).reshape(n, n - 1)
+        cells = self.tables.least_cells
         zeros = np.zeros((n, k), dtype=int)
-        self.open = SphereCells(
-            np.eye(n), 1 - np.eye(n), np.arange(n), np.full(n, cells), zeros, zeros + cells, np.zeros(n)
-        )
+        last = zeros + cells
+        if self.tables.pulled:
+            last[:, 0] = 0  # the first sample is where the state is taken
+        self.open = SphereCells(np.eye(n), 1 - np.eye(n), np.arange(n), np.full(n, cells), zeros, last, np.zeros(n))
         self.stuck = self.open.take(np.zeros(0, dtype=int))
         self.closed_at, self.cells = np.inf, 0
 
@@ -154,7 +179,7 @@ class _SphereSearch:
         grid, width = cells.grid[order], width[order]
         parts, low = [], 0
         while low < order.size:
-            most = max(1, _BATCH // (self.rows.count * self.signs.shape[1] * int(width[low])))
+            most = max(1, _BATCH // (self.rows.count * 2 ** (self.rows.n - 1) * int(width[low])))
             stop = min(int(np.searchsorted(grid, grid[low], side="right")), low + most)
             stop = low + int(np.searchsorted(width[low:stop], 1.3 * width[low] + 2, side="right"))
             parts.append(cells.take(order[low:stop]))
@@ -171,19 +196,23 @@ class _SphereSearch:
         self.closed_at = min(self.closed_at, float(np.min(bound[shut], initial=np.inf)))
         if shut.all():
             return cells.take(~shut)
-        cells, work = cells.take(~shut), work.take(~shut)
-        cells = work.narrowed(cells, self.wanted)
-        by_time, by_direction, value, hopeless = work.losses()
-        self._improve(cells, value)
+        if shut.any():
+            cells, work = cells.take(~shut), work.take(~shut)
+        cells, torn = work.narrowed(cells, self.wanted)
+        by_time, by_direction, hopeless = work.losses(self.wanted)
+        self._improve(work)
         self.stuck = joined([self.stuck, cells.take(hopeless)])
-        loss = cells.half * np.sqrt(work.stretch())
-        return self._cut(cells.take(~hopeless), by_time[~hopeless], by_direction[~hopeless], loss[~hopeless])
+        loss, left = cells.half * np.sqrt(work.stretch()), ~hopeless & (torn.gap == 0)
+        cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
+        return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
 
-    def _improve(self, cells: SphereCells, value: Array) -> None:
+    def _improve(self, work: _Batch) -> None:
         """Follow a centre whose best schedule on the grid already beats the attained one."""
+        value, start = work.centre()
         i = int(np.argmin(value))
         if value[i] < self.best.sigma**2 * (1 - 1e-9):
-            found = search_from(self.rows, self.tables.basis @ cells.centre[i], int(cells.grid[i]))
+            direction = self.tables.starts(int(work.cells.grid[i])).flow[start[i]] @ work.cells.centre[i]
+            found = search_from(self.rows, direction, min(int(work.cells.grid[i]), _FOLLOWED))
             if found.sigma < self.best.sigma:
                 self.best = found
 
@@ -192,7 +221,7 @@ class _SphereSearch:
         row, axis = np.arange(cells.face.size), np.argmax(loss, axis=1)
         wide = cells.half[row, axis] > _THINNEST
         finer = ~wide | (by_time > _TIME_SHARE * by_direction)
-        finer &= 2 * cells.grid <= self.tables.most_cells
+        finer &= 2 * cells.grid <= MOST_CELLS
         halved = wide & ~(finer & (by_time > 4 * _TIME_SHARE * by_direction))
         scale = np.where(finer, 2, 1)
         cells = cells._replace(
@@ -200,97 +229,190 @@ class _SphereSearch:
         )
         self.stuck = joined([self.stuck, cells.take(~finer & ~halved)])
         whole, parts = cells.take(finer & ~halved), cells.take(halved)
-        row, axis = np.arange(parts.face.size), axis[halved]
-        half = parts.half.copy()
-        half[row, axis] /= 2
-        low, high = parts.centre.copy(), parts.centre.copy()
-        low[row, axis] -= half[row, axis]
-        high[row, axis] += half[row, axis]
-        return joined([whole, parts._replace(centre=low, half=half), parts._replace(centre=high, half=half)])
+        loss = loss[halved]
+        twice = parts.bound < _FAR * self.wanted
+        parts = joined([_halves(parts.take(~twice), loss[~twice]), _quarters(parts.take(twice), loss[twice])])
+        return joined([whole, parts])
+
+
+def _halves(cells: SphereCells, loss: Array) -> SphereCells:
+    """Each cell cut in two across its costliest side."""
+    row, axis = np.arange(cells.face.size), np.argmax(loss, axis=1)
+    half = cells.half.copy()
+    half[row, axis] /= 2
+    low, high = cells.centre.copy(), cells.centre.copy()
+    low[row, axis] -= half[row, axis]
+    high[row, axis] += half[row, axis]
+    return joined([cells._replace(centre=low, half=half), cells._replace(centre=high, half=half)])
+
+
+def _quarters(cells: SphereCells, loss: Array) -> SphereCells:
+    """Each cell cut in four, since two would stay open."""
+    halves = _halves(cells, loss)
+    row, axis = np.arange(cells.face.size), np.argmax(loss, axis=1)
+    left = loss.copy()
+    left[row, axis] /= 2
+    return _halves(halves, np.concatenate([left, left]))
+
+
+class _Torn(NamedTuple):
+    """Windows with a wide stretch inside at which nothing matters: two windows are looked at instead.
+
+    gap : (B,) points between the last that matters before it and the first after it, 0 where nothing is torn.
+    sample, after : (B,) whose window, and the first point that matters after the stretch.
+    """
+
+    gap: Indices
+    sample: Indices
+    after: Indices
+
+    @classmethod
+    def of(cls, alive: npt.NDArray[np.bool_], start: Indices, width: Indices) -> _Torn:
+        """The widest stretch of each cell, if it is most of its window."""
+        at = np.arange(alive.shape[2])
+        before = np.maximum.accumulate(np.where(alive, at, -1), axis=2)
+        before = np.concatenate([np.full_like(before[..., :1], -1), before[..., :-1]], axis=2)
+        gap = np.where(alive & (before >= 0), at - before, 0)
+        end, row = np.argmax(gap, axis=2), np.arange(len(gap))
+        gap = np.take_along_axis(gap, end[..., None], axis=2)[..., 0]
+        gap = np.where((gap >= _TEAR) & (2 * gap >= width), gap, 0)
+        sample = np.argmax(gap, axis=1)
+        return cls(gap[row, sample], sample, end[row, sample] + start[row, sample])
+
+    def parts(self, cells: SphereCells, which: npt.NDArray[np.bool_]) -> list[SphereCells]:
+        """The cells of `which` with either part of the window, a cell of the grid wider towards the stretch."""
+        row, cells = np.arange(int(which.sum())), cells.take(which)
+        sample, after, gap = self.sample[which], self.after[which], self.gap[which]
+        first, last = cells.first.copy(), cells.last.copy()
+        last[row, sample], first[row, sample] = after - gap + 1, after - 1
+        # slacks are in order: what one window loses its neighbours lose too
+        last = np.minimum.accumulate(last[:, ::-1], axis=1)[:, ::-1]
+        first = np.maximum.accumulate(first, axis=1)
+        parts = [cells._replace(last=last), cells._replace(first=first)]
+        return [part.take(np.all(part.first <= part.last, axis=1)) for part in parts]
 
 
 class _Batch:
     """Bounds at the corners of a batch of cells on one grid."""
 
     def __init__(self, search: _SphereSearch, cells: SphereCells) -> None:
-        self.tables, self.metric, self.count = search.tables, search.metric, search.rows.count
-        self.cells = cells
-        grid = int(cells.grid[0])
-        self.table = self.tables.at(grid)
+        self.cells, self.count, self.sides = cells, search.rows.count, search.sides[cells.face]
+        z = cells.centre
+        self.reach = np.linalg.norm(z, axis=1) * np.linalg.norm(np.abs(z) + cells.half, axis=1)
+        grid, tables = int(cells.grid[0]), search.tables
         self.width = min(int(np.max(cells.last - cells.first)) + 1, grid + 1)
         self.start = np.minimum(cells.first, grid + 1 - self.width)
         point = self.start[:, :, None] + np.arange(self.width)
-        self.outside = ((point < cells.first[:, :, None]) | (point > cells.last[:, :, None]))[:, :, None, :]
-        z, d = cells.centre[:, None, :], search.signs[cells.face] * cells.half[:, None, :]
-        self.corner = z + d
-        # z0 z0' + d z0' + z0 d' is symmetric of rank two: its nuclear norm bounds its product with any matrix
-        size = np.linalg.norm(z, axis=2)
-        nuclear = size**2 + 2 * size * np.linalg.norm(d, axis=2)
-        forms = self.tables.triangle(z[..., :, None] * (z + 2 * d)[..., None, :])
-        forms = (forms + self.tables.triangle((z + 2 * d)[..., :, None] * z[..., None, :])) / 2
-        self.value, self.bent = self._costs(forms, nuclear)
-        self.norm = self._squared(self.corner)
-        row = np.arange(self.count)[:, None]
-        blur = self.table.blur[row, point][:, :, None] * self.norm[:, None, :, None]
-        rounded = self.table.rounding[row, point][:, :, None] * nuclear[:, None, :, None]
-        self.firm = self.value - blur - rounded
-        self.cost = np.where(self.outside, np.inf, self.firm - self.bent)
+        self.outside = (point < cells.first[:, :, None]) | (point > cells.last[:, :, None])
+        table, blur, at = tables.at(grid, point)
+        largest = self._starts(tables.starts(grid), table.eighth[at[:, -1]].max(axis=1))
+        self._samples(table, blur, at)
+        self.room = tables.room(grid, point[:, -1])
+        before = np.minimum(self.room.astype(int), largest.shape[2] - 1)
+        after = np.minimum(before + 1, largest.shape[2] - 1)
+        low, high = (np.take_along_axis(largest, at[:, None], axis=2) for at in (before, after))
+        self.norm = low + (high - low) * (self.room - before)[:, None]
+        total = self.so_far[:, -1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(self.norm > 0.0, total / self.norm, np.where(total > 0.0, np.inf, 0.0))
+        self.bound = np.maximum(np.min(ratio, axis=(1, 2)), 0.0)
+
+    def _starts(self, table: StartTable, eighth: Array) -> Array:
+        """At least y'N(u)c for all starts up to each one, at each corner (B, c, Q + 1).
+
+        Linear between the starts, and between last slacks whose cells have h^2/8 <= `eighth` (B,).
+        """
+        z, half = self.cells.centre, self.cells.half
+        along, bend = (np.einsum("bn,qnm->bmq", z, part) for part in (table.norm, table.bend))
+        self.own = np.einsum("bmq,bm->bq", along, z)
+        bend = np.einsum("bmq,bm->bq", bend, z) + np.einsum("bmq,bm->bq", np.abs(bend), half)
+        self.rise = np.maximum(bend.max(axis=1) + table.beyond * self.reach, 0.0) * (table.eighth + eighth)
+        base = self.own + self.rise[:, None] + table.rounding * self.reach[:, None]
+        found = self._corners(base, along)
+        self.most = np.maximum(found[..., 0].max(axis=1), 0.0)
+        return np.maximum.accumulate(found, axis=2)
+
+    def _samples(self, table: CurveTable, blur: Array, at: Indices) -> None:
+        """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums."""
+        z, half, reach = self.cells.centre, self.cells.half, self.reach[:, None, None]
+        along, bent = table.against(z, at)
+        self.own_cost = np.einsum("bknw,bn->bkw", along, z)
+        bent = np.einsum("bknw,bn->bkw", bent, z) + np.einsum("bknw,bn->bkw", np.abs(bent), half)
+        cell = at[..., :-1]
+        sink = np.maximum(bent[..., :-1], bent[..., 1:]) * table.eighth[cell] + table.beyond[cell] * reach
+        self.sink = around(np.maximum(sink, 0.0))
+        self.lost = blur[at] * self.most[:, None, None] + table.rounding[at] * reach
+        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
+        self.cost = self._corners(base, along)
         self.so_far = sums_so_far(self.cost, self.start)
-        self.total = np.min(self.so_far[:, -1], axis=-1)
-        self.ratio = self.total / self.norm
-        self.bound = np.maximum(np.min(self.ratio, axis=1), 0.0)
+        self.seen = table.seen[at]
+
+    def _corners(self, centre: Array, along: Array) -> Array:
+        """What is `centre` (B, ..., m) at z0 and of slope `along` (B, ..., n, m), at all corners: (B, ..., c, m)."""
+        extra = (1,) * (along.ndim - 3)
+        sides = self.sides.reshape(len(self.sides), *extra, -1, 1)
+        half = self.cells.half.reshape(len(self.sides), *extra, -1, 1)
+        steps = np.take_along_axis(along * half, sides, axis=-2)
+        found = np.empty((*centre.shape[:-1], 2 ** steps.shape[-2], centre.shape[-1]))
+        found[..., 0, :], many = centre, 1
+        for j in range(steps.shape[-2]):
+            step = steps[..., j, None, :]
+            np.subtract(found[..., :many, :], step, out=found[..., many : 2 * many, :])
+            found[..., :many, :] += step
+            many *= 2
+        return np.asarray(found)
 
     def take(self, index: npt.NDArray[np.bool_]) -> _Batch:
         """The same for some of the cells."""
         part = object.__new__(_Batch)
         part.__dict__.update(self.__dict__)
-        for name in ["cost", "so_far", "start", "outside", "corner", "norm", "value", "firm", "total", "ratio"]:
+        for name in _PER_CELL:
             setattr(part, name, getattr(self, name)[index])
         part.cells = self.cells.take(index)
         return part
 
-    def _squared(self, z: Array) -> Array:
-        """|L z|^2, rounded up: a bound is divided by it."""
-        rounding = 8 * z.shape[-1] * float(np.finfo(float).eps) * float(np.linalg.norm(self.metric))
-        return np.asarray(np.sum((z @ self.metric) * z + rounding * z * z, axis=-1))
-
-    def _costs(self, forms: Array, nuclear: Array) -> tuple[Array, Array]:
-        """<G, X> at each window point, and how far <G, X> can sink below its chords there: both (B, k, c, W)."""
-        row, point = np.arange(self.count)[:, None], self.start[:, :, None] + np.arange(self.width + 2)
-        gram = np.swapaxes(self.table.gram[row, point[..., 1:-1]], 2, 3)
-        bend = np.swapaxes(self.table.bend[row, point], 2, 3)
-        beyond = self.table.beyond[row, point[..., :-2]]
-        value, bent = forms[:, None] @ gram, forms[:, None] @ bend
-        bent = np.maximum(np.maximum(bent[..., :-2], bent[..., 2:]), bent[..., 1:-1])
-        return value, np.maximum(bent + beyond[:, :, None, :] * nuclear[:, None, :, None], 0.0)
-
-    def narrowed(self, cells: SphereCells, wanted: float) -> SphereCells:
-        """Windows without the times through which no schedule comes below `wanted` at any corner."""
-        through = self.so_far + sums_to_go(self.cost, self.start) - (wanted * self.norm)[:, None, :, None]
-        alive = np.any(through < 0.0, axis=2)
+    def narrowed(self, cells: SphereCells, wanted: float) -> tuple[SphereCells, _Torn]:
+        """Windows without the times through which no schedule with its worst state here comes below `wanted`."""
+        needed = wanted * np.maximum(self.norm, 0.0)
+        alive = np.any(self.so_far + sums_to_go(self.cost, self.start, -needed) <= 0.0, axis=2)
         first = np.argmax(alive, axis=-1) + self.start
         last = self.width - 1 - np.argmax(alive[..., ::-1], axis=-1) + self.start
         # a real time next to a point that matters still counts: one cell more on either side
-        return cells._replace(first=np.maximum(first - 1, cells.first), last=np.minimum(last + 1, cells.last))
+        cells = cells._replace(first=np.maximum(first - 1, cells.first), last=np.minimum(last + 1, cells.last))
+        return cells, _Torn.of(alive, self.start, cells.last - cells.first)
 
-    def losses(self) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
-        """What time and direction cost at the weakest corner, the centre's value, and where rounding costs more."""
-        row, weak = np.arange(self.ratio.shape[0]), np.argmin(self.ratio, axis=1)
-        flat = np.stack([self.value[row, :, weak], self.firm[row, :, weak]], axis=2)
-        flat = np.min(sums_so_far(np.where(self.outside, np.inf, flat), self.start)[:, -1], axis=-1)
-        z, corner = self.cells.centre, self.corner[row, weak]
-        points = np.stack([corner, z], axis=1)
-        forms = self.tables.triangle(points[..., :, None] * points[..., None, :])
-        exact = np.where(self.outside, np.inf, self._costs(forms, np.zeros(forms.shape[:2]))[0])
-        exact = np.min(sums_so_far(exact, self.start)[:, -1], axis=-1)
-        by_rounding, by_time = flat[:, 0] - flat[:, 1], flat[:, 1] - self.total[row, weak]
-        by_direction = exact[:, 0] - flat[:, 0]
-        return by_time, by_direction, exact[:, 1] / self._squared(z), by_time + by_direction < by_rounding
+    def losses(self, wanted: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """What time costs at the weakest corner, what else is missing, and where rounding costs more than both."""
+        needed = wanted * np.maximum(self.norm, 0.0)
+        missing = np.max(needed - self.so_far[:, -1], axis=2)
+        row, weak = np.arange(missing.shape[0]), np.argmax(missing, axis=1)
+        firm = self.cost[row, :, weak] + self.sink
+        flat = sums_so_far(np.stack([firm + self.lost, firm], axis=2), self.start)[:, -1]
+        needed = wanted * np.maximum(self.norm[row, weak] - self.rise[:, None], 0.0)
+        left = np.max(needed[:, None] - flat, axis=2)
+        by_time, by_rounding = missing[row, weak] - left[:, 1], left[:, 1] - left[:, 0]
+        by_direction = np.maximum(left[:, 0], 0.0)
+        return by_time, by_direction, by_time + by_direction < by_rounding
+
+    def centre(self) -> tuple[Array, Indices]:
+        """The least lambda of the centre over the grid's schedules, and the start that gives it."""
+        total = sums_so_far(np.where(self.outside, np.inf, self.own_cost)[:, :, None], self.start)[:, -1, 0]
+        latest = np.floor(self.room).astype(int)
+        ratio = total / np.take_along_axis(np.maximum.accumulate(self.own, axis=1), latest, axis=1)
+        row, end = np.arange(len(total)), np.argmin(ratio, axis=1)
+        allowed = np.arange(self.own.shape[1]) <= latest[row, end][:, None]
+        return ratio[row, end], np.argmax(np.where(allowed, self.own, -np.inf), axis=1)
 
     def stretch(self) -> Array:
         """How much a step along each axis costs: the diagonal of G, averaged over the windows, (B, n)."""
-        row, point = np.arange(self.count)[:, None], self.start[:, :, None] + np.arange(self.width) + 1
-        diagonal = self.table.gram[row, point][..., self.tables.upper[0] == self.tables.upper[1]]
-        weight = np.where(self.outside[:, :, 0], 0.0, 1.0)
+        weight = np.where(self.outside, 0.0, 1.0)
         weight /= np.sum(weight, axis=2, keepdims=True)
-        return np.asarray(np.sum(diagonal * weight[..., None], axis=(1, 2)))
+        return np.asarray(np.einsum("bkwpn,bkw->bn", self.seen**2, weight))
+
+
+def around(cells: Array) -> Array:
+    """What the cells on either side of each knot take at most: (..., N) -> (..., N + 1), 0 where there is none."""
+    found = np.zeros((*cells.shape[:-1], cells.shape[-1] + 1))
+    found[..., :-1] = cells
+    found[..., 1:] = np.maximum(found[..., 1:], cells)
+    return found

@@ -1,4 +1,4 @@
-"""Grid tables for the sphere: Gram matrices of the rows at grid times, and how far time can bend between them."""
+"""Grid tables for the sphere: rows at grid times with two derivatives, and how far time can bend between them."""
 
 from __future__ import annotations
 
@@ -10,94 +10,178 @@ import numpy.typing as npt
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int_]
 _EPS = float(np.finfo(float).eps)
-_NUMBERS = 12_000_000  # most numbers in one table
+_NUMBERS = 6_000_000  # most numbers in a table of all points of a grid; of finer ones those that are asked for are made
+MOST_CELLS = 2**40  # cells of the finest grid, about
+_WIDER = 0.25  # a first cell is no wider than this part of its time since the first sample, or of the spacing
+_MOST_STARTS = 1024
+_CONDITION = 1e6  # of e^{AS}, beyond which states are not carried from the first sample back to the window's start
 
 
-class SlackTable(NamedTuple):
-    """What a grid of N + 1 slacks holds for each of the k samples.
+class CurveTable(NamedTuple):
+    """Rows R(t) at M knots, with what bends their Gram matrices G = R'R in the cells that follow them, h wide.
 
-    With vec the upper triangle of a symmetric matrix, off-diagonal entries doubled, so that
-    vec(G) . triangle(X) = <G, X>:
-
-    gram : (k, N + 3, q) array
-        vec G(t), one repeated point at either end.
-    bend : (k, N + 3, q) array
-        vec (h^2/8) G''(t), likewise.
-    beyond : (k, N + 1) array
-        (h^2/8)(h^2/8) times a proven bound on |G''''| within h of each point.
-    blur : (k, N + 1) array
-        What rounding in the exponentials can take from x'Gx, |x| = 1, beyond the part `forgiven` of it.
-    rounding : (k, N + 1) array
-        Of <G, X> and of its place in a sum of k, for |X| = 1.
+    seen, turning, bending : (M, p, n) arrays
+        R and its first two derivatives: G'' = 2 turning'turning + seen'bending + bending'seen.
+    eighth : (M,) array
+        h^2/8.
+    beyond : (M,) array
+        (h^2/8)^2 times a proven bound on |d^4 G/dt^4| within the cell.
+    rounding : (M,) array
+        Of y'Gz and of its place in a sum of k, for |y| |z| = 1.
     """
 
-    gram: Array
-    bend: Array
+    seen: Array
+    turning: Array
+    bending: Array
+    eighth: Array
     beyond: Array
-    blur: Array
+    rounding: Array
+
+    def against(self, y: Array, at: Indices) -> tuple[Array, Array]:
+        """Gy and G''y, (B, k, n, W), at the knots `at` (B, k, W), for y (B, n)."""
+        seen, turning, bending = self.seen[at], self.turning[at], self.bending[at]
+        of_y, turned, bent = (np.einsum("bkwpn,bn->bkwp", part, y) for part in (seen, turning, bending))
+        value = np.einsum("bkwpn,bkwp->bknw", seen, of_y)
+        second = np.einsum("bkwpn,bkwp->bknw", seen, bent) + np.einsum("bkwpn,bkwp->bknw", bending, of_y)
+        return value, second + 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
+
+
+class StartTable(NamedTuple):
+    """Starts u on an even grid of [0, S]: what a state at the first sample was at the window's start.
+
+    flow : (Q + 1, n, n) array
+        e^{-Au} L.
+    norm, bend : (Q + 1, n, n) arrays
+        N(u) = flow'flow, and -N''(u).
+    eighth : float
+        h^2/8 of a cell.
+    beyond : float
+        h^2/8 times a proven bound on |d^4 N/du^4|.
+    rounding : (Q + 1,) array
+        Of y'Nz for |y| |z| = 1.
+    """
+
+    flow: Array
+    norm: Array
+    bend: Array
+    eighth: float
+    beyond: float
     rounding: Array
 
 
 class Tables:
-    """Tables in the coordinates x = L z, made when asked for and kept.
+    """Tables in the coordinates x = L z of the state at the first sample, made when asked for and kept.
+
+    A schedule is a start u and slacks v_1 = 0 <= v_2 <= ... <= v_k <= S - u; the state at the window's start is
+    e^{-Au} x. Where e^{AS} is too ill-conditioned for that, the state at the window's start takes the place of the
+    first sample's, which is then as free as the others (`pulled` is False).
 
     Rows y + e with |e| <= delta have |y + e|^2 >= (1 - g) |y|^2 - delta^2/g for every g in (0, 1). `forgiven`
-    is g: the caller takes this part off every bound, and delta^2/g stands in the tables as `blur`.
+    is g: the caller takes this part off every bound, and delta^2/g/(1 - g) is `blur`.
     """
 
     def __init__(self, rows: SpacedRows, worst: Array, forgiven: float) -> None:
         self.rows, self.forgiven = rows, forgiven
-        self.basis, inverse = rows.coordinates(worst)
-        self.upper = np.triu_indices(rows.n)
-        self.weight = np.where(self.upper[0] == self.upper[1], 1.0, 2.0)
+        with np.errstate(all="ignore"):
+            there, back = rows.plant.transition(np.array([rows.slack, -rows.slack]))
+            self.pulled = bool(np.linalg.norm(there) * np.linalg.norm(back) < _CONDITION)
+        self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst)
         inner = inverse @ rows.A @ self.basis
         self.speed = float(np.linalg.norm(inner, 2))
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
         self.growth = max(0.0, float(np.abs(np.linalg.eigvalsh((inner + inner.T) / 2)).max(initial=0.0)))
-        self.most_cells = max(2, _NUMBERS // (2 * rows.count * self.weight.size))
-        self._kept: dict[int, SlackTable] = {}
-
-    def triangle(self, X: Array) -> Array:
-        """Upper triangles (..., q) of symmetric matrices (..., n, n)."""
-        return X[..., self.upper[0], self.upper[1]]
+        self._whole = max(2, _NUMBERS // (3 * rows.count * rows.p * rows.n))
+        self._first = self._first_knots()
+        self._kept: dict[int, tuple[CurveTable, Array]] = {}
+        self._starts: dict[int, StartTable] = {}
 
     def first_cells(self) -> int:
         """A power of two of cells on which the plant turns by no more than half a radian."""
         wanted = 2 ** np.ceil(np.log2(max(2 * self.speed * self.rows.slack, 16.0)))
-        return int(min(wanted, 2 ** np.floor(np.log2(self.most_cells))))
+        return int(min(wanted, 2 ** np.floor(np.log2(self._whole))))
 
-    def at(self, cells: int) -> SlackTable:
-        """The table of a grid of `cells` cells."""
-        if cells not in self._kept:
-            self._kept[cells] = self._made(cells)
-        return self._kept[cells]
+    def _first_knots(self) -> Array:
+        """Knots of the first grid: near the first sample as fine as the spacing."""
+        S, wide = self.rows.slack, self.rows.slack / self.first_cells()
+        if not self.pulled:
+            return np.linspace(0.0, S, self.first_cells() + 1)
+        knots = [0.0]
+        while knots[-1] < S:
+            knots.append(knots[-1] + min(wide, max(_WIDER * (knots[-1] + self.rows.spacing), 1e-12 * S)))
+        return np.array(knots) * (S / knots[-1])
 
-    def _made(self, cells: int) -> SlackTable:
+    @property
+    def least_cells(self) -> int:
+        """Cells of the first grid; every finer one has a power of two times as many."""
+        return len(self._first) - 1
+
+    def knot(self, cells: int, point: Indices) -> Array:
+        """The slacks of points of a grid of `cells` cells."""
+        return np.interp(point / (cells // self.least_cells), np.arange(self.least_cells + 1), self._first)
+
+    def at(self, cells: int, point: Indices) -> tuple[CurveTable, Array, Indices]:
+        """Rows C e^{At} L, their blur, and where in these tables the points (B, k, W) of a grid stand.
+
+        `blur` is what rounding in the exponentials can take from x'Gx, |x| = 1, beyond the part `forgiven`.
+        """
+        place = np.arange(self.rows.count)[:, None] * (cells + 1) + point
+        if cells <= self._whole:
+            if cells not in self._kept:
+                self._kept[cells] = self._sampled(cells, np.arange(self.rows.count * (cells + 1)))
+            return *self._kept[cells], place
+        places, at = np.unique(place, return_inverse=True)
+        return *self._sampled(cells, places), at.reshape(place.shape)
+
+    def _sampled(self, cells: int, places: Indices) -> tuple[CurveTable, Array]:
+        """Table and blur of sample places // (cells + 1) at point places % (cells + 1)."""
+        sample, point = np.divmod(places, cells + 1)
+        slack = self.knot(cells, point)
+        times = np.minimum(slack + self.rows.offsets[sample], self.rows.window)
+        step = self.knot(cells, np.minimum(point + 1, cells)) - slack
+        blur = self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
+        return self._curve(self.rows.at(times), step, self.rows.A), blur
+
+    def starts(self, cells: int) -> StartTable:
+        """The starts that go with a grid of `cells` cells; one alone where the state is not carried back."""
+        cells = min(cells, _MOST_STARTS) if self.pulled else 0
+        if cells not in self._starts:
+            self._starts[cells] = self._started(cells)
+        return self._starts[cells]
+
+    def room(self, cells: int, point: Indices) -> Array:
+        """How far along the grid of starts the latest one is that leaves room for a last slack at `point`."""
+        most = len(self.starts(cells).flow) - 1
+        return np.asarray(np.clip((1 - self.knot(cells, point) / self.rows.slack) * most, 0, most))
+
+    def _started(self, cells: int) -> StartTable:
         rows = self.rows
-        h = rows.slack / cells
-        _, times = rows.grid(cells)
-        values = rows.at(times.ravel())
+        knots = rows.slack * np.arange(cells + 1) / max(cells, 1)
+        flow = rows.plant.transition(-knots)
+        step = rows.slack / cells if cells else 0.0
+        curve = self._curve(flow, np.full(cells + 1, step), -rows.A)
+        seen, turning, bending = curve.seen, curve.turning, curve.bending
+        across = np.swapaxes(seen, 1, 2) @ bending
+        second = 2 * np.swapaxes(turning, 1, 2) @ turning + across + np.swapaxes(across, 1, 2)
+        eighth = step**2 / 8
+        size = np.linalg.norm(seen, axis=(1, 2))
+        lost = 3 * rows.grade * np.linalg.norm(flow, axis=(1, 2)) * np.linalg.norm(self.basis) * size
+        lost += 4 * _EPS * self.speed * rows.slack * size**2  # of the place between two starts
+        beyond = float(np.max(curve.beyond)) / eighth if cells else 0.0
+        return StartTable(seen, np.swapaxes(seen, 1, 2) @ seen, -second, eighth, beyond, curve.rounding + lost)
+
+    def _curve(self, values: Array, step: Array, A: Array) -> CurveTable:
+        """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots and the widths of their cells."""
+        p, n = values.shape[-2:]
         derivative = [values @ self.basis]
         for _ in range(4):
-            values = values @ rows.A
+            values = values @ A
             derivative.append(values @ self.basis)
-        y, dy, ddy, _, _ = derivative
-        gram = np.swapaxes(y, 1, 2) @ y
-        cross = np.swapaxes(y, 1, 2) @ ddy
-        bend = (2 * np.swapaxes(dy, 1, 2) @ dy + cross + np.swapaxes(cross, 1, 2)) * (h * h / 8)
-        reach = np.exp(self.growth * h)
-        a = [np.linalg.norm(d, axis=(1, 2)) * reach for d in derivative]
+        size = [np.linalg.norm(d, axis=(1, 2)) for d in derivative]
+        a = [d * np.exp(self.growth * step) for d in size]
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
-        rounding = 8 * (rows.count + self.weight.size) * _EPS * np.linalg.norm(gram, axis=(1, 2))
-        return SlackTable(
-            self._padded(gram, rows.count),
-            self._padded(bend, rows.count),
-            (fourth * (h * h / 8) ** 2).reshape(rows.count, -1),
-            (rows.blur(times.ravel()) ** 2 / self.forgiven).reshape(rows.count, -1),
-            rounding.reshape(rows.count, -1),
+        rounding = 8 * (self.rows.count + n + p) ** 1.5 * _EPS * size[0] ** 2
+        return CurveTable(
+            derivative[0], derivative[1], derivative[2], step**2 / 8, fourth * (step**2 / 8) ** 2, rounding
         )
-
-    def _padded(self, matrices: Array, count: int) -> Array:
-        flat = (self.triangle(matrices) * self.weight).reshape(count, -1, self.weight.size)
-        return np.concatenate([flat[:, :1], flat, flat[:, -1:]], axis=1)

@@ -242,10 +242,10 @@ def worst_case_sigma(
     *Method.* Upper: worst direction and worst times in turn, the latter by dynamic programming on a
     grid, from many starts; then Newton off the grid. Lower: branch and bound over the sphere of states.
     In slacks u_i = tau_i - (i - 1) epsilon the constraint is order alone, so that no gap is ever rounded.
-    A cell of directions is closed by its corners: x'Gx - mu |x|^2 lies above a function that is concave
-    in the cell, and whose least value over all schedules is a least path, where each sample's term lies
+    A worst state z is an eigenvector, so that y'Gz = lambda y'Nz for every y: linear in z. A cell of directions
+    is closed by its corners, where the least y'Gz over all schedules is a least path and each sample's term lies
     above its chords minus (h^2/8) max of its second derivative. Cell, grid and the windows in which each
-    sample can still matter shrink together.
+    sample can still matter shrink together. The state is taken at the first sample.
     *Numerical aspects.* The coordinates are those in which a survey of the window and the worst schedule
     found see all directions alike. Remainders are suprema over the grid cells (fourth derivatives,
     bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by

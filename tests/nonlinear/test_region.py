@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, NonlinearPlant, certify, load_certificate
+from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
+from sampling_design.certificates.inclusion.search import InclusionSearch, InclusionWeights
+from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers import programs
 from sampling_design.checkers.intervals import Interval
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
@@ -62,6 +65,19 @@ def test_angles_that_are_bounded_bear_longer_gaps():
     }
     assert found[None] > 1.1
     assert found[np.pi / 3] > 1.9
+
+
+def test_a_growth_rate_known_to_a_third_bears_gaps_of_an_hour():
+    """Cells judged by the norm of what their Jacobian is off, against the diagonal alone, leave this one open."""
+    plant = examples.bioreactor().in_region([9.0, 0.4, 0.2], [10.0, 0.7, 0.4])
+    weights = InclusionWeights(*weights_of(plant.centre, None, None, None))
+    search = InclusionSearch(plant, GapRange(0.1, 1.0), weights, 3.0)
+    found = search.solve(0.02, 2)
+    data = search.certificate(found, 0.02, 9, 0.0).to_dict()
+    assert judged(data, False, 0.0).passed
+    data["eta"] = 0.3
+    del data["digest"]
+    assert not judged(data, False, 0.0).passed
 
 
 def test_coordinates_decide():

@@ -27,6 +27,9 @@ STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
 """Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
 entries of w from which on stages are quicker."""
 
+QUICKER = 5
+"""How much less work an entry is for a program over stages."""
+
 SAME = 1 - 1e-12
 """Two directions are one if their cosine is beyond this."""
 
@@ -104,6 +107,7 @@ class RasterWindow:
         if faint is None and not motion.ball and self._w_at[-1] - self._w_at[0] > MANY:
             seen_rows = [motion.H[chosen] for chosen in seen]
             self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
+            self.entries = sum(B.size for _, B, _ in self._gaps) // QUICKER
         else:
             self._build(soft)
 

@@ -1,9 +1,9 @@
 """How close the bound of a design is, kind by kind: the table of docs/theory/sigma.md.
 
-    python -m tests.benchmarks.design_bounds [--random 59] [--search] [KIND ...]
+    python -m tests.benchmarks.design_bounds [--random 59] [KIND ...]
 
-prints gap, bound and seconds of every problem; `--search` lets a global search of ten times the design's time try to
-beat each bound. The problems are fixed: what a change of the bounds does is seen by running both.
+prints gap, bound and seconds of every problem. The problems are fixed: what a change of the bounds does is seen by
+running both.
 """
 
 from __future__ import annotations
@@ -129,7 +129,6 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("kinds", nargs="*")
     parser.add_argument("--random", type=int, default=0)
-    parser.add_argument("--search", action="store_true")
     given = parser.parse_args()
     print("| problem | gap | sigma | bound | by, parts | processor time |\n|---|---|---|---|---|---|", flush=True)
     for name, (plant, requirement) in PROBLEMS.items():

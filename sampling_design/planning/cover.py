@@ -28,6 +28,9 @@ Key: TypeAlias = tuple[int, int]
 NODES = 400
 """Nodes of the solver's tree when a choice is sought."""
 
+ENTRIES, FEWEST = 4_000_000, 40
+"""Entries that a tree goes through: nodes of a large program are fewer, but so many at least."""
+
 ROUNDING = 1e-9
 """Relative allowance for rounding in what multipliers prove."""
 
@@ -228,7 +231,7 @@ def cheapest(
         constraints=LinearConstraint(model.A, model.b, np.inf),
         integrality=np.ones(cover.columns),
         bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
-        options={"node_limit": nodes, "mip_rel_gap": NEAR},
+        options={"node_limit": max(FEWEST, min(nodes, ENTRIES // max(1, model.A.nnz))), "mip_rel_gap": NEAR},
     )
     work.add(COVER, model.A.nnz * max(1, found.mip_node_count or 1))
     if found.x is None:

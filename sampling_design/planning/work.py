@@ -11,7 +11,7 @@ CONE = (1e-3, 1e-6)
 FAINT = (2e-3, 4e-6)
 """The same where every output is a variable."""
 
-COVER = (5e-3, 6e-6)
+COVER = (5e-3, 2e-5)
 """Of an integer program, and for each entry and node of its tree."""
 
 WEIGHED = 6e-4

@@ -146,6 +146,11 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
     return plotting.draw(record, ax, **beside)
 
 
+def counted(number: int, what: str) -> str:
+    """Return "1 sample", "2 samples"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def short(value: object, digits: int = 6) -> str:
     """Return a number, or a short list of numbers, as text of `digits` significant digits."""
     numbers = np.asarray(value, dtype=float)

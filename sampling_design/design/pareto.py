@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
-from sampling_design._record import Plain, Table, short
+from sampling_design._record import Plain, Table, counted, short
 from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.design import design_schedule
@@ -72,7 +72,7 @@ class ParetoFront(Table):
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
-            (f"{p.samples} samples", p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}")
+            (counted(p.samples, "sample"), p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}")
             for p in self.points
         ]
 
@@ -148,7 +148,7 @@ def pareto(
             rows = [asdict(known[c]) for c in sorted(known) if known[c].obstacle != NO_TIME]
             write_text(resume, to_json({"format": FORMAT, "key": key, "points": rows}))
         if progress:
-            progress((done + 1) / len(jobs), f"{point.samples} samples: sigma {point.sigma:.6g}")
+            progress((done + 1) / len(jobs), f"{counted(point.samples, 'sample')}: sigma {point.sigma:.6g}")
     return ParetoFront(tuple(known[c] for c in wanted))
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.problem.numbers import DesignProblem
@@ -237,9 +237,9 @@ class ScheduleDesign(Record):
                 "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
             )
         return (
-            f"{len(self.schedule)} samples every {short(self.schedule.period)} {self.plant.time_unit} see every state "
-            f"direction in every window with sigma >= {short(self.sigma)}; no admissible schedule can exceed "
-            f"{short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
+            f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit} see "
+            f"every state direction in every window with sigma >= {short(self.sigma)}; no admissible schedule can "
+            f"exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
         )
 
 

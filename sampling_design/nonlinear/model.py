@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Plain, Record
+from sampling_design._record import Plain, Record, counted
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
@@ -442,9 +442,8 @@ class NonlinearPlant(LinearInclusion, Record):
 
     def explain(self) -> str:
         """Say what the plant is, in words."""
-        n, p, q = self.sizes["states"], self.sizes["outputs"], self.sizes["disturbances"]
-        name = self.name or "A nonlinear plant"
-        return f"{name} with {n} states, {p} outputs and {q} disturbances; time in {self.time_unit}."
+        n, p, q = (counted(self.sizes[f"{what}s"], what) for what in ("state", "output", "disturbance"))
+        return f"{self.name or 'A nonlinear plant'} with {n}, {p} and {q}; time in {self.time_unit}."
 
 
 def _no_limits(*arguments: SX) -> list[SX]:

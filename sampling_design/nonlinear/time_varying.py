@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from sampling_design import _checks
 from sampling_design._linalg import symmetrise
-from sampling_design._record import Record, short
+from sampling_design._record import Record, counted, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
@@ -279,9 +279,8 @@ class TimeVaryingPlant(Record):
     def explain(self) -> str:
         """Say what the plant is."""
         name = self.name or "A plant that varies in time"
-        return (
-            f"{name}: {self.n_states} states, {len(self.outputs)} outputs, over {short(self.horizon)} {self.time_unit}."
-        )
+        sizes = f"{counted(self.n_states, 'state')}, {counted(len(self.outputs), 'output')}"
+        return f"{name}: {sizes}, over {short(self.horizon)} {self.time_unit}."
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.oracle import Oracle
@@ -100,10 +100,11 @@ class PlanDates(Record):
 
     def explain(self) -> str:
         """Say whether the dates keep what the plan promises."""
+        samples = counted(len(self.entries), "sample")
         if not self.exceptions:
-            return f"{len(self.entries)} samples as planned; no change of the clocks and no holiday among them."
+            return f"{samples} as planned; no change of the clocks and no holiday among them."
         bad = [e.date for e in self.exceptions if not (e.proven and e.ratio <= 1)]
-        text = f"{len(self.entries)} samples with {len(self.exceptions)} exceptions"
+        text = f"{samples} with {counted(len(self.exceptions), 'exception')}"
         return f"{text}; every tolerance is kept across them." if not bad else f"{text}; not kept: {', '.join(bad)}."
 
     def to_dict(self) -> dict[str, Plain]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import SECONDS
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import NotDetectableError
@@ -236,7 +236,8 @@ class Plan(Record):
         unit = "" if self.problem.counts else f" for {short(self.cost)}"
         parts = [f"{g.name} within {short(v, 3)}{' ' + g.unit if g.unit else ''}" for v, g in
                  zip(self.reached, self.goals, strict=True)]  # fmt: skip
-        text = f"{self.samples} samples every {short(self.schedule.period)} {self.plant.time_unit}{unit} keep "
+        text = f"{counted(self.samples, 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}{unit} "
+        text += "keeps " if self.samples == 1 else "keep "
         text += ", ".join(parts) + "."
         if self.bound.cost is not None:
             text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."

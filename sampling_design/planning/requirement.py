@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
@@ -298,7 +298,7 @@ class PlanRequirement(Record):
             return "Nothing that must be known."
         if self.aim == AIMS[0]:
             return f"Cheapest samples that keep {goals}."
-        limits = [f"{self.samples} samples"] if self.samples is not None else []
+        limits = [counted(self.samples, "sample")] if self.samples is not None else []
         limits += [f"cost {short(self.cost_limit)}"] if self.cost_limit is not None else []
         return f"Best accuracy for at most {' and '.join(limits)} a period, relative to {goals}."
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
@@ -83,7 +83,7 @@ class PlanRobustness(Record):
         least = f"Not every sample may be {short(float(np.min(self.step)))} {self.time_unit} late"
         text = f"Any one sample may be {short(late)} {self.time_unit} late" if late else least
         text += f" (judged in steps of {short(float(np.max(self.step)))})" if late else ""
-        lost = f"{self.lost} samples in a row may be lost" if self.lost else "no sample may be lost"
+        lost = f"{counted(self.lost, 'sample')} in a row may be lost" if self.lost else "no sample may be lost"
         worst = float(np.max(self.lost_ratio))
         after = f"the accuracy is then {100 * worst:.3g} % of the tolerance at worst" if np.isfinite(worst) else ""
         return f"{text}; {lost}{'; ' if after else ''}{after}."

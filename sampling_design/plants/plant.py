@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._modal import exponential
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
 
@@ -356,10 +356,9 @@ class Plant(Record):
 
     def explain(self) -> str:
         """Say what the plant is, in words."""
-        return (
-            f"{self.name or 'A plant'} with {self.n_states} states, {self.n_inputs} inputs, {self.n_outputs} outputs "
-            f"and {self.n_disturbances} disturbances; time in {self.time_unit}."
-        )
+        sizes = f"{counted(self.n_states, 'state')}, {counted(self.n_inputs, 'input')}"
+        sizes += f", {counted(self.n_outputs, 'output')} and {counted(self.n_disturbances, 'disturbance')}"
+        return f"{self.name or 'A plant'} with {sizes}; time in {self.time_unit}."
 
 
 class StateSpace(Protocol):

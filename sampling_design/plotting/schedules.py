@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
+from sampling_design._record import counted, short
 from sampling_design.plotting import style
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -34,7 +34,7 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     gaps = schedule.gaps
     if gaps.size:
         span = f"{short(gaps.min(), 4)} to {short(gaps.max(), 4)} {schedule.time_unit or ''}".rstrip()
-        ax.set_title(f"{len(schedule)} samples, gaps {span}", loc="left")
+        ax.set_title(f"{counted(len(schedule), 'sample')}, gaps {span}", loc="left")
     return ax
 
 

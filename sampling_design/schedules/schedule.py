@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import check_time_unit, time_factor
 from sampling_design.errors import ArgumentError
 
@@ -150,7 +150,7 @@ class Schedule(_Sampled):
         if not len(self):
             return "A schedule without samples."
         unit = f" {self.time_unit}" if self.time_unit else ""
-        return f"{len(self)} samples from {short(self.times[0])} to {short(self.times[-1])}{unit}."
+        return f"{counted(len(self), 'sample')} from {short(self.times[0])} to {short(self.times[-1])}{unit}."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -300,7 +300,7 @@ class PeriodicSchedule(_Sampled):
         """Say what the schedule is, in words."""
         unit = f" {self.time_unit}" if self.time_unit else ""
         return (
-            f"{len(self)} samples every {short(self.period)}{unit}, "
+            f"{counted(len(self), 'sample')} every {short(self.period)}{unit}, "
             f"gaps from {short(self.gaps.min())} to {short(self.gaps.max())}{unit}, without end."
         )
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, counted, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
@@ -215,7 +215,7 @@ class SimulatedRecord(Record):
     def explain(self) -> str:
         """Say what was simulated."""
         span = f"{short(self.times[-1])} {self.measurements.plant.time_unit}"
-        return f"{len(self.at)} samples of a simulated truth over {span}, exact up to rounding."
+        return f"{counted(len(self.at), 'sample')} of a simulated truth over {span}, exact up to rounding."
 
 
 @door

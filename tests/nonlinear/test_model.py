@@ -123,5 +123,5 @@ def test_boxes_are_replaced_and_the_plant_stays():
 
 
 def test_a_plant_says_what_it_is():
-    assert "2 states, 1 outputs" in plant().explain()
+    assert "2 states, 1 output" in plant().explain()
     assert "x1, x2" in str(plant(name="toy"))

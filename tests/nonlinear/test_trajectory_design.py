@@ -49,7 +49,7 @@ def test_along_a_linear_plant_it_is_the_plant_itself():
     along = TimeVaryingPlant.along(linear, [1.0, -1.0], 3.0)
     np.testing.assert_allclose(along.motion(TIMES, [0.5]).F, FIXED.motion(TIMES, [0.5]).F, rtol=1e-8)
     np.testing.assert_allclose(along.motion(TIMES, [0.5]).W, FIXED.motion(TIMES, [0.5]).W, rtol=1e-8)
-    assert "2 states, 1 outputs, over 3 s" in along.explain()
+    assert "2 states, 1 output, over 3 s" in along.explain()
     assert "horizon" in str(along)
 
 

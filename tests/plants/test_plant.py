@@ -175,7 +175,7 @@ def test_other_systems_are_refused():
 
 def test_words_and_tables():
     plant = library.tidal_gauge()
-    assert plant.explain() == "tidal_gauge with 11 states, 0 inputs, 1 outputs and 11 disturbances; time in h."
+    assert plant.explain() == "tidal_gauge with 11 states, 0 inputs, 1 output and 11 disturbances; time in h."
     assert repr(plant).startswith("Plant(name=tidal_gauge")
     assert "<th" in plant._repr_html_()
     assert plant.to_dict()["time_unit"] == "h"

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import Record
+from sampling_design._record import Record, counted
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Estimator
 from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.estimators.records.measurements import Measurements
@@ -43,7 +43,7 @@ class EstimateCurve(Record):
 
     def explain(self) -> str:
         """Say what holds the truth between samples."""
-        count = f"{len(self.measurements)} samples"
+        count = counted(len(self.measurements), "sample")
         if self.tube is None:
             return f"Estimates between and at {count}; between them nothing is proven."
         return f"Estimates between and at {count}; the tube holds every state at all times, if the bounds do."

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks, _files
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import Record, counted, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurement_table import SINCE, Measured, read_table
 from sampling_design.plants.plant import Plant
@@ -123,7 +123,8 @@ class Measurements(Record):
 
     def explain(self) -> str:
         """Say what was measured."""
-        return f"{len(self)} rows of measurements of {self.plant.name or 'a plant'}; " + self._rows()[2][1] + "."
+        rows, measured = counted(len(self), "row"), self._rows()[2][1]
+        return f"{rows} of measurements of {self.plant.name or 'a plant'}; {measured}."
 
 
 @door

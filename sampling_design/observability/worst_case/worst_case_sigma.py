@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, short
+from sampling_design._record import Plain, counted, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
@@ -144,7 +144,7 @@ class WorstCaseSigma(SigmaBracket):
         return self._between(
             ("worst times", f"{short(self.witness)} {unit}"),
             ("worst state", short(self.direction)),
-            ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
+            ("family", f"{counted(f.count, 'sample')} in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
             ("status", self.status),
             ("method", f"{self.method}, {self.cells} cells" if self.cells else self.method),
             scaled=self.scaled,

@@ -35,6 +35,7 @@ _LEAST_SHARE = 1e-14  # of a nominal Gram matrix: directions that are seen less 
 _MOST_WINDOWS, _SUBSPACE = 24, 6  # in the linearised program: the least seen windows, and directions of each
 _LEAST_SEEN = 0.02  # of K in W + K: a window that sees fifty times as much in the middle does not matter
 _LEAST_RATIO = 1e-12  # of the sigma^2 aimed at: what a window sees in the middle at least
+_NOTHING = 1e-200  # of what windows see: a sigma^2 aimed at that is less is 0
 _WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a cut beside its share of the Hessian
 _PLACES = 9  # of a lag's range at which a form is looked at for its extremes
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
@@ -154,12 +155,14 @@ def relax_local(
 ) -> LocalRelaxation | None:
     """Multipliers of the program linearised about the middle of the box, for a sigma near which the bound shall be.
 
-    None where no window of it sees as little as that, or the solver finds nothing.
+    None where no window of it sees as little as that, the aim is 0, or the solver finds nothing.
     """
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
     terms = _terms(problem, zones, every)
     grams, slopes, own, own_slopes = _linear(problem, terms, len(every))
+    if not sigma2 > _NOTHING * float(np.abs(grams).max()):
+        return None  # what is aimed at is nothing beside what is seen: there is no scale to be linear in
     _, seen = _balanced(grams / sigma2, own)
     order = np.argsort(-seen, kind="stable")[:_MOST_WINDOWS]
     posed = np.sort(order[seen[order] >= _LEAST_SEEN])

@@ -344,7 +344,7 @@ class Bench:
             "edges": profile.edges.tolist(),
             "upper": [row.tolist() if ok else None for row, ok in zip(profile.upper, finite, strict=True)],
             "worst": [float(x) if ok else None for x, ok in zip(found.upper, finite, strict=True)],
-            "told": self._late(profile.edges, profile.upper),
+            "told": [*([] if finite.all() else [found.explain()]), *self._late(profile.edges, profile.upper)],
         }
 
     def _late(self, edges: Array, upper: Array) -> list[Plain]:

@@ -215,7 +215,7 @@ export async function mount(element, ask) {
     errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 24}`);
     opened.states.forEach((state, k) => {
       const y0 = 20 + k * (one + 26), upper = answer.upper[k];
-      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: at most ${short(answer.worst[k])} off can be guaranteed` : `${state}: nothing can ever be guaranteed`);
+      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: at most ${short(answer.worst[k])} off can be guaranteed` : `${state}: no bound holds at all times`);
       if (!upper) return;
       const wanted = opened.tolerance ? opened.tolerance[k] : 0, top = 1.15 * Math.max(...upper, wanted);
       const from = answer.edges[0], to = answer.edges[answer.edges.length - 1];

@@ -31,7 +31,7 @@ def draw_accuracy(
         if tolerance is not None:
             one.axhline(tolerance[k], color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")
         if not np.isfinite(result.upper[k]):
-            one.text(0.5, 0.5, "unknown for ever", transform=one.transAxes, ha="center", color=style.FAILED)
+            one.text(0.5, 0.5, "without bound", transform=one.transAxes, ha="center", color=style.FAILED)
             continue
         lower, upper = (np.where(np.isfinite(side), side, np.nan) for side in (profile.lower[k], profile.upper[k]))
         one.fill_between(

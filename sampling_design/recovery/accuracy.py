@@ -184,7 +184,7 @@ class Accuracy(Gridded):
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
-                text = f"unknown for ever: {self._why()}"
+                text = f"without bound: {self._why()}"
             elif np.isinf(self.known_from[k]) and self.question.initial is not None:
                 text += ", at single times only"
             elif self.known_from[k] > self.question.nodes[0]:
@@ -221,7 +221,7 @@ class Accuracy(Gridded):
             f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
         ]
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
-        text = f"Of {', '.join(lost)} nothing can ever be known: {self._why()}. " if lost else ""
+        text = f"Of {', '.join(lost)} no bound holds at all times: {self._why()}. " if lost else ""
         if not parts:
             return text.strip()
         low, up = self.lower[known], self.upper[known]

@@ -117,7 +117,7 @@ class PeriodicGains:
     >>> plant = Plant([[0.0]], [[1.0]])
     >>> found = accuracy(plant, PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.3)
     >>> gains = PeriodicGains(found, initial_error=1.0)
-    >>> [float(gains.update([y]).radii[0].round(6)) for y in (0.0,) * 12][-1]
+    >>> [float(gains.update([y]).radii[0].round(4)) for y in (0.0,) * 12][-1]
     0.3
     """
 

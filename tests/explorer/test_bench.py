@@ -125,7 +125,9 @@ def test_the_set_shrinks_sample_by_sample():
 
 def test_accuracy_is_told_state_by_state_and_needs_bounds():
     bench = scene("pathological")
-    assert "hides" in bench.answer({"ask": "accuracy"})["error"]
+    hidden = bench.answer({"ask": "accuracy"})
+    assert hidden["worst"] == [None, None]
+    assert "no bound holds at all times: no sample shows 0+1i, 0-1i" in hidden["told"][0]
     seen = bench.answer({"ask": "accuracy", "marks": marks(1.0, 2.5)})
     known = sd.accuracy(PLANT, bench.schedule, w_bound=0.02, v_bound=0.1, rtol=0.05)
     assert seen["worst"] == pytest.approx(known.upper)

@@ -21,7 +21,7 @@ KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "Inclus
 NO_MAKERS = {
     "certificates.certify": {"_made"},
     "certificates.inclusion.search": {"certificate"},
-    "certificates.files": {"_sampled", "_of_family", "_detectable", "certificate_from_dict"},
+    "certificates.files": {"_sampled", "_of_family", "_detectable", "_inclusion"},
 }
 """Functions whose certificates are still to be proven by the maker that asked for them, or are read from a file."""
 

@@ -314,11 +314,15 @@ def test_a_model_that_returns_nan_is_refused_at_the_door():
         NonlinearMovingHorizonEstimator(root, horizon=1.0, prior=[-1.0])
 
 
-def test_a_linear_plant_is_told_where_to_go():
-    linear = Plant([[0.0]], [[1.0]])
-    with pytest.raises(ArgumentError, match="`plant` must be a NonlinearPlant, got Plant"):
-        NonlinearMovingHorizonEstimator(linear, horizon=1.0)
-    assert NonlinearMovingHorizonEstimator(from_linear(linear), horizon=1.0).update(0.0, [1.0]).status == "ok"
+def test_a_linear_plant_is_taken_as_the_nonlinear_one_it_is():
+    linear = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    found = [
+        NonlinearMovingHorizonEstimator(plant, horizon=3.0, prior=[1.0, 0.0]).run([(0.0, [0.9]), (1.0, [0.4])]).x
+        for plant in (linear, from_linear(linear))
+    ]
+    np.testing.assert_array_equal(*found)
+    with pytest.raises(ArgumentError, match="`plant` must be a NonlinearPlant, got str"):
+        NonlinearMovingHorizonEstimator("pendulum", horizon=1.0)
 
 
 def test_wrong_samples_change_nothing():

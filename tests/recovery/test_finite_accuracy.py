@@ -178,7 +178,7 @@ def test_a_row_that_stays_unknown_has_its_mode_named():
     hidden = sd.Plant([[0.1, 0.0], [0.0, 0.0]], [[0.0, 1.0]], states=["hidden", "seen"])
     found = sd.accuracy(hidden, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1)
     assert found.unknown == ("0.1",)
-    assert "Of hidden nothing can ever be known: the samples do not determine what belongs to the eigenvalue 0.1" in (
+    assert "Of hidden no bound holds at all times: the samples do not determine what belongs to the eigenvalue 0.1" in (
         found.explain()
     )
     early = sd.accuracy(sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), sd.Schedule([0.0]), w_bound=0.1, v_bound=0.1)

@@ -117,7 +117,7 @@ def estimate_curve(estimator: Estimator, measurements: Measurements, points: int
     >>> record = simulate_record(plant, PeriodicSchedule([0.7, 1.6]), 3.0, w_bound=0.02, v_bound=0.1)
     >>> estimator = MovingHorizonEstimator(plant, horizon=6.0, w_bound=0.02, v_bound=0.1, initial_error=2.0)
     >>> print(estimate_curve(estimator, record.measurements).explain())
-    Estimates between and at 3 samples; the tube holds every state at all times, if the bounds do.
+    Estimates between and at 4 samples; the tube holds every state at all times, if the bounds do.
     """
     following = Following(estimator, _checks.whole("points", points, 1))
     for t, y, u in measurements:

@@ -13,7 +13,6 @@ from sampling_design import _checks
 from sampling_design._door import doors
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.records.measurement_table import Measured
@@ -34,7 +33,6 @@ class OnlineEstimator(ABC):
 
     plant: Plant
     weights: Weights
-    table: FlowTable
     memory: float
     maximum_delay: float
     input_side: str
@@ -204,9 +202,8 @@ class OnlineEstimator(ABC):
             self._expect(np.unique(later))
 
     def _expect(self, times: Array) -> None:
-        """Prepare for samples at increasing times after the last."""
-        gaps = np.diff(times, prepend=self.state.last.t)
-        self.table.known(gaps.tolist())
+        """Prepare for samples at increasing times after the last: here they need no preparation."""
+        del times
 
     def stream(self, samples: Iterable[object]) -> Iterator[Estimate]:
         """Yield the estimate after each (t, y, u); nothing but the last two windows is kept."""

@@ -33,7 +33,7 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Bracket:
-    """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of the rows within a window."""
+    """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of a state by itself within a window."""
 
     lower: float
     upper: float
@@ -111,7 +111,9 @@ class _Pieced:
                     f"`window` must be short enough for e^(A T) to be a number, and its square, got {pieces.window!r}: "
                     "its unstable modes overflow. Refer sigma to a shorter window."
                 )
-            growth = max(growth, float(np.max(np.where(there, np.max(np.abs(flow), axis=(-1, -2)), 0.0), initial=0.0)))
+            # of the diagonal, which no unit of a state changes
+            own = np.abs(np.diagonal(flow, axis1=-2, axis2=-1)).max(axis=-1, initial=0.0)
+            growth = max(growth, float(np.max(np.where(there, own, 0.0), initial=0.0)))
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
             rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
             rows = np.concatenate(

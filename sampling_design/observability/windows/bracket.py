@@ -33,7 +33,7 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Bracket:
-    """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of a state by itself within a window."""
+    """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of a state by itself."""
 
     lower: float
     upper: float

@@ -133,9 +133,6 @@ class OpenLoopEstimator(OnlineEstimator):
         if schedule is not None:
             self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance)
 
-    def _expect(self, times: Array) -> None:
-        self.table.known(np.diff(times, prepend=self.state.last.t).tolist())
-
     def _set_bounds(
         self, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None, initial_error: npt.ArrayLike | None
     ) -> None:

@@ -110,7 +110,7 @@ class Tables:
         knots = [0.0]
         while knots[-1] < S:
             knots.append(knots[-1] + min(wide, max(_WIDER * (knots[-1] + self.rows.spacing), 1e-12 * S)))
-        return np.array(knots) * (S / knots[-1])
+        return np.append(np.array(knots[:-1]) * (S / knots[-1]), S)
 
     @property
     def least_cells(self) -> int:

@@ -8,6 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design._record import Gridded, Table
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
 
 OSCILLATOR = sd.library.oscillator()
@@ -37,6 +38,7 @@ MAKERS = {
     "FourHorizons": lambda: sd.four_horizons(OSCILLATOR, SCHEDULE),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
     "SmoothedWindow": smoothed,
+    "TradeoffCurve": lambda: tradeoff_curve(OSCILLATOR, SCHEDULE, 0.2, [3.0, 30.0]),
 }
 
 

@@ -19,27 +19,25 @@ class Proven:
     slack: float
 
 
+def _holds(inequality: str, slack: float, subject: str) -> Proven:
+    return Proven(inequality, f"{inequality} for {subject}, slack {slack:.3g}", slack)
+
+
 def _sampled(c: Sampled, work: Work) -> Proven:
-    inequality, slack = sampled.prove(c, work)
-    return Proven(inequality, f"{inequality} for every real window start and every later t, slack {slack:.3g}", slack)
+    return _holds(*sampled.prove(c, work), "every real window start and every later t")
 
 
 def _family(c: OfFamily, work: Work) -> Proven:
-    inequality, slack = families.prove(c, work)
-    subject = "for every schedule of the family, every real window start and every later t"
-    return Proven(inequality, f"{inequality} {subject}, slack {slack:.3g}", slack)
+    subject = "every schedule of the family, every real window start and every later t"
+    return _holds(*families.prove(c, work), subject)
 
 
 def _inclusion(c: Inclusion, work: Work) -> Proven:
-    inequality, slack = inclusion.prove(c)
-    subject = "for every plant of the model, all gaps in the range and every real window start"
-    return Proven(inequality, f"{inequality} {subject}, slack {slack:.3g}", slack)
+    return _holds(*inclusion.prove(c), "every plant of the model, all gaps in the range and every real window start")
 
 
 def _interval(c: OfInterval, work: Work) -> Proven:
-    inequality, slack = recovered.prove(c, work)
-    subject = "for every row and every trajectory within the bounds"
-    return Proven(inequality, f"{inequality} {subject}, slack {slack:.3g}", slack)
+    return _holds(*recovered.prove(c, work), "every row and every trajectory within the bounds")
 
 
 def _detectability(c: Detectability, work: Work) -> Proven:

@@ -18,9 +18,8 @@ from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import PlanDates, plan_dates
-from sampling_design.planning.files import load_plan, save_plan
+from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.requirement_file import requirement_and_plant
 from sampling_design.planning.sheet import write_form, write_sheet
 from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
@@ -54,12 +53,12 @@ def plan(
 
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
-    requirement, plant = requirement_and_plant(plant_file if requirement_file is None else requirement_file)
+    requirement, plant = reading.plan_requirement(plant_file if requirement_file is None else requirement_file)
     if requirement_file is not None:
         plant = reading.plant(plant_file)
     if plant is None:
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
-    other = None if compare is None else load_plan(compare)
+    other = None if compare is None else reading.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan(plant, requirement, search_seconds=search_seconds, progress=progress)
     dates = None
@@ -117,7 +116,7 @@ def next_sample(
 
     Example: sampling-design next out/plan.json --now 7
     """
-    result = load_plan(plan_file)
+    result = reading.plan(plan_file)
     record = None
     if measurements_file is not None:
         record = _record(result, measurements_file)

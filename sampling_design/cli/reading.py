@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from sampling_design.checkers.outcome import Verdict
     from sampling_design.design.problem.requirement import Requirement
     from sampling_design.estimators.records.measurements import Measurements
+    from sampling_design.planning.plan_record import Plan
+    from sampling_design.planning.requirement import PlanRequirement
     from sampling_design.plants.plant import Plant
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
-_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate)")
+_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate|plan-requirement|plan)\b")
 _KEYS = {
     "plant": {"matrices", "states", "outputs"},
     "requirement": {"window", "period", "spacing", "samples", "target_sigma", "forbidden", "fixed", "cost_limit"},
@@ -47,6 +49,20 @@ def schedule(path: Path) -> AnySchedule:
 def requirement(path: Path | None) -> Requirement:
     """The requirement of a file, or the one of no file: all defaults."""
     return sd.Requirement() if path is None else _read("requirement", sd.read_requirement, path)
+
+
+def plan_requirement(path: Path) -> tuple[PlanRequirement, Plant | None]:
+    """The requirement of a plan, and the plant that its file holds."""
+    from sampling_design.planning.requirement_file import requirement_and_plant
+
+    return _read("plan requirement", requirement_and_plant, path)
+
+
+def plan(path: Path) -> Plan:
+    """The plan of a file."""
+    from sampling_design.planning.files import load_plan
+
+    return _read("plan", load_plan, path)
 
 
 def measurements(path: Path, about: Plant, origin: str | None) -> Measurements:
@@ -99,14 +115,14 @@ def is_plan_requirement(path: Path) -> bool:
 
 
 def kind_of(path: Path) -> str:
-    """What a file seems to be: plant, schedule, requirement, certificate, measurement, or "" where that is open."""
+    """What a file seems to be (plant, schedule, plan, plan requirement, measurement, ...), or "" where that is open."""
     try:
         text = read_text(path)
     except SamplingDesignError:
         return ""
     named = _FORMAT.search(text)
     if named:
-        return named[1]
+        return named[1].replace("-", " ")
     try:
         keys = set(from_json(text, "") if text.lstrip().startswith("{") else from_toml(text, ""))
     except SamplingDesignError:

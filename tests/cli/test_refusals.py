@@ -32,7 +32,8 @@ def test_a_calendar_without_a_folder():
         design(Settings(quiet=True), OSCILLATOR, samples=3, start="2026-01-05")
 
 
-PLANTS, REQUIREMENTS, DATA = (OSCILLATOR.parents[1] / folder for folder in ("plants", "requirements", "data"))
+FOLDERS = ("plants", "requirements", "data", "plans")
+PLANTS, REQUIREMENTS, DATA, PLANS = (OSCILLATOR.parents[1] / folder for folder in FOLDERS)
 
 
 @pytest.mark.parametrize(
@@ -41,6 +42,10 @@ PLANTS, REQUIREMENTS, DATA = (OSCILLATOR.parents[1] / folder for folder in ("pla
         (("info", REQUIREMENTS / "oscillator.toml"), "is a requirement file, expected a plant file"),
         (("design", REQUIREMENTS / "oscillator.toml", OSCILLATOR), "is a requirement file, expected a plant file"),
         (("design", OSCILLATOR, OSCILLATOR), "is a plant file, expected a requirement file"),
+        (("plan", OSCILLATOR), "is a plant file, expected a plan requirement file"),
+        (("plan", OSCILLATOR, REQUIREMENTS / "oscillator.toml"), "is a requirement file, expected a plan requirement"),
+        (("next", OSCILLATOR), "is a plant file, expected a plan file"),
+        (("info", PLANS / "oscillator.toml"), "is a plan requirement file, expected a plant file"),
         (("sigma", OSCILLATOR, OSCILLATOR), "is a plant file, expected a schedule file"),
         (("sigma", OSCILLATOR, DATA / "satellite.csv"), "is a measurement file, expected a schedule file"),
         (("estimate", PLANTS / "satellite.toml", OSCILLATOR), "is a plant file, expected a measurement file"),

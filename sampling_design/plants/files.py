@@ -186,7 +186,8 @@ def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[
     suffix = Path(where).suffix.lower().lstrip(".")
     if suffix not in table:
         known = ", ".join(f".{key}" for key in table)
-        raise FileFormatError(f"{where}: the suffix must be one of {known}, got {f'.{suffix}'!r}.", where)
+        got = f"got {f'.{suffix}'!r}" if suffix else "got none"
+        raise FileFormatError(f"{where}: the suffix must be one of {known}, {got}.", where)
     return table[suffix]
 
 

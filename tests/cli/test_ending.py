@@ -1,5 +1,6 @@
 """How the command line ends: interrupts, outputs that cannot be written, defects."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -145,3 +146,10 @@ def test_help_shows_brackets_and_one_unbroken_example(shell):
     told = shell("certify", "--help").out
     example = "  Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out"
     assert any(line.startswith(example) for line in told.splitlines())
+
+
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-m", "sampling_design", "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stdout.split()[0], told.stderr) == (0, "sampling-design", "")
+    importlib.import_module("sampling_design.__main__")  # as worker processes do: nothing runs

@@ -189,7 +189,7 @@ def test_a_text_that_is_no_matlab_file_is_refused(tmp_path):
 def test_unknown_suffixes_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"the suffix must be one of \.toml, \.json, \.mat, \.npz, got '\.csv'"):
         read_plant(tmp_path / "plant.csv")
-    with pytest.raises(FileFormatError, match="the suffix must be one of"):
+    with pytest.raises(FileFormatError, match=r"the suffix must be one of .*, got none"):
         write_plant(library.oscillator(), tmp_path / "plant")
     assert not list(tmp_path.iterdir())
 

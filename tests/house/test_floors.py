@@ -22,6 +22,7 @@ FLOORS = {
     "explorer": 7,
     "plotting": 7,
     "cli": 8,
+    "__main__": 9,
 }
 GROUND = {
     "errors",

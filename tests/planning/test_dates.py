@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import sampling_design as sd
@@ -80,6 +81,8 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
         path.write_text(json.dumps(changed))
         with pytest.raises(FileFormatError, match=words):
             sd.load_plan(path)
+    path.write_text(json.dumps({**data, "reached": [x * 1.1 for x in data["reached"]], "ratio": data["ratio"] * 1.1}))
+    np.testing.assert_array_equal(sd.load_plan(path).reached, back.reached)  # what is proven by now, and it is less
     finite = {key: value for key, value in data["schedule"].items() if key not in ("period", "kind")}
     path.write_text(json.dumps({**data, "schedule": finite}))
     with pytest.raises(FileFormatError, match=r"must be periodic|cannot be used"):

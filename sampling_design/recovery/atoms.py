@@ -25,6 +25,9 @@ SAME = 1e-12
 PARTNERS = 4
 """Atoms tried beside the nearest one."""
 
+NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)
+"""How far away the neighbours are whose pairs a target tries."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -111,7 +114,10 @@ class Atoms:
         return np.asarray(scaled / np.where(size > 0, size, 1.0))
 
     def fit(self, targets: Array) -> Fit:
-        """Return each target as a share of one atom, or of the best pair of near ones on both sides of it."""
+        """Return each target as a share of one atom, or of the best pair of near ones on both sides of it.
+
+        Targets come along a curve as a rule: what serves a neighbour may serve a target.
+        """
         count, atoms = len(targets), len(self.gains)
         if not atoms:
             return Fit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
@@ -125,20 +131,27 @@ class Atoms:
         best = Fit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
         best = Fit(best.place, best.share * lengths[0][:, None] / unit[best.place])
         value = self.judged(targets, best)
+
+        def tried(place: Places) -> None:
+            """Take pairs where they bound targets better."""
+            nonlocal best, value
+            gram = np.einsum("ti,ti->t", U[place[:, 0]], U[place[:, 1]])
+            det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
+            a, b = near[rows, place[:, 0]], near[rows, place[:, 1]]
+            share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=1)
+            pair = Fit(place, share * lengths[0][:, None] / unit[place])
+            found = np.where(np.isfinite(det), self.judged(targets, pair), np.inf)
+            better = (found < value)[:, None]
+            best = Fit(np.where(better, place, best.place), np.where(better, pair.share, best.share))
+            value = np.minimum(value, found)
+
         for first in (alone, np.argmax(size, axis=1)):
             across = (U @ U.T)[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
             other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
             for second in other.T:
-                gram = np.einsum("ti,ti->t", U[first], U[second])
-                det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
-                a, b = near[rows, first], near[rows, second]
-                share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=1)
-                place = np.stack([first, second], axis=1)
-                pair = Fit(place, share * lengths[0][:, None] / unit[place])
-                found = np.where(np.isfinite(det), self.judged(targets, pair), np.inf)
-                better = (found < value)[:, None]
-                best = Fit(np.where(better, place, best.place), np.where(better, pair.share, best.share))
-                value = np.minimum(value, found)
+                tried(np.stack([first, second], axis=1))
+        for shift in NEIGHBOURS if count > 1 else ():
+            tried(np.roll(best.place, shift, axis=0))
         return best
 
     def bound(self, targets: Array) -> Array:

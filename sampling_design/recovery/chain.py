@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design.errors import UndecidedError
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import SignalBounds
@@ -42,12 +43,15 @@ BETWEEN = (0.2360, 0.6180)
 """Shares of a gap at which the outputs are looked at for the sizes of what its samples hide."""
 
 CONTRACTED = 1e-3
-"""Periods are added until the filter's error forgets all but this share of its past."""
+"""Samples are added until the filter's error forgets all but this share of its past."""
 
 FORGOTTEN = 0.01
 """The share of the past that may be left after the filter's memory."""
 
 PERIODS = 4000
+
+REFINED = 6
+"""Times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much."""
 
 GROWN = 1e70
 """Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
@@ -189,26 +193,52 @@ class SampleChain:
     def reach(self) -> Array:
         """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was; endless.
 
-        1 where nothing is known, of which nothing is asked.
+            R_j >= cost_j + |rest_j|'R_k   for all j at once,   k the sample `forgetting[j]` before j,
+
+        is a bound, since |rest| contracts; put in on the right, it gives another one, which is no larger. 1 where
+        nothing is known, of which nothing is asked.
         """
         count, n, r = len(self), self.D.size, self.determined
-        found = np.ones((count, n))
+        at = (np.arange(count) - self.forgetting) % count
+        costs, rests = (np.array([past[i] for past in self._filtered]) for i in (1, 2))
+        found = np.full((count, r), float(costs.max(initial=0.0)) / (1 - CONTRACTED))
+        for _ in range(REFINED):
+            found = costs + np.einsum("jik,ji->jk", rests, found[at])
+        return np.hstack([found, np.ones((count, n - r))])
+
+    @property
+    def forgetting(self) -> npt.NDArray[np.intp]:
+        """How many samples before each the filter's error is forgotten but for a share `CONTRACTED`; endless."""
+        return np.array([steps for steps, _, _ in self._filtered])
+
+    @cached_property
+    def _filtered(self) -> list[tuple[int, Array, Array]]:
+        """Of each sample: samples back until the error contracts, what noise and w cost till then, |rest| (r, r).
+
+        Raises
+        ------
+        UndecidedError
+            If it does not contract.
+        """
+        count, r, found = len(self), self.determined, []
         for j in range(count):
-            mu, cost = np.eye(n)[:, :r], np.zeros(r)
-            at = j
-            for step in range(PERIODS * count):
+            mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
+            for steps in range(PERIODS * count):
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
                 mu = mu - sample.H.T @ gains
                 cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
-                if step and at == j and np.abs(mu).sum(axis=0).max() < CONTRACTED:
+                if steps and np.abs(mu).sum(axis=0).max() < CONTRACTED:
+                    found.append((steps, cost, np.abs(mu[:r])))
                     break
                 at = (at - 1) % count
                 gap = self.gaps[at]
                 cost += gap.panels.integral(mu, self.bounds.w_ball)
                 mu = gap.F.T @ mu
-            # R <= cost + |rest|'R, and |rest| contracts
-            found[j, :r] = np.linalg.solve(np.eye(r) - np.abs(mu[:r]).T, cost)
+            else:
+                raise UndecidedError(
+                    f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+                )
         return found
 
 

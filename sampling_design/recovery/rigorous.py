@@ -12,7 +12,7 @@ from sampling_design._balls import Ball, Matrix, ball, flint, matrix, precision
 from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.between import FINENESS, GRID
 from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.chain import CONTRACTED, SampleChain
+from sampling_design.recovery.chain import SampleChain
 
 if TYPE_CHECKING:
     from sampling_design.recovery.profile import GapProof
@@ -142,38 +142,36 @@ class BallChain:
         return g - self.Ct[j] * _table([[x] for x in gains], 1), self.noise(j, gains)
 
     def prove_reach(self) -> bool:
-        """Whether R >= cost + |rest|'R with a contracting rest holds for a hardly raised reach of every sample."""
-        for j in range(len(self.chain)):
-            R = [ball(float(x) * (1 + RAISED)) for x in self.chain.reach[j]]
-            found = self._filtered(j)
-            if found is None:
-                return False
-            for cost, rest, most in zip(*found, R, strict=True):
+        """Whether R_j >= cost_j + |rest_j|'R_k with contracting rests holds for reaches hardly raised."""
+        chain = self.chain
+        if chain.forgetting.max(initial=0) > MOST_STEPS:
+            return False
+        self.reach = [[ball(float(x) * (1 + RAISED)) for x in R] for R in chain.reach]
+        for j, back in enumerate(chain.forgetting):
+            R = self.reach[(j - back) % len(chain)]
+            for cost, rest, most in zip(*self._filtered(j, int(back)), self.reach[j], strict=True):
                 if not _total(rest) < 1 or not cost + _total([a * b for a, b in zip(rest, R, strict=True)]) <= most:
                     return False
-            self.reach.append(R)
         return True
 
-    def _filtered(self, j: int) -> tuple[list[Ball], list[list[Ball]]] | None:
-        """Costs and rests of the filter's gains for the entries of z_j, over as many periods as the chain's reach."""
+    def _filtered(self, j: int, back: int) -> tuple[list[Ball], list[list[Ball]]]:
+        """Costs and rests of the filter's gains for the entries of z_j, over as many samples as the chain's reach."""
         chain, at = self.chain, j
         costs, columns = [ball(0.0)] * self.n, [self.Lt[j].solve(_column(unit)) for unit in np.eye(self.n)]
-        for step in range(MOST_STEPS):
+        for step in range(back + 1):
             K = chain.samples[at].K
             for k, g in enumerate(columns):
                 gains = _entries(matrix(K.T) * (self.Lt[at] * g)) if K.shape[1] else []
                 columns[k], paid = self.passed(at, g, gains)
                 costs[k] = (costs[k] + paid).upper()
-            if step and at == j:
-                rests = [[abs(x).upper() for x in _entries(self.Lt[j] * g)] for g in columns]
-                if all(_total(rest) < CONTRACTED for rest in rests):
-                    return costs, rests
+            if step == back:
+                break
             at = (at - 1) % len(chain)
             flow, panels = self.gap(at)
             for k, g in enumerate(columns):
                 costs[k] = (costs[k] + self.integrals(g, panels)[0][-1]).upper()
                 columns[k] = flow * g
-        return None
+        return costs, [[abs(x).upper() for x in _entries(self.Lt[at] * g)] for g in columns]
 
     def evaluated(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Ball:
         """What gains prove of mu'z_j."""

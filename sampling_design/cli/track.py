@@ -324,7 +324,8 @@ def log(
     record = reading.measurements(measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
-    length = window_length(settings, split, window)
+    # where every mode decays no window is judged, so that none is chosen and told
+    length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
     taken = np.isfinite(record.y)
     times, rows = np.unique(record.times[taken.any(axis=1)], return_index=True)
     with settings.progress("sigma") as progress:

@@ -37,9 +37,11 @@ class ScheduleLog(Record):
     lacking : (N,) array of bool
         Taken, but without an output that was planned.
     planned_sigma, actual_sigma : WindowSigma or None
-        Over every position of the window; None where the log is shorter than the window. Of a long record (more than
-        `STRETCH` samples) the profile is that of the stretch with the worst window.
+        Over every position of the window; None where the log is shorter than the window, or no mode must be seen. Of a
+        long record (more than `STRETCH` samples) the profile is that of the stretch with the worst window.
     time_unit : str
+    decays : bool
+        No mode must be seen: every one decays by itself.
     """
 
     planned: Schedule
@@ -49,6 +51,7 @@ class ScheduleLog(Record):
     planned_sigma: WindowSigma | None
     actual_sigma: WindowSigma | None
     time_unit: str
+    decays: bool = False
 
     @property
     def deviations(self) -> Array:
@@ -119,6 +122,8 @@ class ScheduleLog(Record):
         """Say what the deviations cost."""
         text = f"{self.missed.size} of {len(self.planned)} planned samples were missed, the others came within "
         text += f"{short(self.largest_deviation)} {self.time_unit}. "
+        if self.decays:
+            return text + "Every mode decays by itself, so that no window needs a sample and no sigma is compared."
         if self.planned_sigma is None or self.actual_sigma is None:
             return text + "The record is shorter than the window, so that sigma cannot be compared."
         if self.kept is None:
@@ -198,7 +203,7 @@ def compare_schedule(
     if judged.n_states and end - start >= length:
         before, after = (_judged(judged, each, length, budget, progress, start) for each in (planned, taken))
     lacking = _lacking(plant, planned, taken, match)
-    return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit)
+    return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit, not judged.n_states)
 
 
 def _judged(

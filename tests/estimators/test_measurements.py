@@ -14,6 +14,7 @@ from sampling_design import (
     write_measurements,
 )
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.estimators.records.measurement_table import BLOCK
 
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -109,8 +110,8 @@ def test_mistakes_are_named(tmp_path, text, message):
 
 
 def test_more_mistakes(tmp_path):
-    with pytest.raises(FileFormatError, match=r"measures nothing\. Leave a lost sample out"):
-        read_measurements(written(tmp_path, "time,gauge\n0,\n"), BLIND)
+    with pytest.raises(FileFormatError, match=r"line 2 measures nothing, and line 4 does\. Leave a lost sample out"):
+        read_measurements(written(tmp_path, "time,gauge\n0,\n1,\n2,0.5\n"), BLIND)
     with pytest.raises(FileFormatError, match="the date given as origin is not ISO 8601"):
         read_measurements(written(tmp_path, "date,gauge\n2026-01-01,1\n"), BLIND, origin="yesterday")
     with pytest.raises(FileFormatError, match="no such file"):
@@ -119,6 +120,17 @@ def test_more_mistakes(tmp_path):
         Measurements(BLIND, [0.0, 1.0], [[1.0]])
     with pytest.raises(ArgumentError, match=r"`y` must be finite or NaN"):
         Measurements(BLIND, [0.0], [[np.inf]])
+
+
+@pytest.mark.parametrize("rows", [2, 2 * BLOCK])
+def test_a_form_is_read_as_far_as_it_is_filled_in(tmp_path, rows):
+    taken = "".join(f"{k},{0.1 * k}\n" for k in range(rows))
+    later = "".join(f"{rows + k},\n" for k in range(BLOCK + 2))
+    found = read_measurements(written(tmp_path, "time,gauge\n" + taken + later), BLIND)
+    assert found.times.tolist() == list(range(rows))
+    assert found.y[-1] == pytest.approx(0.1 * (rows - 1))
+    with pytest.raises(FileFormatError, match=f"line {rows + 2} measures nothing, and line {rows + BLOCK + 4} does"):
+        read_measurements(written(tmp_path, "time,gauge\n" + taken + later + f"{2 * rows + BLOCK},1.0\n"), BLIND)
 
 
 def test_estimates_file(tmp_path):

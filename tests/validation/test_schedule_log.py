@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, compare_schedule, window_sigma
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule, compare_schedule, split_modes, window_sigma
 from sampling_design._files import to_json
 from tests.validation.plants import PLANTS
 
@@ -58,6 +58,14 @@ def test_a_blind_plan_is_said_to_be_blind():
     log = compare_schedule(PLANT, PeriodicSchedule([np.pi]), np.pi * np.arange(1, 6), window=7.0)
     assert log.kept is None
     assert "does not see every mode" in log.explain()
+
+
+def test_where_every_mode_decays_there_is_no_sigma_to_compare():
+    plant = Plant([[-0.5]], [[1.0]])
+    log = compare_schedule(plant, PLAN, np.arange(1.0, 9.0), window=3.0, retained=split_modes(plant, 0.0).retained)
+    assert log.planned_sigma is None
+    assert "every mode decays by itself" in log.explain().lower()
+    assert compare_schedule(plant, PLAN, np.arange(1.0, 9.0), window=3.0).planned_sigma.lower > 0
 
 
 def test_bad_input_is_refused():

@@ -98,6 +98,7 @@ class MeasurementTable:
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows = _Rows()
         self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
+        self._empty = 0  # line of the first row that measures nothing: a form is filled in from its head
 
     @property
     def origin(self) -> str:
@@ -114,7 +115,7 @@ class MeasurementTable:
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
-        plain = self._plain(lines) if self._seen is None else None
+        plain = self._plain(lines) if self._seen is None and not self._empty else None
         if plain is not None:
             times, y, u = plain
             self._blocks.append((times, y, u, np.array([number for number, _ in lines])))
@@ -191,7 +192,13 @@ class MeasurementTable:
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         inputs = self._filled(line, inputs)
         if np.isnan(outputs).all() and not told and not inputs:
-            raise FileFormatError(f"{self.where}: line {line} measures nothing. Leave a lost sample out.", self.where)
+            self._empty = self._empty or line
+            return
+        if self._empty:
+            raise FileFormatError(
+                f"{self.where}: line {self._empty} measures nothing, and line {line} does. Leave a lost sample out.",
+                self.where,
+            )
         content = _content(outputs, inputs, told)
         if self._seen is None and t <= self._latest:
             self._seen = self._all_seen()

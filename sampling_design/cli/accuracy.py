@@ -10,7 +10,7 @@ import typer
 import sampling_design as sd
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
-from sampling_design.cli.settings import Settings, record_table, save_picture
+from sampling_design.cli.settings import Settings, numbers, record_table, save_picture
 from sampling_design.errors import ArgumentError
 from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.shadow import Shadow
@@ -59,18 +59,18 @@ def accuracy(
     schedule = schedule_for(settings, plant, schedule_file)
     names = [name.strip() for name in of.split(",") if name.strip()]
     pair = _pair(shadow)
-    wanted = _wanted(_numbers("--tolerance", tolerance), len(names) or plant.n_states)
+    wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy"):
         found = sd.accuracy(
             plant,
             schedule,
-            w_bound=_numbers("--w-bound", w_bound),
-            v_bound=_numbers("--v-bound", v_bound),
+            w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
+            v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
             of=names if names else None,
             rtol=rtol,
-            initial_error=_numbers("--initial-error", initial_error),
-            w_intensity=_numbers("--w-intensity", w_intensity),
-            v_deviation=_numbers("--v-deviation", v_deviation),
+            initial_error=numbers("--initial-error", initial_error, plant.states.names),
+            w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
+            v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
         )
         cast = None if pair is None else found.shadow(*pair)
     _told(settings, found, cast, wanted)
@@ -114,17 +114,6 @@ def _wanted(value: float | list[float] | None, rows: int) -> list[float] | None:
     if len(each) != rows:
         raise ArgumentError(f"`--tolerance` must be one number or one for each of {rows} rows, got {len(each)}.")
     return each
-
-
-def _numbers(name: str, text: str | None) -> float | list[float] | None:
-    """None, a number, or a list of numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ArgumentError(f"`{name}` must be numbers with commas between, got {text!r}.") from None
-    return values if len(values) > 1 else values[0]
 
 
 COMMANDS = (accuracy,)

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from sampling_design.cli import reading
-from sampling_design.cli.accuracy import NUMBERS, _numbers
+from sampling_design.cli.accuracy import NUMBERS
 from sampling_design.cli.plan import schedule_for
-from sampling_design.cli.settings import Settings
+from sampling_design.cli.settings import Settings, numbers
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import PlanRequirement
@@ -63,13 +63,13 @@ def explore(
             raise ArgumentError(
                 f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period."
             )
-        wanted = _numbers("--tolerance", tolerance)
+        wanted = numbers("--tolerance", tolerance)
         bench = Bench(
             plant,
             requirement,
             schedule,
-            w_bound=_numbers("--w-bound", w_bound),
-            v_bound=_numbers("--v-bound", v_bound),
+            w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
+            v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
             tolerance=[wanted] if isinstance(wanted, float) else wanted,
             folder=settings.folder(),
         )

@@ -126,6 +126,8 @@ def design(
     flags["scaled"] = scaled
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
+    if zone is not None and start is None:
+        raise ArgumentError(f"`--zone` {zone} says where --start is local time: give --start DATE with it.")
     zero = None if start is None else parse_date("--start", start, zone).isoformat()
     requirement = reading.requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})

@@ -96,11 +96,13 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
     try:
         return reader(path)
     except SamplingDesignError:
-        found = kind_of(path)
+        found, where = kind_of(path), str(path)
         if found not in (kind, ""):
-            where = str(path)
+            begins = ' A schedule begins with the line "# sampling-design schedule; time_unit=h; period=24".'
             raise FileFormatError(
-                f"{where}: is a {found} file, expected a {kind} file. Are the arguments in their order?", where
+                f"{where}: is a {found} file, expected a {kind} file. Are the arguments in their order?"
+                + begins * ((found, kind) == ("measurement", "schedule")),
+                where,
             ) from None
         raise
 

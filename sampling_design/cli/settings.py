@@ -9,12 +9,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from typer.models import OptionInfo
 
 import sampling_design
 from sampling_design._checks import positive, whole
@@ -196,11 +198,55 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
         function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    for flag in (*keyword, *common):
+        _read_in_words(flag.annotation)
     # one unbroken line to copy: the mark keeps the paragraph from being filled
     command.__doc__ = (function.__doc__ or "").replace("    Example: ", "    \b\n    Example: ")
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command
+
+
+def _read_in_words(annotation: object) -> None:
+    """Let a flag that takes one number say in plain words what it was given instead."""
+    kind, *marks = get_args(annotation) or (annotation,)
+    kinds = set(get_args(kind) or (kind,)) - {NoneType}
+    for mark in marks:
+        if isinstance(mark, OptionInfo) and kinds in ({int}, {float}):
+            whole_one = kinds == {int}
+            mark.parser = _whole_number if whole_one else _number
+            mark.metavar = mark.metavar or ("<int>" if whole_one else "<float>")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        hint = (
+            " Times stand in the plant's unit, without a letter; decimals have a point." if text[:1].isdigit() else ""
+        )
+        raise typer.BadParameter(f"{text!r:.60} is not a number.{hint}") from None
+
+
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r:.60} is not a whole number.") from None
+
+
+def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | list[float] | None:
+    """None, one number, or numbers with commas between: one for each name, where names are given."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"`{flag}` must be numbers with commas between, got {text!r}.") from None
+    if len(values) > 1 and names and len(values) != len(names):
+        each = f", or {len(names)}: one for each of {', '.join(names)}" if len(names) > 1 else ""
+        raise ArgumentError(f"`{flag}` must be one number{each}, got {text!r}. Decimals have a point, not a comma.")
+    return values if len(values) > 1 else values[0]
 
 
 def _flags(kind: type) -> list[inspect.Parameter]:

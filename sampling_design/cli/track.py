@@ -21,7 +21,16 @@ from sampling_design.cli import reading
 from sampling_design.cli.following import CLOSELY, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
-from sampling_design.cli.settings import Hands, Scheduler, Settings, record_table, save_picture, table, workforce
+from sampling_design.cli.settings import (
+    Hands,
+    Scheduler,
+    Settings,
+    numbers,
+    record_table,
+    save_picture,
+    table,
+    workforce,
+)
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
 from sampling_design.schedules.family import AnySchedule
@@ -88,7 +97,9 @@ def estimate(
     inside = replace(record, times=record.times - start)
     certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta, bounds)
     settings.notice(words)
-    estimator = _estimator(settings, plant, certificate, inside, horizon, _numbers("--prior", prior), bounds)
+    first = numbers("--prior", prior, plant.states.names)
+    known = None if first is None else np.atleast_1d(first)
+    estimator = _estimator(settings, plant, certificate, inside, horizon, known, bounds)
     tally = followed(settings, estimator, inside, start, record.origin, radii, words)
     if any(status == "bounds disproved" for status in tally.status):
         raise typer.Exit(1)
@@ -149,17 +160,6 @@ def _weights(plant: sd.Plant, eta: float, bounds: NoiseBounds) -> Tree:
     return sd.weights_from_bounds(plant, eta, w, v, start)
 
 
-def _numbers(name: str, text: str | None) -> float | list[float] | None:
-    """None, a number, or a list of numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ArgumentError(f"`{name}` must be numbers with commas between, got {text!r}.") from None
-    return values if len(values) > 1 or name == "--prior" else values[0]
-
-
 def _bounds(
     settings: Settings, plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
 ) -> NoiseBounds:
@@ -171,7 +171,7 @@ def _bounds(
         ("initial_error", initial_error, plant.states),
     ):
         flag = "--" + name.replace("_", "-")
-        given = _numbers(flag, text)
+        given = numbers(flag, text, signals.names)
         if given is None:
             settings.notice(f"{flag} not given: the plant's scales {short(signals.scales)} are used.")
         found[name] = signals.scales if given is None else given

@@ -126,6 +126,8 @@ def _counts(text: str) -> list[int]:
         first, dash, last = part.partition("-")
         if not first.strip().isdigit() or (dash and not last.strip().isdigit()):
             raise ArgumentError(f"`--counts` must look like 8,10,12 or 8-16, got {text!r}.")
+        if last and int(last) < int(first):
+            raise ArgumentError(f"`--counts` must rise from the smaller number to the larger, got {part!r}.")
         found += range(int(first), int(last or first) + 1)
     if not found:
         raise ArgumentError("`--counts` must name at least one number of samples, for example 8-16.")

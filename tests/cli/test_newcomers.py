@@ -110,6 +110,63 @@ RECORDS = {
     "a unit in the cell": ("time,position\n0.5,0.2 m\n", "0.2 m", 2),
     "a workbook": (b"PK\x03\x04\x00\xff" + bytes(60), "Save the table as csv", 2),
 }
+HAND = "# sampling-design schedule; time_unit=s; period=4\n"
+FILES = {
+    "p.toml": FREE,
+    "r.toml": WISHED,
+    "s.csv": HAND + "time\n0.5\n1.7\n3.1\n",
+    "bare.csv": "time,position\n0.5,1\n1.7,1\n",
+    "list.csv": "0.5\n1.7\n3.1\n",
+    "headless.csv": HAND + "0.5\n1.7\n",
+    "long.csv": HAND.replace("4", "1.0") + "time\n0.5\n1.7\n",
+    "yes.csv": HAND + "time,position\n0.5,yes\n",
+    "dates.csv": HAND + "date,position\n2026-03-02,1\n",
+    "m.csv": DATA,
+    "dated.csv": "date,position\n2026-03-16 08:00,0.2\n2026-03-16 08:01,0.1\n",
+}
+LINES = {
+    "a unit at a number": ("design p.toml r.toml --window 4s", "'4s' is not a number. Times stand in the plant's unit"),
+    "a decimal comma": ("design p.toml r.toml --spacing 0,5", "decimals have a point"),
+    "a number in words": ("design p.toml r.toml --samples four", "'four' is not a whole number"),
+    "half a sample": ("design p.toml r.toml --samples 2.5", "is not a whole number"),
+    "minutes of a budget": ("design p.toml r.toml --budget 1min", "'1min' is not a number"),
+    "a decimal comma in a bound": ("accuracy p.toml s.csv --w 0.1 --v 0,1", "Decimals have a point, not a comma"),
+    "three bounds of two": ("estimate p.toml m.csv --w 1,2,3", "or 2: one for each of w_position, w_velocity"),
+    "bounds in words": ("accuracy p.toml s.csv --w small --v 0.1", "must be numbers with commas between"),
+    "no bound": ("accuracy p.toml s.csv", "without a bound on w_position, w_velocity nothing can be guaranteed"),
+    "blanks for commas": ("accuracy p.toml s.csv --w 0.1 --v 0.1 --of position\u00a0velocity", "`of` must name states"),
+    "a zone without a date": ("design p.toml r.toml --zone Europe/Berlin", "give --start DATE with it"),
+    "a date without a folder": ("design p.toml r.toml --start 2026-03-02", "Give --output DIR"),
+    "a date in words": ("design p.toml r.toml -o o --start tomorrow", "a date like 2026-01-05T08:00"),
+    "a date of Germany": ("design p.toml r.toml -o o --start 02.03.2026", "a date like 2026-01-05T08:00"),
+    "half a zone": ("design p.toml r.toml -o o --start 2026-03-02 --zone Berlin", "a time zone like Europe/Berlin"),
+    "a file for a folder": ("design p.toml r.toml -o p.toml", "cannot be made a folder"),
+    "a misspelt command": ("desing p.toml", "Did you mean 'design'?"),
+    "counts that fall": ("pareto p.toml r.toml --counts 14-6", "must rise from the smaller number to the larger"),
+    "counts with dots": ("pareto p.toml r.toml --counts 6..14", "must look like 8,10,12 or 8-16"),
+    "gaps that fall": ("certify p.toml --gap-range 2 0.5", "Did you swap them?"),
+    "one word for gaps": ("certify p.toml --gap-range 0.5-2", "requires 2 arguments"),
+    "neither schedule nor family": ("certify p.toml", "needs a SCHEDULE file or a family such as --gap-range"),
+    "a plain table as schedule": (
+        "sigma p.toml bare.csv",
+        'A schedule begins with the line "# sampling-design schedule',
+    ),
+    "a plain list as schedule": ("sigma p.toml list.csv", 'must begin with "# sampling-design schedule; time_unit='),
+    "no head of the times": ("sigma p.toml headless.csv", "the first column must be `time`, got '0.5'"),
+    "times past the period": ("sigma p.toml long.csv", "Does the last time already belong to the next period?"),
+    "yes for one": ("sigma p.toml yes.csv", "must be 1 (measured) or 0, got yes"),
+    "dates for times": ("sigma p.toml dates.csv", "the first column must be `time`, got 'date'"),
+    "dates and times": ("estimate p.toml dated.csv --schedule s.csv", "which date its time 0 is"),
+    "a plan that is none": ("plan p.toml r.toml", "is a requirement file, expected a plan requirement file"),
+    "a requirement to follow": ("next r.toml", "is a requirement file, expected a plan file"),
+    "a schedule to verify": ("verify s.csv", "is a schedule file, expected a certificate file"),
+    "files of a log swapped": ("log p.toml m.csv s.csv", "is a measurement file, expected a schedule file"),
+    "a rhythm in words": ("new x --rhythm daily", "must be positive numbers with commas between"),
+    "hours of an English clock": ("new x --rhythm 24 --open 7am-10pm", 'as "Mon-Fri 8:30-12, 13-17, Sat 9-12"'),
+    "a unit in words": ("new x --rhythm 24 --unit days", "must be one of ms, s, min, h, d, wk, got 'days'"),
+    "nothing that moves": ("new x --no-level", "give --rhythm PERIODS, --decay TIMES, or both"),
+    "a plan without its noise": ("new x --rhythm 24 --within 1.7", "needs --noise: how far a reading may be off"),
+}
 CALLS = {
     "a list for C": (lambda: sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [1.0, 0.0]), "One row is [[...]], in two brackets"),
     "degrees": (lambda: sd.Schedule(["0°", "90°"]), "`times`"),
@@ -174,6 +231,22 @@ def test_a_measurement_file(what, shell, tmp_path):
     plant = written(tmp_path, "free.toml", FREE)
     done = shell("estimate", plant, path, "--w", 0.1, "--v", 0.2, "--initial-error", 2.0)
     assert judged(done, words, code), done
+
+
+@pytest.mark.parametrize("what", LINES)
+def test_a_command_line(what, shell, tmp_path, monkeypatch):
+    line, words = LINES[what]
+    monkeypatch.chdir(tmp_path)
+    for name, content in FILES.items():
+        written(tmp_path, name, content)
+    done = shell(
+        *line.split(" "), *([] if line.startswith(("new", "desing", "certify p.toml --gap-range 0.5")) else ["--quiet"])
+    )
+    assert done.code == 2, done
+    said = done.err.strip().splitlines()[-1]
+    assert words in said, done
+    assert "Traceback" not in done.err
+    assert done.out == ""
 
 
 @pytest.mark.parametrize("what", CALLS)

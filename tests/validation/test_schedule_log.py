@@ -5,7 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule, compare_schedule, split_modes, window_sigma
+from sampling_design import (
+    ArgumentError,
+    PeriodicSchedule,
+    Plant,
+    Schedule,
+    compare_schedule,
+    split_modes,
+    window_sigma,
+)
 from sampling_design._files import to_json
 from tests.validation.plants import PLANTS
 

@@ -138,10 +138,10 @@ def read_measurements(
     path : path or DataFrame
         Header `time` (in the plant's time unit) or `date` (ISO 8601; naive means UTC), then the plant's
         output names, then its input names, in any order. An empty output cell is "not measured" (rows at the end that
-        measure nothing are a form not filled in yet), an empty input cell "unchanged"; "<0.5" and ">8" are limits of detection. A column NAME_since beside an output NAME holds where a
-        composite sample began, in the unit of the first column: the output is the mean from then on. Lines that start
-        with # are comments. Of a
-        frame, `time` or `date` may be the index, and NaN is what an empty cell is.
+        measure nothing are a form not filled in yet), an empty input cell "unchanged"; "<0.5" and ">8" are limits of
+        detection. A column NAME_since beside an output NAME holds where a composite sample began, in the unit of the
+        first column: the output is the mean from then on. Lines that start with # are comments. Of a frame, `time` or
+        `date` may be the index, and NaN is what an empty cell is.
     plant : Plant
     origin : str, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
@@ -154,7 +154,8 @@ def read_measurements(
     ------
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
-        an input has no value in the first row, a row holds nothing and a later one does, or a time comes twice with different values.
+        an input has no value in the first row, a row before another that was measured holds nothing, or a time comes
+        twice with different values.
     """
     where, lines = _lines_of(path)
     table = read_table(where, lines, plant, origin)

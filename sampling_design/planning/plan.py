@@ -23,7 +23,7 @@ from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
-from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.search import PlanSearch
@@ -326,7 +326,9 @@ class _Planning:
         """
         problem = self.problem
         at = np.flatnonzero(problem.allowed.any(axis=1))
-        most = int(min(problem.most_samples, len(at)))
+        each = problem.visit + problem.price.min()
+        affordable = problem.most_cost * (1 + SAME_PRICE) / each if each > 0 else np.inf
+        most = int(min(problem.most_samples, len(at), affordable))
         for count in range(most, 0, -1):
             chosen = np.zeros(problem.allowed.shape, dtype=bool)
             wanted = np.arange(count) * problem.steps / count
@@ -337,8 +339,6 @@ class _Planning:
                         break
             if int(chosen.any(axis=1).sum()) == count:
                 return chosen
-            if count > 2 * problem.most_cost / max(problem.visit + problem.price.min(), 1e-300):
-                continue
         raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
 
     def _filled(self, chosen: Mask, i: int) -> bool:
@@ -397,10 +397,10 @@ class _Planning:
         return chosen
 
     def _refuse(self, worst: float) -> None:
-        goal = max(self.problem.goals, key=lambda g: g.tolerance)
+        kept = ", ".join(f"{g.name} {g.tolerance * worst:.4g}" for g in self.problem.goals)
         raise InfeasibleRequirementError(
             f"Not even measuring at every allowed time keeps the tolerances: {worst:.4g} times as large ones could be "
-            f"kept at best ({goal.name} {goal.tolerance * worst:.4g}).",
+            f"kept at best ({kept}).",
             "accuracy",
             {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
         )

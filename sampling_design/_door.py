@@ -30,7 +30,6 @@ T = TypeVar("T")
 Check = Callable[[object], object]
 
 _NO = object()
-_UNITS = ("time_unit", "plant")
 _CALLED = {
     "Client": "a Dask client",
     "Executor": "a concurrent.futures.Executor",

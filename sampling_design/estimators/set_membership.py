@@ -18,8 +18,6 @@ from sampling_design.estimators.online.history import State
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import StartError
 
-Array = npt.NDArray[np.float64]
-
 
 class SetMembershipEstimator(KalmanFilter):
     """The centre of the interval of every state: no other estimate has a smaller largest error.

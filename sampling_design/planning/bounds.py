@@ -17,7 +17,6 @@ from sampling_design.planning.attacks import AttackPool
 from sampling_design.planning.cover import Cover, Key, proven, relaxed
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 OPEN_ROW = 1e3
 """Price of a row left open, in units of the dearest variable's: what has no choice becomes this dear."""

@@ -37,9 +37,6 @@ FORMAT = "sampling-design/plan/1"
 SAME = 1e-6
 """Figures worked out anew agree to this share."""
 
-ENDLESS = 1e12
-"""Stands for no limit where a cost is compared."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Record):

@@ -15,7 +15,7 @@ from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.oracle import LOOKS, Oracle
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import Goal
-from sampling_design.planning.spread_sequence import SampleSequence, SpreadSequence, asked, planned
+from sampling_design.planning.spread_sequence import SampleSequence, SpreadSequence, asked
 from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.question import Question
@@ -37,18 +37,6 @@ def looks_back(plan: Plan) -> int:
     if plan.deviation is not None:
         parts.append(SpreadSequence(plan).back)
     return max(parts)
-
-
-def deviating(plan: Plan, times: Array, seen: Mask, resume: float) -> SampleSequence:
-    """The plan's samples, then those given, then the plan's from `resume` on, for as long as the proof asks."""
-    back = looks_back(plan)
-    mean = plan.schedule.period / len(plan.schedule)
-    first = float(times[0]) if times.size else resume
-    span = (back + 1) * mean + plan.schedule.period
-    before = planned(plan, first - span, first)
-    after = planned(plan, resume, resume + span)
-    all_times = np.concatenate([before[0], times, after[0]])
-    return SampleSequence(all_times, np.concatenate([before[1], seen, after[1]]), before[0].size)
 
 
 def worst_ratio(plan: Plan, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:

@@ -103,10 +103,3 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Ar
 
 def _sums(x: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(x)])
-
-
-def open_integral(chain: SampleChain, length: float, row: Array) -> float:
-    """Return a bound on int_0^length h_W(G'Phi(s)'c) ds for a row (n,) of x."""
-    size = float(np.linalg.norm(chain.A, 2))
-    number = int(np.clip(np.ceil(size * length / FINENESS), *GRID))
-    return float(_open_integrals(chain, np.linspace(0.0, length, number + 1), row)[0][-1])

@@ -124,14 +124,6 @@ class _ConeRows:
         self.A.eliminate_zeros()
         return np.concatenate(self._b), ConeSolver(self.A, self._cones, tolerance=tolerance)
 
-    def scaled(self, change: Array) -> ConeSolver:
-        """The solver with one more column: b + scale change in place of b."""
-        from scipy import sparse
-
-        return ConeSolver(
-            sparse.hstack([self.A, sparse.csc_matrix(-change[:, None])]), self._cones, tolerance=TOLERANCE
-        )
-
 
 def boxed(chain: SampleChain, nodes: list[int]) -> bool:
     """Whether everything that bounds w and v at some samples does so entry by entry, and no sensor is exact."""
@@ -213,7 +205,6 @@ class ConeWindow:
         if chain.bounds.w_ball:
             table.diagonal_balls(K * n, q)
         self._b, self._solver = table.solver(self._tolerance)
-        self._table, self._bare = table, self._b.copy()
         if self.data is not None:
             self._shift(self.data)
 
@@ -281,15 +272,6 @@ class ConeWindow:
         """Return both sides for the target mu'z_K, each evaluated without the solver."""
         point = self._solved(mu)
         return self.upper(mu, self._steadied(mu, point)), self._admissible(mu, point)
-
-    def least_scale(self) -> list[Array]:
-        """Return the gains that prove best by how much the data exceed what the bounds allow."""
-        solver = self._table.scaled(self._b - self._bare)
-        _, y, status = solver.solve(np.append(np.zeros(int(self._w_at[-1])), -1.0), self._bare)
-        n, K, point = self.chain.D.size, len(self.nodes), self._nowhere()
-        if status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(y).all():
-            point = _WindowPoint(point.z, point.w, self._gains(y), y[: (K - 1) * n].reshape(-1, n))
-        return self._steadied(np.zeros(n), point)
 
     def _nothing(self) -> Adversary:
         chain = self.chain

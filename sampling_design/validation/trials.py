@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +14,6 @@ from sampling_design.validation.error_map import ErrorRows, Inputs
 from sampling_design.validation.timeline import Timeline, exact_flow
 
 Array = npt.NDArray[np.float64]
-Make = Callable[..., Estimator]
 
 GROWTH = 3.0
 """A truth that would grow by more than e^3 in a run is held near zero by a known input."""

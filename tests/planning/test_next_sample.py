@@ -7,9 +7,20 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, NotDetectableError
-from sampling_design.planning.sequence import deviating, plan_chain, planned, proven_ratio
+from sampling_design.planning.sequence import looks_back, plan_chain, proven_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
 
 BARE = {"certificate": False, "robustness": False}
+
+
+def deviating(plan, times, seen, resume):
+    """The plan's samples, then those given, then the plan's from `resume` on, for as long as the proof asks."""
+    first = times[0] if times.size else resume
+    span = (looks_back(plan) + 1) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+    before, after = planned(plan, first - span, first), planned(plan, resume, resume + span)
+    return SampleSequence(
+        np.concatenate([before[0], times, after[0]]), np.concatenate([before[1], seen, after[1]]), before[0].size
+    )
 
 
 def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):

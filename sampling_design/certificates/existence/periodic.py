@@ -23,7 +23,6 @@ from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 UNSEEN_TOLERANCE = 1e-9
 """A scaled pencil [e^{AP} - mu I; O] with a singular value below this misses mu: well above rounding (1e-13 for

@@ -22,7 +22,6 @@ from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 PIECES = (8, 16, 32)

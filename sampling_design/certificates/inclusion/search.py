@@ -351,7 +351,7 @@ def corners(middle: Array, moves: Array) -> Array:
 
 
 def accepted(made: InclusionCertificate) -> InclusionCertificate:
-    """A certificate whose verdict was "proven"."""
+    """A certificate that was proven, on its way out: where all of them can be watched (tests/rigour.py)."""
     return made
 
 

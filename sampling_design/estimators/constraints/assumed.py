@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.online.evidence import Assumptions, SetBounds
 from sampling_design.recovery.readings import Push, Row
-
-Array = npt.NDArray[np.float64]
 
 INSIDE = 1e-12
 """Share of a box by which a ball may stand out of it and still be taken for what is known."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
@@ -14,8 +13,6 @@ from sampling_design._record import Record, counted
 from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Estimator
 from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.estimators.records.measurements import Measurements
-
-Array = npt.NDArray[np.float64]
 
 POINTS_PER_GAP = 12
 """Points of the open loop between two samples."""

@@ -82,11 +82,6 @@ class WindowSigmaOverBox(SigmaBracket):
         return False if self.status in ("unseen", "too few samples") else None
 
     @property
-    def worst_plant(self) -> Plant:
-        """The plant at `worst`."""
-        return self.plant.at(self.worst)
-
-    @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
         return Claim(

@@ -7,7 +7,8 @@ import pytest
 from sampling_design import GapRange, NonlinearPlant, certify, load_certificate
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
-from sampling_design.certificates.inclusion.search import InclusionSearch, InclusionWeights
+from sampling_design.certificates.inclusion.members import InclusionWeights
+from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers import programs
 from sampling_design.checkers.intervals import Interval

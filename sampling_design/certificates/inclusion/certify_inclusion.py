@@ -15,7 +15,8 @@ from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.certificates.inclusion.search import InclusionSearch, InclusionWeights
+from sampling_design.certificates.inclusion.members import InclusionWeights
+from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.schedules.family import SamplingFamily

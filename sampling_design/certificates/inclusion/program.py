@@ -24,6 +24,8 @@ BEARABLE, PACE = 1e3, 4.0
 """Rates per longest gap beyond which flow conditions are posed in their own size; the rate that counts as 1 there."""
 LEAST_SLACKEST, MOST_SLACKEST = 0.01, 4.0
 """Ends of P for the largest slack: the lower one is that part of the slack."""
+MEMBERS = 512
+"""Members whose eigenvalues are found at once."""
 SMALLEST = 1e-7
 """Information below this fraction of the nominal counts as none: the solver's tolerance, with room."""
 
@@ -225,14 +227,12 @@ class InclusionProgram:
             return 0.0, None, record
         return float(x[-2]), x, record
 
-    def narrow(self, shape: Array, ratio: float, floor: float) -> tuple[Array | None, float, SolverRecord]:
-        """Minimise q - ratio s over s shape <= P <= q shape, P >= floor unit; the point and q/s."""
+    def narrow(self, ratio: float, floor: float) -> tuple[Array | None, SolverRecord]:
+        """The point with the least q - ratio s over s I <= P <= q I, P >= floor unit; None where there is none."""
         cost = np.zeros(self.width)
         cost[-2], cost[-1] = -ratio, 1.0
-        x, record = self._solved(cost, self._bounds(True, True, shape, floor))
-        if x is None or x[-2] <= 0:
-            return None, np.inf, record
-        return x, float(x[-1] / x[-2]), record
+        x, record = self._solved(cost, self._bounds(True, True, np.eye(self.posed.n), floor))
+        return (x if x is not None and x[-2] > 0 else None), record
 
     def slackest(self) -> tuple[Array | None, float, SolverRecord]:
         """The most t with every flow condition >= t I in its own size and t I/100 <= P <= 4 I; the point and t."""
@@ -286,3 +286,30 @@ class InclusionProgram:
 def vector(matrix: Array) -> Array:
     """svec of one matrix."""
     return np.asarray(_conic.svec(matrix), dtype=np.float64)
+
+
+def flow_slacks(posed: Posed, P: Array) -> Array:
+    """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
+    n, ends = posed.n, 2 * (len(P) - 1)
+    scale = flow_scale(posed)
+    h = np.diff(posed.nodes)[:, None, None]
+    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
+    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
+    least = []
+    for first in range(0, len(posed.dynamics), MEMBERS):
+        M = posed.dynamics[first : first + MEMBERS, None]
+        drift, off = both @ M[..., :n], -(both @ M[..., n:])
+        corner = -(slope + drift + np.swapaxes(drift, 2, 3) + posed.eta * both)
+        Q = np.broadcast_to(posed.Qw, (len(M), ends, *posed.Qw.shape))
+        form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
+        least.append(np.linalg.eigvalsh(scale.T @ form @ scale)[..., 0].min(axis=1))
+    return np.concatenate(least)
+
+
+def jump_slacks(posed: Posed, P: Array) -> Array:
+    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
+    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
+    own = posed.centre.T @ posed.Rt @ posed.centre
+    seen = cross + np.swapaxes(cross, 1, 2) - own
+    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
+    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))

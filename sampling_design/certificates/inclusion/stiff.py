@@ -11,17 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
-from sampling_design.certificates.inclusion.program import InclusionProgram, Posed, flow_scale
+from sampling_design.certificates.inclusion.members import PosedMembers
+from sampling_design.certificates.inclusion.program import InclusionProgram, Posed, flow_scale, flow_slacks, jump_slacks
 from sampling_design.evidence import SolverRecord
-
-if TYPE_CHECKING:
-    from sampling_design.certificates.inclusion.search import InclusionSearch
 
 Array = npt.NDArray[np.float64]
 Posing = Callable[[Array], tuple[Posed, Array]]
@@ -40,8 +37,6 @@ DRAWN = 0.6
 """Power of lambda that is asked for in the next turn."""
 LEAST_SLACK = 0.3
 """A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
-FASTEST, MEMBERS = 1e3, 512
-"""Rates per longest gap beyond which a plant is stiff; members whose eigenvalues are found at once."""
 
 
 class Fitted(NamedTuple):
@@ -66,19 +61,7 @@ class Fitted(NamedTuple):
         return high / low
 
 
-def pace(A: Array, scales: Array, longest: float) -> Array:
-    """A root T of an information TT' that weighs each direction by how long it lasts: I where A = 0.
-
-    The solution of (A - s)'P + P(A - s) = -Q, Q what the scales call one, with s just beyond what grows.
-    """
-    unit = np.diag(1 / scales)
-    own = scales[:, None] ** -1 * A * scales * longest
-    shift = max(float(np.max(np.linalg.eigvals(own).real, initial=0.0)), 0.0) + 0.5
-    P = scipy.linalg.solve_continuous_lyapunov((own - shift * np.eye(len(own))).T, -np.eye(len(own)))
-    return np.asarray(unit @ np.linalg.cholesky((P + P.T) / 2))
-
-
-def fitted(search: InclusionSearch, posing: Posing, T: Array, solve: Solver, share: float, join: bool) -> Fitted | None:
+def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool) -> Fitted | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
     for _ in range(ROUNDS):
         posed, _T = posing(T)
@@ -109,7 +92,7 @@ def fitted(search: InclusionSearch, posing: Posing, T: Array, solve: Solver, sha
     return None
 
 
-def drawn(search: InclusionSearch, posed: Posed, share: float) -> Posed:
+def drawn(search: PosedMembers, posed: Posed, share: float) -> Posed:
     """Members drawn to their mean by a share, and pushed outwards by the search's inflation."""
     if search.hull is not None and share == 1:  # whose directions are inflated instead
         return posed
@@ -117,7 +100,7 @@ def drawn(search: InclusionSearch, posed: Posed, share: float) -> Posed:
     return replace(posed, dynamics=middle + share * (1 + search.inflation) * (posed.dynamics - middle))
 
 
-def adversaries(search: InclusionSearch, posed: Posed, P: Array, T: Array) -> Array:
+def adversaries(search: PosedMembers, posed: Posed, P: Array, T: Array) -> Array:
     """Corners of the hull's cells at which the flow condition fails most, found by turns of vector and signs."""
     if search.hull is None:
         return np.zeros((0, *search.members.dynamics.shape[1:]))
@@ -161,7 +144,7 @@ def worst(least: Array, chosen: list[int]) -> list[int]:
     return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in chosen]
 
 
-def solve_stiff(search: InclusionSearch, eta: float, pieces: int, narrow: bool) -> Fitted | None:
+def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> Fitted | None:
     """A P(tau) of large slack, or the narrowest that leaves some."""
 
     def posing(T: Array) -> tuple[Posed, Array]:
@@ -186,30 +169,3 @@ def solve_stiff(search: InclusionSearch, eta: float, pieces: int, narrow: bool) 
             break
         best = found
     return best
-
-
-def flow_slacks(posed: Posed, P: Array) -> Array:
-    """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
-    n, ends = posed.n, 2 * (len(P) - 1)
-    scale = flow_scale(posed)
-    h = np.diff(posed.nodes)[:, None, None]
-    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
-    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
-    least = []
-    for first in range(0, len(posed.dynamics), MEMBERS):
-        M = posed.dynamics[first : first + MEMBERS, None]
-        drift, off = both @ M[..., :n], -(both @ M[..., n:])
-        corner = -(slope + drift + np.swapaxes(drift, 2, 3) + posed.eta * both)
-        Q = np.broadcast_to(posed.Qw, (len(M), ends, *posed.Qw.shape))
-        form = np.concatenate([np.concatenate([corner, off], 3), np.concatenate([np.swapaxes(off, 2, 3), Q], 3)], 2)
-        least.append(np.linalg.eigvalsh(scale.T @ form @ scale)[..., 0].min(axis=1))
-    return np.concatenate(least)
-
-
-def jump_slacks(posed: Posed, P: Array) -> Array:
-    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
-    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
-    own = posed.centre.T @ posed.Rt @ posed.centre
-    seen = cross + np.swapaxes(cross, 1, 2) - own
-    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
-    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))

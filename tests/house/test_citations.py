@@ -35,3 +35,14 @@ def test_every_citation_can_be_found(place, text):
 def test_the_bibliography_has_no_key_twice():
     keys = re.findall(r"@\w+\{(\w+),", BIBLIOGRAPHY)
     assert len(keys) == len(set(keys)) > 10
+
+
+def test_every_entry_of_the_bibliography_is_cited_and_leads_to_its_code():
+    """The page says for each method what it rests on; a theory page may say it, too, but no entry stands unused."""
+    rows = [line for line in (ROOT / "docs" / "references.md").read_text().splitlines() if line.startswith("| ")][1:]
+    cited = [key for row in rows for keys in re.findall(r"\{cite:\w+\}`([^`]+)`", row) for key in keys.split(",")]
+    assert sorted(cited) == sorted(re.findall(r"@\w+\{(\w+),", BIBLIOGRAPHY))
+    for row in rows:
+        places = re.findall(r"`([^`]+)`", row.split("|")[3])
+        assert places, row
+        assert [place for place in places if not (ROOT / "sampling_design" / place).exists()] == []

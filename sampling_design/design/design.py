@@ -306,7 +306,7 @@ class _Run:
         found = search(problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
         chosen = problem.mask(found.times)
         if problem.is_costly:
-            found, chosen = affordable(problem, found, sized.relaxation, deadline)
+            found, chosen = affordable(problem, found, sized.relaxation, deadline, enough)
         tied = self.tied(sized, rng, found.sigma, deadline)
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
         bound = narrowed(problem, sized.inner, reached, self.branches, deadline, cutting)
@@ -350,7 +350,7 @@ class _Run:
             found = search(part, placed, rng, self.starts, deadline, enough=enough)
             chosen = part.mask(found.times)
             if part.is_costly:
-                found, chosen = affordable(part, found, placed, deadline)
+                found, chosen = affordable(part, found, placed, deadline, enough)
         except (InfeasibleRequirementError, SolverError):  # none of these repeats, or none was found
             return []
         count = parts(sized.canon.inside)

@@ -39,7 +39,7 @@ def best_affordable(points, count, limit, forbidden=(), fixed=()):
     ("limit", "more"), [(7.0, {}), (9.0, {}), (9.0, {"forbidden": [[1.1, 1.9]]}), (7.0, {"fixed": [0.0]})]
 )
 def test_no_affordable_schedule_exceeds_the_bound_and_few_exceed_the_design(limit, more):
-    design = design_schedule(PLANT, asked(cost_limit=limit, **more), starts=3)
+    design = design_schedule(PLANT, asked(cost_limit=limit, **more), starts=2, branches=0)
     best = best_affordable(7, 4, limit, **more)
     assert 0 < best <= design.upper_bound
     assert design.sigma_attained >= best * (1 - 1e-6)
@@ -61,7 +61,7 @@ def test_more_money_never_sees_less():
 
 
 def test_a_design_over_its_limit_or_with_a_false_price_does_not_verify():
-    design = design_schedule(PLANT, asked(cost_limit=9.0), starts=2)
+    design = design_schedule(PLANT, asked(cost_limit=9.0), starts=1, branches=0)
     assert not replace(design, requirement=design.requirement.replace(cost_limit=8.0)).verify()
     part = design.bound.parts[0]
     assert part.price > 0
@@ -114,7 +114,7 @@ def test_the_limit_is_kept_in_files_and_words(tmp_path):
 
 
 def test_losses_of_a_design_that_chooses_outputs():
-    design = design_schedule(PLANT, asked(samples=5, cost_limit=11.0), starts=2)
+    design = design_schedule(PLANT, asked(samples=5, cost_limit=11.0), starts=1, branches=0)
     losses = sample_losses(design, every_period=True)
     times, mask = design.schedule.times, design.schedule.outputs
     for i in range(5):

@@ -11,14 +11,24 @@ import heapq
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound, averaged_part, local_part, zone_part
+from sampling_design.design.bounds.evidence import (
+    BoundPart,
+    UpperBound,
+    averaged_part,
+    chosen_in,
+    local_part,
+    zone_part,
+)
 from sampling_design.design.bounds.local_bound import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, halves, lateness, regions, sides, tightened, turn, zoned
+from sampling_design.design.problem.choices import affordable_choices
+from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -50,6 +60,7 @@ class _Box:
     hints: Array = field(compare=False)
     small: bool = field(compare=False)
     cost: float = field(compare=False)
+    problem: DesignProblem = field(compare=False)
 
 
 def narrowed(
@@ -64,12 +75,16 @@ def narrowed(
     """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
 
     Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
-    bounds are near anyway where samples are many. Boxes know no price of cost: they would only lose.
+    bounds are near anyway where samples are many. Boxes know no price of cost: under a limit each choice of what the
+    samples measure is bounded by itself, unless there are too many.
     """
-    priced = any(part.price > 0 for part in bound.parts)
-    if steps < problem.samples or priced or not zoned(problem) or bound.value <= target * (1 + rtol):
+    if steps < problem.samples or not zoned(problem) or bound.value <= target * (1 + rtol):
         return bound
-    tree = _rooted(problem, bound, target * (1 + rtol), deadline)
+    choices = affordable_choices(problem) if problem.is_costly else []
+    posed = [changed(problem, {"chosen": chosen}) for chosen in choices]
+    if problem.is_costly and not posed:
+        return bound
+    tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline)
     if tree is None:
         return bound
     while tree.spent < steps and time.perf_counter() <= deadline and tree.cut():
@@ -78,23 +93,29 @@ def narrowed(
     return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 
-def _rooted(problem: DesignProblem, bound: UpperBound, enough: float, deadline: float) -> _BoxTree | None:
-    """The tree before any cut, counted from the sample that promises most; None where time is up."""
+def _rooted(
+    problem: DesignProblem, posed: list[DesignProblem], bound: UpperBound, enough: float, deadline: float
+) -> _BoxTree | None:
+    """The tree before any cut, counted from the sample that promises most; None where time is up.
+
+    `posed` are the problems that are one of them each: the problem itself, or its choices of what is measured.
+    """
     best: list[_Box] | None = None
-    for side in (bound.parts[0].side,) if bound.method == "zones" else sides(problem):
+    tried = (bound.parts[0].side,) if bound.method == "zones" else sides(problem)
+    for side in tried[:1] if len(posed) > 1 else tried:
         roots = []
-        for region in regions(problem, side):
+        for case, region in product(posed, regions(problem, side)):
             if time.perf_counter() > deadline:
                 return None
-            root = _box(problem, region, side, enough, deadline=deadline)
+            root = _box(case, region, side, enough, deadline=deadline)
             roots += [] if root is None else [root]
         if roots and (best is None or min(roots).rank > min(best).rank):
             best = roots
     if best is None or time.perf_counter() > deadline:
         return None
-    tree = _BoxTree(problem, enough, deadline)
+    tree = _BoxTree(enough, deadline)
     for root in best:
-        if turn(problem) == 0 and root.part.side != "sorted":
+        if turn(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root)
         else:
             tree.keep(root)
@@ -104,8 +125,8 @@ def _rooted(problem: DesignProblem, bound: UpperBound, enough: float, deadline: 
 class _BoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
-    def __init__(self, problem: DesignProblem, enough: float, deadline: float = np.inf) -> None:
-        self.problem, self.enough, self.deadline = problem, enough, deadline
+    def __init__(self, enough: float, deadline: float = np.inf) -> None:
+        self.enough, self.deadline = enough, deadline
         self.open: list[_Box] = []
         self.closed: list[BoundPart] = []
         self.made, self.spent = 0, 0.0
@@ -123,7 +144,7 @@ class _BoxTree:
     def split_by_lateness(self, root: _Box) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = root.part.zones, root.part.side == "late"
-        mean = self.problem.period / self.problem.samples
+        mean = root.problem.period / root.problem.samples
         for index in range(1, len(rest)):
             cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
             if time.perf_counter() > self.deadline:
@@ -139,7 +160,7 @@ class _BoxTree:
         if not self.open or self.open[0].part.value <= self.enough:
             return False
         box = self.open[0]
-        if box.width <= NARROW * self.problem.period / self.problem.samples:
+        if box.width <= NARROW * box.problem.period / box.problem.samples:
             return False
         heapq.heappop(self.open)
         for half in halves(box.part.zones, box.index, box.at):
@@ -148,7 +169,7 @@ class _BoxTree:
 
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
-        box = _box(self.problem, zones, wider.part.side, self.enough, wider, self.deadline)
+        box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.deadline)
         if box is not None:
             self.spent += box.cost
             self.keep(box)
@@ -156,7 +177,7 @@ class _BoxTree:
     def keep(self, box: _Box) -> None:
         """Keep a bounded box, open where its bound is not enough."""
         if box.part.value > self.enough:
-            box = _evened(self.problem, box)
+            box = _evened(box)
         self.made += 1
         if box.part.value > self.enough:
             heapq.heappush(self.open, replace(box, number=self.made))
@@ -180,7 +201,7 @@ def _box(
         part, relaxed = local
         found.append((part, relaxed.index, float(tight[relaxed.index].mean()), relaxed.width))
         if part.value <= aim:
-            return _Box(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST)
+            return _Box(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST, problem=problem)
     hints = np.zeros(0) if wider is None else wider.hints
     small = wider is not None and (wider.small or size <= _TINY_BOX or grown > _STEEP)
     if not small:
@@ -191,7 +212,7 @@ def _box(
         hints = matters(problem, made[1].found)
     if not found:
         index = int(np.argmax(widths))
-        nothing = BoundPart("zones", np.zeros(0), np.zeros((0, 1, 1)), zones, side=side)
+        nothing = BoundPart("zones", np.zeros(0), np.zeros((0, 1, 1)), zones, side=side, chosen=chosen_in(problem))
         found.append((nothing, index, float(tight[index].mean()), float(widths[index])))
     part, index, cut, width = min(found, key=lambda one: one[0].value)
     if wider is not None and part.value > _INHERITS * wider.part.value:
@@ -209,11 +230,15 @@ def _box(
         hints=hints,
         small=small,
         cost=cost,
+        problem=problem,
     )
 
 
-def _evened(problem: DesignProblem, box: _Box) -> _Box:
-    """The same box with the averaged bound where all its schedules are nearly even, if that is smaller."""
+def _evened(box: _Box) -> _Box:
+    """The same box with the averaged bound where all its schedules are nearly even and alike, if that is smaller."""
+    problem = box.problem
+    if problem.chosen is not None:
+        return box
     tight = tightened(problem, box.part.zones, box.part.side)
     mean = problem.period / problem.samples
     if turn(problem) > 0 or tight is None or np.max(np.abs(lateness(problem, tight))) > _EVEN_ENOUGH * mean:

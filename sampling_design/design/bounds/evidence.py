@@ -21,6 +21,8 @@ from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import SIDES, Side, covered, region_of, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.canonical import CanonicalDesign
+from sampling_design.design.problem.choices import affordable_choices
+from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 
@@ -39,6 +41,10 @@ def _none() -> Array:
     return np.zeros((0, 2))
 
 
+def _any() -> npt.NDArray[np.bool_]:
+    return np.zeros((0, 0), dtype=bool)
+
+
 def _untied() -> npt.NDArray[np.intp]:
     return np.zeros((0, 4), dtype=np.intp)
 
@@ -54,6 +60,7 @@ class BoundPart:
     limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
     the sample. "local" bounds the schedules of small zones by windows that follow their samples: the rows of `tied`
     (see `TiedWindows`) say which, `starts` are of no account, and `tilt` (k,) are the multipliers of the spacing.
+    Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the schedules that are meant.
     """
 
     method: Method
@@ -65,11 +72,16 @@ class BoundPart:
     value: float = np.inf
     price: float = 0.0
     tied: npt.NDArray[np.intp] = field(default_factory=_untied)
+    chosen: npt.NDArray[np.bool_] = field(default_factory=_any)
 
     def value_for(self, problem: DesignProblem) -> float:
         """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
         total = float(np.trace(self.weights, axis1=1, axis2=2).sum())
         least = float(np.linalg.eigvalsh(self.weights).min(initial=0.0))
+        if self.chosen.size and problem.chosen is None:
+            if self.chosen.shape != (problem.samples, problem.plant.n_outputs):
+                return np.inf
+            problem = changed(problem, {"chosen": self.chosen})
         sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
         if not total > 0 or least < -1e-12 * total or not sound:
             return np.inf
@@ -101,7 +113,7 @@ class BoundPart:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt", "tied")}
+        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt", "tied", "chosen")}
         return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
@@ -143,11 +155,23 @@ class UpperBound:
         side = found.pop()
         if side not in sides(problem):
             return False
-        boxes: dict[int | None, list[Array]] = {}
-        for part in self.parts:
-            boxes.setdefault(region_of(problem, side, part.zones), []).append(part.zones)
         whole = regions(problem, side)
-        return None not in boxes and all(covered(problem, r, boxes.get(i, []), side) for i, r in enumerate(whole))
+        boxes: dict[bytes, list[list[Array]]] = {}
+        for part in self.parts:
+            home = region_of(problem, side, part.zones)
+            if home is None:
+                return False
+            boxes.setdefault(part.chosen.tobytes(), [[] for _ in whole])[home].append(part.zones)
+        if b"" in boxes:  # whatever is measured
+            return len(boxes) == 1 and all(covered(problem, r, boxes[b""][i], side) for i, r in enumerate(whole))
+        choices = affordable_choices(problem)
+        if not choices or not {chosen.tobytes() for chosen in choices} >= set(boxes):
+            return False
+        for chosen in choices:
+            posed, there = changed(problem, {"chosen": chosen}), boxes.get(chosen.tobytes(), [[] for _ in whole])
+            if not all(covered(posed, region, there[i], side) for i, region in enumerate(whole)):
+                return False
+        return True
 
     def brought_back(self, canon: CanonicalDesign) -> UpperBound:
         """The multipliers found in canonical units as a bound of the problem itself, worked out for it anew."""
@@ -190,6 +214,7 @@ class UpperBound:
         if not isinstance(found, list):
             raise ArgumentError(f"a bound's `parts` must be a list, got {_checks.described(found)}.")
         for entry in found:
+            entry = {"chosen": [], **entry} if isinstance(entry, dict) else entry  # older files know no choices
             _table("a part of a bound", entry, tuple(BoundPart.__dataclass_fields__))
             if entry["side"] not in SIDES:
                 raise ArgumentError(f"a bound's `side` must be one of {', '.join(SIDES)}, got {entry['side']!r}.")
@@ -204,12 +229,21 @@ class UpperBound:
                     "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows."
                 )
             whole = np.asarray(tied, dtype=np.intp)
-            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones, "tied": whole}))
+            chosen = _any() if entry["chosen"] == [] else _chosen(entry["chosen"])
+            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones, "tied": whole, "chosen": chosen}))
         return cls(_number("value", data["value"]), tuple(parts))
 
 
 _MOST_TIED = 10**9  # samples, counted on over the periods: more than any design has
 _DIMENSIONS = {"starts": 1, "weights": 3, "tilt": 1}
+
+
+def _chosen(value: object) -> npt.NDArray[np.bool_]:
+    """What each sample measures: rows of true and false."""
+    found = np.array(value, dtype=object)
+    if found.ndim != 2 or not all(isinstance(entry, bool) for entry in found.ravel().tolist()):
+        raise ArgumentError("a bound's `chosen` must hold rows of true and false: what each sample measures.")
+    return found.astype(bool)
 
 
 def _number(key: str, value: object) -> float:
@@ -248,8 +282,15 @@ def _part(
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
-    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, slope, side)
+    bare = BoundPart(
+        method, starts, weights, _none() if zones is None else zones, slope, side, chosen=chosen_in(problem)
+    )
     return replace(bare, value=bare.value_for(problem))
+
+
+def chosen_in(problem: DesignProblem) -> npt.NDArray[np.bool_]:
+    """What each sample measures where that is decided, as a part says it."""
+    return _any() if problem.chosen is None else problem.chosen
 
 
 def quick_bound(problem: DesignProblem, found: Relaxation) -> UpperBound:
@@ -330,7 +371,9 @@ def local_part(
     weights = problem.rows.S @ found.roots
     weights = weights @ np.swapaxes(weights, 1, 2)
     weights = weights / np.trace(weights, axis1=1, axis2=2).sum()
-    bare = BoundPart("local", np.zeros(0), weights, zones, found.push, side, tied=found.windows)
+    bare = BoundPart(
+        "local", np.zeros(0), weights, zones, found.push, side, tied=found.windows, chosen=chosen_in(problem)
+    )
     return replace(bare, value=bare.value_for(problem)), found
 
 

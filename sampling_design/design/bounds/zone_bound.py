@@ -62,9 +62,10 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: fl
     Cut short at `deadline`; multipliers of any quality prove a bound.
     """
     starts = _window_starts(problem, zones, hints)
-    times, owner, step = _points(problem, zones, starts)
-    grams = grams_at(problem, times, starts, problem.mask(times))
-    rows, limits = _order_rows(problem, zones, times, step)
+    points, step = _points(problem, zones, starts)
+    times, owner = points.times, points.owner
+    grams = grams_at(problem, times, starts, points.mask)
+    rows, limits = _order_rows(problem, zones, points, step)
     none = np.zeros((starts.size, *grams.shape[2:]))
     posed = np.arange(starts.size) < hints.size
     if not hints.size:
@@ -83,7 +84,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: fl
         if not worst.size:
             break
         posed[worst] = True
-    return ZoneRelaxation(found, *_most_divided(problem, zones, found))
+    return ZoneRelaxation(found, *_most_divided(problem, zones, found, points.of(used)))
 
 
 def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
@@ -95,10 +96,27 @@ def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
     return np.concatenate([hints, rest[~np.isin(rest, hints)]])
 
 
-def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[Array, npt.NDArray[np.intp], float]:
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Times at which samples may lie, kind by kind (see `DesignProblem.kinds`), and what they measure there.
+
+    `owner` is the window start just after which the time lies, or -1.
+    """
+
+    times: Array
+    kind: npt.NDArray[np.intp]
+    owner: npt.NDArray[np.intp]
+    mask: npt.NDArray[np.bool_]
+
+    def of(self, used: npt.NDArray[np.bool_]) -> _Points:
+        """Some of them."""
+        return _Points(self.times[used], self.kind[used], self.owner[used], self.mask[used])
+
+
+def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_Points, float]:
     """Allowed times in the zones, every end included, and the widest step between them.
 
-    Just after each window start, where what it sees jumps up, there is one more: whose it is, or -1, comes along.
+    Just after each window start, where what it sees jumps up, there is one more.
     """
     joined: list[list[float]] = []
     for a, b in zones:
@@ -117,30 +135,41 @@ def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[Array,
     times = np.concatenate([fixed, after[held]])
     owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(held) % starts.size])
     order = np.argsort(times, kind="stable")
-    order = order[problem.mask(times[order]).any(axis=1)]
-    return times[order], owner[order], step
+    there = problem.mask(times[order])
+    found = []
+    for kind, outputs in enumerate(problem.kinds[0]):
+        kept = np.any(there & outputs, axis=1)
+        i = order[kept]
+        found.append(_Points(times[i], np.full(i.size, kind), owner[i], there[kept] & outputs))
+    joint = (np.concatenate([getattr(part, name) for part in found]) for name in ("times", "kind", "owner", "mask"))
+    return _Points(*joint), step
 
 
 def _ends(problem: DesignProblem, zones: Array) -> Array:
     """Ends of the allowed intervals, as far as they lie in the zones; the later end just inside."""
     if problem.is_shift_invariant:
         return np.zeros(0)
-    inside = np.stack([problem.intervals[:, 0], problem.intervals[:, 1] - _JUST_BESIDE * problem.period])
+    open_ = np.concatenate([problem.intervals_of(outputs) for outputs in problem.kinds[0]])
+    inside = np.stack([open_[:, 0], open_[:, 1] - _JUST_BESIDE * problem.period])
     ends = np.concatenate([inside.ravel() + cycle * problem.period for cycle in (0, 1)])
     return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
 
 
-def _order_rows(problem: DesignProblem, zones: Array, times: Array, step: float) -> tuple[Array, Array]:
-    """Rows and limits: spacing, and as many samples before each zone's end as have to lie there."""
-    k, tiny = problem.samples, 1e-9 * problem.period
-    t = times[None, :]
-    crowd = (t >= times[:, None] - tiny) & (t < times[:, None] + problem.spacing - tiny)
-    reached = (t <= zones[:, 1:] + tiny)[:-1]
-    ahead = (t < zones[:, :1] - tiny)[1:]
-    order = np.arange(1.0, k)
-    rows = np.vstack([crowd, -1.0 * reached, ahead])
-    roof = max(1.0, step / problem.spacing)
-    return rows, np.concatenate([np.full(len(crowd), roof), -order, order])
+def _order_rows(problem: DesignProblem, zones: Array, points: _Points, step: float) -> tuple[Array, Array]:
+    """Rows and limits: spacing, and as many samples of a kind before each zone's end as have to lie there."""
+    tiny, roof = 1e-9 * problem.period, max(1.0, step / problem.spacing)
+    t = points.times[None, :]
+    after = points.times if len(problem.kinds[0]) == 1 else np.unique(points.times)
+    crowd = (t >= after[:, None] - tiny) & (t < after[:, None] + problem.spacing - tiny)
+    rows, limits = [crowd], [np.full(len(crowd), roof)]
+    for kind in range(len(problem.kinds[0])):
+        zone, same = zones[problem.kinds[1] == kind], points.kind == kind
+        alone = int(len(zone) == problem.samples)  # nothing lies before the first zone then, nor after the last
+        last = len(zone) - alone
+        reached, ahead = (t <= zone[:last, 1:] + tiny) & same, (t < zone[alone:, :1] - tiny) & same
+        rows += [-1.0 * reached, ahead]
+        limits += [-np.arange(1.0, last + 1), np.arange(float(alone), len(zone))]
+    return np.vstack(rows), np.concatenate(limits)
 
 
 def matters(problem: DesignProblem, found: Relaxation) -> Array:
@@ -149,7 +178,7 @@ def matters(problem: DesignProblem, found: Relaxation) -> Array:
     return np.asarray(found.starts[shares > _MATTERS])
 
 
-def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tuple[int, float, float]:
+def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, points: _Points) -> tuple[int, float, float]:
     """The sample whose early and late shares differ most for the windows that matter, its mean time, its zone's width.
 
     The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
@@ -159,15 +188,17 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation) -> tu
     k = problem.samples
     held = np.isin(found.starts, matters(problem, found))
     starts, Z = found.starts[held], found.Z[held]
-    grams = grams_at(problem, found.times, starts, problem.mask(found.times))
+    grams = grams_at(problem, points.times, starts, points.mask)
     W = np.einsum("mjab,j->mab", grams, found.weights)
     size = float(np.trace(W, axis1=1, axis2=2).max(initial=0.0))  # a window may see nothing at all
     W = W + _REGULAR * max(size, np.finfo(float).tiny / _REGULAR) * np.eye(W.shape[-1])
-    total = np.append(0.0, np.cumsum(found.weights))
-    total *= k / max(float(total[-1]), 1e-300)
     gains, cuts, width = np.zeros(k), zones.mean(axis=1), zones[:, 1] - zones[:, 0]
+    which = problem.kinds[1]
     for i in np.flatnonzero(width > NARROW * problem.period / k):
-        share = np.maximum(np.minimum(total[1:], i + 1) - np.maximum(total[:-1], i), 0.0)
+        same, before = which == which[i], int(np.sum(which[:i] == which[i]))
+        total = np.append(0.0, np.cumsum(np.where(points.kind == which[i], found.weights, 0.0)))
+        total *= np.sum(same) / max(float(total[-1]), 1e-300)
+        share = np.maximum(np.minimum(total[1:], before + 1) - np.maximum(total[:-1], before), 0.0)
         if share.sum() <= 0:
             continue
         cuts[i] = share @ found.times / share.sum()
@@ -194,11 +225,16 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
     inside = np.any((ends[1:, None] > zone[:, 0]) & (ends[:-1, None] < zone[:, 1]), axis=1)
     marks = np.concatenate([ends[:-1][inside], ends[1:][inside], zone.ravel()])
     edges = piece_edges(P, np.concatenate([jump_times(problem, starts), np.mod(marks, P), problem.breakpoints]))
-    mask = problem.mask((edges[:-1] + edges[1:]) / 2)
-    roof = np.where(mask.any(axis=1), roofs(profile(problem, starts, Z, edges), mask), -np.inf)
+    there, g = problem.mask((edges[:-1] + edges[1:]) / 2), profile(problem, starts, Z, edges)
     periods = np.arange(-1, int(np.ceil(arc.stop / P)) + 1)
     line = np.append((edges[:-1] + P * periods[:, None]).ravel(), P * (periods[-1] + 1))
-    roof = np.tile(roof, periods.size)
+    roof = []
+    for outputs in problem.kinds[0]:
+        mask = there & outputs
+        roof.append(np.tile(np.where(mask.any(axis=1), roofs(g, mask), -np.inf), periods.size))
     # open comparison: a piece that only touches a zone holds none of its times, and may lie beyond a jump
-    layers = [cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof, -np.inf)) for a, b in zone]
+    layers = [
+        cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof[kind], -np.inf))
+        for (a, b), kind in zip(zone, problem.kinds[1], strict=True)
+    ]
     return rooted(best_layers(layers, arc, 2 * P))

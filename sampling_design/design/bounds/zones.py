@@ -23,6 +23,7 @@ import numpy.typing as npt
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 Side = Literal["late", "early", "sorted"]
 SIDES: tuple[Side, ...] = ("late", "early", "sorted")
 
@@ -132,7 +133,10 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
     low, high = zones[:, 0].copy(), zones[:, 1].copy()
     for _ in range(2):  # what one sample loses its neighbours lose; a second round finds most of the rest
         if not _open(problem):
-            low, high = _allowed(problem, low, high)
+            kinds, which = problem.kinds
+            for kind, outputs in enumerate(kinds):
+                same = which == kind
+                low[same], high[same] = _allowed(problem, outputs, low[same], high[same])
         if side == "late":  # s_j >= s_0 + j P/k
             low, high[0] = np.maximum(low, low[0] + even), np.min(high - even)
         elif side == "early":
@@ -146,10 +150,12 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
     return np.stack([np.minimum(low, high), np.maximum(low, high)], axis=1)
 
 
-def _allowed(problem: DesignProblem, low: Array, high: Array) -> tuple[Array, Array]:
-    """The ends of zones moved inwards to times at which some output may be measured."""
-    tiny = TINY * problem.period
-    spans = np.concatenate([problem.intervals + cycle * problem.period for cycle in (-1, 0, 1, 2)])
+def _allowed(problem: DesignProblem, outputs: Mask, low: Array, high: Array) -> tuple[Array, Array]:
+    """The ends of zones moved inwards to times at which some of the `outputs` may be measured; crossed if none are."""
+    tiny, open_ = TINY * problem.period, problem.intervals_of(outputs)
+    if not open_.size:
+        return high + problem.period, low - problem.period
+    spans = np.concatenate([open_ + cycle * problem.period for cycle in (-1, 0, 1, 2)])
     after = np.minimum(np.searchsorted(spans[:, 1], low - tiny), len(spans) - 1)
     before = np.maximum(np.searchsorted(spans[:, 0], high + tiny, side="right") - 1, 0)
     return np.maximum(low, spans[after, 0]), np.minimum(high, spans[before, 1])

@@ -62,6 +62,14 @@ class DesignProblem:
         """Whether the cost limit bars that every sample measures every output."""
         return self.costs is not None and bool(self.samples * self.costs.sum() > self.cost_limit)
 
+    @cached_property
+    def kinds(self) -> tuple[Mask, npt.NDArray[np.intp]]:
+        """The different sets of outputs (m, p) that samples measure, and which of them each sample does (k,)."""
+        if self.chosen is None:
+            return np.ones((1, self.plant.n_outputs), dtype=bool), np.zeros(self.samples, dtype=np.intp)
+        kinds, which = np.unique(self.chosen, axis=0, return_inverse=True)
+        return kinds, which.reshape(-1)
+
     def measured(self, times: Array) -> Mask:
         """What the samples at `times` (..., k), sorted, measure: all that is available, or what was chosen of it."""
         return self.mask(times) if self.chosen is None else self.mask(times) & self.chosen
@@ -83,8 +91,12 @@ class DesignProblem:
     @cached_property
     def intervals(self) -> Array:
         """Maximal half-open intervals [a, b) of [0, period) on which some output may be measured, (m, 2)."""
+        return self.intervals_of(np.ones(self.plant.n_outputs, dtype=bool))
+
+    def intervals_of(self, outputs: Mask) -> Array:
+        """The same for some of the `outputs` (p,)."""
         edges = self.breakpoints
-        open_: list[bool] = np.any(self.mask((edges[:-1] + edges[1:]) / 2), axis=-1).tolist()
+        open_: list[bool] = np.any(self.mask((edges[:-1] + edges[1:]) / 2) & outputs, axis=-1).tolist()
         found: list[list[float]] = []
         for a, b, good in zip(edges[:-1], edges[1:], open_, strict=True):
             if good and found and found[-1][1] == a:

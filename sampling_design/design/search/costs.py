@@ -20,11 +20,12 @@ from sampling_design.design.bounds.relaxation import (
     relaxation_grid,
     unsolved,
 )
+from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
-from sampling_design.design.search.fedorov_exchange import even, rounded
-from sampling_design.design.search.local_search import FoundSchedule, SearchTrial
+from sampling_design.design.search.fedorov_exchange import even, is_admissible, rounded, spread
+from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 
@@ -34,6 +35,8 @@ Mask = npt.NDArray[np.bool_]
 _FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
 _PAIRS = 400  # exchanges that are looked at in one round
 _ROUNDS = 6
+_DRAWN = 8  # random schedules with which every choice is looked at, where choices are few
+_EACH, _TRIED = 2, 8  # refined of what the same numbers of outputs measure, and in all
 
 
 def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxation:
@@ -88,9 +91,15 @@ def _costs(problem: DesignProblem) -> Array:
 
 
 def affordable(
-    problem: DesignProblem, found: FoundSchedule, relaxation: Relaxation, deadline: float = np.inf
+    problem: DesignProblem,
+    found: FoundSchedule,
+    relaxation: Relaxation,
+    deadline: float = np.inf,
+    enough: float = np.inf,
 ) -> tuple[FoundSchedule, Mask]:
     """The best schedule within the limit from several starts, and what each of its samples measures.
+
+    Choices are looked at one by one where they are few, until sigma is `enough`: none can be better.
 
     Raises
     ------
@@ -115,9 +124,18 @@ def affordable(
             if again is None or value <= after * (1 + 1e-6):
                 break
             chosen, after = again, value
-        trials.append(
-            SearchTrial(f"cost limit, {name}", float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0))))
-        )
+        trials.append(_trial(name, before, after))
+        if best is None or after > best[0]:
+            best = after, times, chosen
+    for times, chosen in _promising(problem, [times for _, times in starts]):
+        if best is not None and (best[0] >= enough**2 or time.perf_counter() > deadline):
+            break
+        before = float(worst_sigma2(problem, times[None], used=chosen[None])[0])
+        case = changed(problem, {"chosen": chosen})
+        times, after = refined(case, times, before, steps=FIRST_STEPS, deadline=deadline)
+        if best is None or after > HOPELESS * best[0]:
+            times, after = refined(case, times, after, deadline=deadline)
+        trials.append(_trial("enumerated", before, after))
         if best is None or after > best[0]:
             best = after, times, chosen
     if best is None:
@@ -130,6 +148,37 @@ def affordable(
         )
     value, times, chosen = best
     return FoundSchedule(times, float(np.sqrt(max(value, 0.0))), tuple(trials), found.complete), chosen
+
+
+def _trial(name: str, before: float, after: float) -> SearchTrial:
+    return SearchTrial(f"cost limit, {name}", float(np.sqrt(max(before, 0.0))), float(np.sqrt(max(after, 0.0))))
+
+
+def _promising(problem: DesignProblem, starts: list[Array]) -> list[tuple[Array, Mask]]:
+    """Times with a choice each, where choices are few: what sees most at first, of every choice up to its order.
+
+    Greedy choices end where no exchange of two measurements gains; times that suit another choice lie beyond.
+    """
+    choices = np.array(affordable_choices(problem))
+    rng = np.random.default_rng(0)
+    drawn = [spread(problem, rng.uniform(size=problem.samples - problem.fixed.size)) for _ in range(_DRAWN)]
+    pool = [*starts, *(t for t in drawn if t is not None and is_admissible(problem, t))]
+    found: list[tuple[float, bytes, Array, Mask]] = []
+    for times in pool if choices.size else ():
+        fits = choices[np.all(np.any(choices & problem.mask(times), axis=2), axis=1)]
+        if not len(fits):
+            continue
+        values = worst_sigma2(problem, np.broadcast_to(times, fits.shape[:2]), inner=0, used=fits & problem.mask(times))
+        for value, chosen in zip(values, fits, strict=True):
+            found.append((float(value), np.sort(chosen, axis=0).tobytes(), times, chosen & problem.mask(times)))
+    found.sort(key=lambda one: -one[0])
+    taken: dict[bytes, int] = {}
+    best: list[tuple[Array, Mask]] = []
+    for _, kind, times, chosen in found:
+        taken[kind] = taken.get(kind, 0) + 1
+        if taken[kind] <= _EACH and len(best) < _TRIED:
+            best.append((times, chosen))
+    return best
 
 
 def cheapest(problem: DesignProblem, times: Array) -> Array:

@@ -36,9 +36,9 @@ KICKS = 4
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain
 _NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
-_HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
+HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
-_FIRST_STEPS = 12  # of that first refinement
+FIRST_STEPS = 12  # of that first refinement
 
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
 _RESTARTS = 20  # batches of further random schedules where all others are blind
@@ -166,8 +166,8 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
         if times is None or not is_admissible(problem, times):
             continue
         before = float(worst_sigma2(problem, times[None, :])[0])
-        times, value = refined(problem, times, before, steps=_FIRST_STEPS, deadline=run.deadline)
-        if value > _HOPELESS * run.value and run.refine("kick", times, value, before):
+        times, value = refined(problem, times, before, steps=FIRST_STEPS, deadline=run.deadline)
+        if value > HOPELESS * run.value and run.refine("kick", times, value, before):
             idle = 0
 
 

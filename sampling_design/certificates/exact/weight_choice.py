@@ -175,8 +175,11 @@ class WeightSearch:
         return [*(symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS), B]
 
     def best_guess(self, eta: float, budget: float) -> Choice | None:
-        """The best of the guesses at a rate."""
-        found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
+        """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
+        try:
+            found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
+        except (SolverError, np.linalg.LinAlgError):
+            return None
         return min((choice for choice in found if choice is not None), key=_value, default=None)
 
     def judged(
@@ -384,18 +387,11 @@ def choose_weights(
         report(0.3 * k / len(rates), f"rate {rate:.3g}")
         if search.late:
             break
-        try:
-            guess = search.best_guess(rate, REFERENCE)
-        except (SolverError, np.linalg.LinAlgError):
-            continue
-        if guess is not None:
-            guesses.append(guess)
+        guess = search.best_guess(rate, REFERENCE)
+        guesses += [] if guess is None else [guess]
     if free and not guesses:  # the slower the rate, the fewer modes grow when their squares are discounted
         for rate in (bounds[0] / slower for slower in SLOWER):
-            try:
-                guess = search.best_guess(rate, REFERENCE)
-            except (SolverError, np.linalg.LinAlgError):
-                continue
+            guess = search.best_guess(rate, REFERENCE)
             if guess is not None:
                 guesses.append(guess)
                 bounds, free = (rate, rate), False
@@ -447,18 +443,25 @@ def round_choices(canon: Canonical, rates: list[float], budget: float) -> Iterat
         search = WeightSearch(canon, share, work)
         found: list[Choice] = []
         for rate in rates:
-            try:
-                guess = None if search.late else search.best_guess(rate, budget)
-            except (SolverError, np.linalg.LinAlgError):
-                continue
+            guess = None if search.late else search.best_guess(rate, budget)
             found += [] if guess is None else [replace(guess, spare=True)]
         yield found
 
 
 def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:
-    """The shapes of references up to the budget, each scaled to it, the best first."""
+    """The shapes of references up to the budget, each scaled to it, the best first, and none twice."""
     found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
-    return sorted((choice for choice in found if choice is not None), key=_value)
+    kept: list[Choice] = []
+    for choice in sorted((choice for choice in found if choice is not None), key=_value):
+        kept += [] if any(_alike(choice, other) for other in kept) else [choice]
+    return kept
+
+
+def _alike(one: Choice, other: Choice) -> bool:
+    """Whether two choices are one as far as a descent tells: one that gains nothing ends where it began."""
+    size = np.sqrt(np.diagonal(other.P2))
+    near = np.abs(one.P2 - other.P2) <= PRECISION * size * size[:, None]
+    return abs(one.eta - other.eta) <= PRECISION * other.eta and bool(np.all(near))
 
 
 def choose_rate(canon: Canonical, P2: Array, bounds: tuple[float, float], progress: Progress | None = None) -> float:

@@ -50,6 +50,8 @@ Progress = Callable[[float, str], None]
 
 FINER = 4
 """How much finer the second look for a missed peak is than the first."""
+HIGHER = 1 + 1e-6
+"""By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
 ROOM = (1.003, 1.03, 1.3, 3.0)
@@ -117,7 +119,9 @@ class _Proof:
         weights: tuple[Array, Array, Array, Array],
         eta: float,
         efforts: Efforts,
+        long_run: float = 0.0,
     ) -> None:
+        self.long_run = long_run  # lambda that the search expects there, where it has looked
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -154,34 +158,39 @@ class _Proof:
         """Return the certificate, lambda raised to whatever window the checker finds.
 
         What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
-        and, unless `plainly`, stated with `ROOM` to spare.
+        and, unless `plainly`, stated with `ROOM` to spare; or, if far above what was met, as the long run has it.
 
         Raises
         ------
         UndecidedError
             If the proof does not close, or not with the work that it may do.
         """
-        rooms, room, finer, efforts = iter(ROOM), 1.0, 1, self.efforts
+        room, finer, efforts, handed = 1.0, 1, self.efforts, 0.0  # the last: what balls have left undecided
         anywhere, at_samples = self.peaks
+        beyond = self.long_run / max(at_samples.value, 1.0)
+        far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
+        in_balls, rooms = (ROOM[0] * beyond, iter([ROOM[0] * beyond])) if far else (1.0, iter(() if plainly else ROOM))
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
             plain, stands = replace(made, witness=None), replays
             verdict = verdict_of(plain.to_dict(), efforts.check())
-            handed = verdict.verdict == "undecided" and room == 1.0 and not efforts.balls.over
-            if handed and find_spec("flint") is not None:
-                verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.balls), replays_in_balls
+            higher = anywhere.value > handed * HIGHER and not efforts.balls.over
+            if verdict.verdict == "undecided" and room == in_balls and higher and find_spec("flint") is not None:
+                verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.check_in_balls()), replays_in_balls
+                handed = anywhere.value
             if verdict.passed:  # a witness is true, but its replay may be lost in rounding
                 return made if stands(made.to_dict()) else plain
             if efforts.floats.over:
                 break
             if verdict.time is None or verdict.start is None:
                 if finer == 1:  # the grids may have missed a peak by a hair
-                    finer = FINER
+                    finer, before = FINER, (anywhere.value, at_samples.value)
                     others = self.found(finer)
                     at_samples = max(at_samples, others[1], key=_value)
                     anywhere = max(anywhere, others[0], at_samples, key=_value)
-                    continue
-                room = 0.0 if plainly else next(rooms, 0.0)
+                    if anywhere.value > before[0] * HIGHER or at_samples.value > before[1] * HIGHER:
+                        continue
+                room = next(rooms, 0.0)
                 if not room:
                     break
                 continue
@@ -211,7 +220,7 @@ def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: f
     """The certificate that claims these peaks, times `room`."""
     lam, lam_samples = (room * max(peak.value, 1.0) for peak in peaks)
     if room > 1:
-        spare = f"{room:g} times the largest met: the proof in doubles needs the room"
+        spare = f"{room:g} times the largest met: the proof needs the room"
         solver = replace(solver, details={**solver.details, "lambda": spare})
     P2, Qw, R, Qv = proof.weights
     P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
@@ -309,9 +318,9 @@ def certify(
     -----
     *Assumptions.* Linear plant, unconstrained noise (with convex constraints the certificate still holds).
     *Claim.* The inequality holds iff the discounted information Pi, started at P2, stays above P1 for every start and
-    all t; for given weights lam is exact to 1e-3, unless the
-    checker's rounding left no proof that near: then lam is stated up to 3 times larger, and `solver.details` says by
-    what. *Method.* Windows side by side find lam; `checkers` proves it
+    all t; for given weights lam is exact to 1e-3, unless the checker's rounding left no proof that near (then lam is
+    stated up to 3 times larger) or windows come near the long run too slowly to be followed (then it is that of the
+    long run); `solver.details` says so. *Method.* Windows side by side find lam; `checkers` proves it
     over the continuum of starts and times and over all periods, and whatever window it finds raises lam. Weights are
     chosen by sequential quadratic programming on the exact lambda: a local optimum. *Numerical aspects.* Y = Pi^-1 is
     propagated in coordinates where P2 = I, samples in Joseph's form, gaps by doubling.
@@ -465,7 +474,7 @@ def _first_proven(
         rate = choice.eta / canon.time if eta is None else eta
         prior = symmetrise(canon.outside(choice.P2))
         try:
-            proof = _Proof(plant, schedule, (prior, *weights), rate, efforts)
+            proof = _Proof(plant, schedule, (prior, *weights), rate, efforts, float(np.exp(choice.value * choice.eta)))
             near = choice.value <= COMPARED * choices[0].value and efforts.looks.left > LOOK_WORK
             if not proofs or near:
                 proofs.append((proof.horizon, len(proofs), proof, choice))

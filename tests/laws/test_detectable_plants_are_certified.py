@@ -5,12 +5,14 @@ A slice of `tests/benchmarks/bench_certify_random.py` that takes seconds, with w
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import riccati, weight_choice
+from sampling_design.certificates.exact import efforts, riccati, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -105,10 +107,61 @@ def test_what_doubling_and_walking_lose_is_followed_from_above():
         assert np.all(np.diagonal(Y) <= 1.5 * np.diagonal(true))
 
 
+def test_near_aliasing_is_certified():
+    """A period that misses pi by a millionth: what is seen barely is followed for long, and proven."""
+    oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    made = certify(oscillator, PeriodicSchedule([np.pi * (1 + 1e-6)]), eta=0.4)
+    assert made.verify().passed
+    assert made.horizon().minimum == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_no_weights_are_tried_twice(monkeypatch):
+    """Descents that gain nothing end where they began, and would be proven, or not, once more."""
+    monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)
+    plant, schedule = drawn(2)
+    canon = canonical(plant, schedule, weights_of(plant, None, None, None))
+    choices = weight_choice.choose_weights(canon, (0.3, 0.3), [3.0])[0]
+    pairs = [(one, other) for k, one in enumerate(choices) for other in choices[:k]]
+    assert pairs
+    for one, other in pairs:
+        assert not np.allclose(one.P2, other.P2, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 100.0], ids=["met", "far below the long run"])
+def test_no_proof_is_tried_twice(beyond, monkeypatch):
+    """What floats leave open at one lambda goes to balls once, and then only a larger lambda is tried.
+
+    Where the long run is far above all windows that could be followed, it alone is tried with room, and in balls.
+    """
+    tried, handed = list[float](), list[float]()
+
+    def floats(data, work=None):
+        tried.append(data["lam"])
+        return still_open
+
+    def balls(data, budget, work):
+        handed.append(data["lam"])
+        assert work.left == efforts.ONE_IN_BALLS
+        return still_open
+
+    oscillator, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
+    weights = (np.eye(2), *weights_of(oscillator, None, None, None))
+    made = certify(oscillator, schedule, eta=0.4, P2=np.eye(2))
+    still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
+    monkeypatch.setattr(room, "verdict_of", floats)
+    monkeypatch.setattr(room, "verify_rigorously", balls)
+    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts(efforts.LATER), beyond * made.lam_samples)
+    with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
+        proof.closed(made.solver)
+    rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *room.ROOM)
+    assert tried == pytest.approx([made.lam * factor for factor in rooms], rel=1e-6)
+    assert handed == ([tried[1]] if beyond else [tried[0]])
+
+
 def test_what_cannot_be_followed_is_undecided_with_its_reason(monkeypatch):
-    """Four modes within 4e-6 of each other, seen by one output: at these rates no rounding tells them apart."""
+    """Chains of integrators and a growing one, driven by one disturbance: at these rates nothing settles in doubles."""
     monkeypatch.setattr(weight_choice, "SLOWER", ())
     monkeypatch.setattr(weight_choice, "SCAN", 2)
-    plant, schedule = drawn(64)
+    plant, schedule = drawn(331)
     with pytest.raises(UndecidedError, match="the schedule is on the edge of what can be certified"):
         certify(plant, schedule)

@@ -7,8 +7,10 @@ from sampling_design.checkers.work import Work
 LOOK_WORK = 2e6
 """Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
 what they have met by then is tried."""
-CHECK_WORK, BALL_WORK, ONE_CHECK = 6e6, 1e6, 4e6
-"""Work of the proofs in floats and in balls, for all choices of weights together, and of one check in floats."""
+CHECK_WORK, ONE_CHECK = 6e6, 4e6
+"""Work of the proofs in floats, for all choices of weights together, and of one of them."""
+BALL_WORK, ONE_IN_BALLS = 4e6, 2e6
+"""Likewise in balls, where nine states and four samples a period take 1.3e6; later ones may take as much each."""
 LATER = 0.5
 """Share of that for the spare choices, and for the round ones: what closes there closes soon."""
 
@@ -18,8 +20,12 @@ class Efforts:
 
     def __init__(self, share: float = 1.0) -> None:
         self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK)
-        self.balls, self.one = Work(share * BALL_WORK), share * ONE_CHECK
+        self.balls, self.one = Work(max(share * BALL_WORK, ONE_IN_BALLS)), share * ONE_CHECK
 
     def check(self) -> Work:
         """What the next check in floats may do."""
         return self.floats.share(self.one)
+
+    def check_in_balls(self) -> Work:
+        """What the next check in balls may do."""
+        return self.balls.share(ONE_IN_BALLS)

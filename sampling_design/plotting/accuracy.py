@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design.plotting import style
 from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.shadow import Shadow
+
+Array = npt.NDArray[np.float64]
 
 
 def draw_accuracy(
@@ -44,15 +47,20 @@ def draw_accuracy(
             linewidth=0,
         )
         one.stairs(upper, profile.edges, baseline=None, color=style.PROVEN, label="guaranteed by an estimator")
-        one.plot(profile.edges[:-1], lower, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
+        cut = np.searchsorted(profile.edges[:-1], profile.samples)  # a sample ends a curve, no line falls from it
+        attained = np.insert(lower, cut, np.nan)
+        times = np.insert(profile.edges[:-1], cut, profile.samples)
+        one.plot(times, attained, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
         late = result.known_from[k]
         if late > profile.edges[0]:
             one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
             one.annotate(
                 "unknown", (profile.edges[0], 0.0), xytext=(4, 4), textcoords="offset points", fontsize="small"
             )
+        shown = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance[k]])]
         if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
             curve = result.deviation.profile[k]
+            shown.append(curve)
             one.plot(
                 result.deviation.times,
                 np.where(np.isfinite(curve), curve, np.nan),
@@ -62,19 +70,26 @@ def draw_accuracy(
                 label="standard deviation",
             )
         one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
-        one.set_ylim(bottom=0.0)
+        style.from_below(one, *_range(shown))
         span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
-        one.set_title(f"{span} at the worst time", loc="left")
+        one.set_title(f"{span} at the worst time", loc="left", fontsize="medium")
     axes[-1].set_xlabel(
         style.time_label(
             result.plant.time_unit,
-            "time in the period, samples grey" if result.question.initial is None else "time, samples grey",
+            "time over one period, samples grey" if result.question.initial is None else "time, samples grey",
         )
     )
     finite = [one for k, one in enumerate(axes[:count]) if np.isfinite(result.upper[k])]
     if finite:
         style.legend(finite[0])
     return axes
+
+
+def _range(curves: Sequence[Array]) -> tuple[float, float]:
+    """The least and the largest finite value of some curves."""
+    values = np.concatenate(curves)
+    values = values[np.isfinite(values)]
+    return float(values.min()), float(values.max())
 
 
 def _panels(count: int) -> style.Panels:

@@ -195,7 +195,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
         details = SolveDetails(window_start=start.s, engine=solved.engine, cost=solved.cost)
-        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift)
+        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift, solved.half)
         node = self._node(state, taken, after, found, details, solved.note, scheduled)
         self._histories.keep(node)
         return node

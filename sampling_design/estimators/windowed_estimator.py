@@ -43,7 +43,10 @@ class Start(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
+    """What a window says of its last sample: state, covariance, what they are worth, and how they were found.
+
+    `half` is U with U U' = Y^-1, where it is known.
+    """
 
     x: Array
     Y: Array
@@ -51,6 +54,7 @@ class Answer(NamedTuple):
     engine: str = ""
     note: str = ""
     cost: float = np.nan
+    half: Array | None = None
 
 
 class WindowedEstimator(OpenLoopEstimator):
@@ -94,7 +98,7 @@ class WindowedEstimator(OpenLoopEstimator):
     def _start(self, state: State, t: float) -> Start:
         """Return where the window of a solve at t begins, with the online estimate there."""
         nodes, s = state.nodes, t - self.horizon
-        slack = SAME_TIME * float(np.spacing(max(abs(t), self.horizon)))
+        slack = SAME_TIME * math.ulp(max(abs(t), self.horizon))
         given = nodes[0].sample.y is None
         if given and s <= nodes[0].t + slack:
             return Start(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
@@ -161,7 +165,7 @@ class WindowedEstimator(OpenLoopEstimator):
                 own = node.flow if first > 0 and nodes[first - 1].t == s else None
                 gap = self._between(state, s, node.t) if own is None else (own, node.drift)
                 reference = flow.F.dot(nodes[-1].x) + drift
-            if not sliding.append(new, reference):
+            if not sliding.append(new, reference, predicted=first < len(nodes)):
                 return None
             self._histories.begun(sliding)
             optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
@@ -172,7 +176,7 @@ class WindowedEstimator(OpenLoopEstimator):
         found = self._judged(terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].sound:
             return None
-        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost)
+        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.half)
 
     def _left_out(self, sample: Taken, start: Start) -> str:
         """What is said of a mean that began before the window."""

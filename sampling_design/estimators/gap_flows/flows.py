@@ -60,7 +60,9 @@ class GapFlow:
         Its lower triangle, column after column, from the diagonal down.
     """
 
-    __slots__ = ("F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "gap", "growth", "inputs", "integral")
+    __slots__ = (
+        "F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "_size", "gap", "growth", "inputs", "integral",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -75,9 +77,17 @@ class GapFlow:
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self._roots = roots
         self._band: Array | None = None
-        self._loose: float | None = None
+        self._loose = 0.0
+        self._size: Array | None = None
         self._arrival: tuple[Array, Arrival | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
+
+    @property
+    def size(self) -> Array:
+        """Return |F|, entry by entry."""
+        if self._size is None:
+            self._size = abs(self.F)
+        return self._size
 
     @property
     def root(self) -> Array:
@@ -98,17 +108,15 @@ class GapFlow:
     def joint(self) -> Array | None:
         """Return what states at both ends cost together."""
         if isinstance(self._joint, bool):
-            self._joint = _joint(self.F, self.W)
+            self._joint, self._loose = _joint(self.F, self.W)
         return self._joint
 
     @property
     def loose(self) -> float:
         """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
-        if self._loose is None:
-            finite = np.isfinite(self.W).all()
-            half = _half(self.W) if finite and self.joint is not None else None
-            unit = np.zeros(1) if half is None else half * np.sqrt(self.W.diagonal())
-            self._loose = COVARIANCE_ERROR * float(np.vdot(unit, unit))
+        if isinstance(self._joint, bool):
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
+                self._joint, self._loose = _joint(self.F, self.W)
         return self._loose
 
     @property
@@ -254,36 +262,42 @@ def noise_root(W: Array) -> tuple[Array, Array]:
     return root, vectors.T * np.where(kept, 1 / scale, 0.0)[:, None] / unit
 
 
-def _half(M: Array) -> Array | None:
-    """Return L^-1 for Cholesky's factor L of M; None where its inverse would lose six digits or more.
+def _half(M: Array) -> tuple[Array, float] | None:
+    """Return L^-1 for Cholesky's factor L of M, and the trace of the inverse of M's correlations.
 
-    The trace of the inverse in units of the diagonal is its condition but for a factor of n^2; units change no digit.
+    None where its inverse would lose six digits or more. The trace is the condition in units of the diagonal but for a
+    factor of n^2; units change no digit.
     """
     factor, flag = lapack.dpotrf(M, lower=1, clean=1)
     if flag:
         return None
     half = lapack.dtrtri(factor, lower=1)[0]
     unit = half * np.sqrt(M.diagonal())
-    return half if np.vdot(unit, unit) <= CONDITION_LIMIT else None  # neither where something overflowed
+    condition = float(np.vdot(unit, unit))
+    return (half, condition) if condition <= CONDITION_LIMIT else None  # neither where something overflowed
 
 
-def _joint(F: Array, W: Array) -> Array | None:
-    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]]; None where that would lose six digits or more."""
-    half = _half(W)
-    if half is None:
-        return None
+def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
+    """Return [[F'W^-1 F, -F'W^-1], [-W^-1 F, W^-1]], and how far it may be off; None where it would lose six digits."""
+    found = _half(W)
+    if found is None:
+        return None, 0.0
+    half, condition = found
     n = len(W)
     both = np.empty((n, 2 * n))
     both[:, :n] = half.dot(F)
     np.negative(half, out=both[:, n:])
-    found = both.T.dot(both)
-    return found if math.isfinite(np.vdot(both, both)) else None  # its trace
+    joint = both.T.dot(both)
+    if not math.isfinite(np.vdot(both, both)):  # its trace
+        return None, 0.0
+    return joint, COVARIANCE_ERROR * condition
 
 
 def _arrival(M: Array) -> Arrival | None:
     """Return the inverse of a covariance, in both forms."""
-    half = _half(M)
-    if half is None:
+    found = _half(M)
+    if found is None:
         return None
+    half = found[0]
     information = half.T.dot(half)
     return Arrival(information, lower_band(information, len(M))[0])

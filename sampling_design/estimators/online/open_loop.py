@@ -85,12 +85,16 @@ class MeasuredSample(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What is held after a sample: state and covariance, and the flow and drift that led to it."""
+    """What is held after a sample: state and covariance, and the flow and drift that led to it.
+
+    `half` is U with U U' = Y^-1, where it is known.
+    """
 
     x: Array
     Y: Array
     flow: GapFlow
     drift: Array
+    half: Array | None = None
 
 
 class OpenLoopEstimator(OnlineEstimator):
@@ -278,7 +282,7 @@ class OpenLoopEstimator(OnlineEstimator):
     ) -> Node:
         """Return the node of a sample, with the estimate that is handed out; its rounding widens the radius."""
         last, flow = state.last, held.flow
-        size, condition = in_units_of(held.Y, _passed(last, flow, held.drift, held.x))
+        size, condition = in_units_of(held.Y, _passed(last, flow, held.drift, held.x), held.half)
         loose = max(last.loose, flow.loose)
         beta = found.beta * (1 + FLOWN * condition + loose) + moved(found.beta, size)
         estimate = self._estimate(
@@ -466,15 +470,18 @@ def moved(bound: float, held: float) -> float:
 
 def _passed(node: Node, flow: GapFlow, drift: Array, x: Array) -> Array:
     """The sizes of the numbers that x was computed from, along a gap from a node."""
-    return np.asarray(np.maximum(np.abs(x), np.abs(flow.F).dot(np.abs(node.x)) + np.abs(drift)))
+    return np.asarray(np.maximum(abs(x), flow.size.dot(abs(node.x)) + abs(drift)))
 
 
-def in_units_of(Y: Array, size: Array) -> tuple[float, float]:
+def in_units_of(Y: Array, size: Array, half: Array | None = None) -> tuple[float, float]:
     """|z|^2 for |z_i| <= |S^-1| size, S S' = Y: a state, entry by entry, in units of what is known of it.
 
     And the trace of the inverse of Y's correlations, which is their condition or more. What rounding has made singular
-    counts as known to n eps of the rest.
+    counts as known to n eps of the rest. `half` is a U with U U' = Y^-1, where one is known.
     """
+    if half is not None:
+        far = math.hypot(*size.dot(abs(half)).tolist())
+        return far * far, sum(Y.diagonal().dot(half * half).tolist())
     unit = np.sqrt(Y.diagonal())
     if not (np.isfinite(Y).all() and np.isfinite(size).all()):
         return 0.0, 0.0  # then there is no radius

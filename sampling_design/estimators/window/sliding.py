@@ -77,10 +77,11 @@ class Arriving(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """State, covariance and cost at the newest node; a lower bound on the cost; noise and rounding bounds."""
+    """State, covariance Y and U with U U' = Y^-1 at the newest node; cost, a lower bound on it; noise and rounding."""
 
     x: Array
     Y: Array
+    half: Array
     cost: float
     dual: float
     energy: float
@@ -102,15 +103,16 @@ class SlidingBand:
         self._known: list[Arriving] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, Heard] = {}
-        self._zero, self._cut = 0.0, False  # whether there was a node before the first one
-        self._columns = np.zeros((ROOM, n, 2 * n))
-        self._heard, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, 2 * n))  # pushed by the gap after a node
+        self._zero = 0.0
+        # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
+        self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
+        self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 and |x|^2
         self._sums = np.zeros((ROOM, 5))
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._columns, self._heard, self._pushed, self._sums
+        return self._own, self._before, self._pull, self._pushed, self._sums
 
     def heard(self, mask: Array) -> Heard:
         """Return what a sample of some outputs means."""
@@ -124,11 +126,14 @@ class SlidingBand:
             found = self._kinds[key] = Heard(band, back, root, np.abs(root), root @ self._C, energy)
         return found
 
-    def append(self, new: Arriving, reference: Array) -> bool:
-        """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed."""
+    def append(self, new: Arriving, reference: Array, predicted: bool = False) -> bool:
+        """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed.
+
+        `predicted`: the reference is where the gap leads from that of the node before, so that it costs nothing.
+        """
         k = len(self._known)
-        if k == len(self._columns):
-            self._columns, self._heard, self._pushed, self._sums = (
+        if k == len(self._own):
+            self._own, self._before, self._pull, self._pushed, self._sums = (
                 np.concatenate([part, np.zeros_like(part)]) for part in self._parts
             )
         if not k:
@@ -136,38 +141,52 @@ class SlidingBand:
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
         d = math.exp(self._eta * (new.t - self._zero))
-        columns, kind = self._columns, self.heard(new.mask)
-        np.multiply(kind.band, d, out=columns[k])
+        kind = self.heard(new.mask)
+        np.multiply(kind.band, d, out=self._own[k])
         if k:
             if new.flow is None or new.flow.joint is None:
                 return False
-            columns[k - 1 : k + 1] += new.flow.band * d
+            before, after = new.flow.band * d
+            self._own[k - 1] += before
+            self._before[k] = after
         read = kind.size.dot(abs(new.y))
-        self._sums[k, 1], self._sums[k, 3] = kind.energy * d, read.dot(read)
         self._known.append(new)
         self._reference.append(reference)
-        return self._weighed(k, d)
+        weighed = self._weighed(k, d)
+        self._sums[k, 1], self._sums[k, 2], self._sums[k, 3] = kind.energy * d, 0.0, read.dot(read)
+        self._pushed[k] = 0.0
+        return weighed and (predicted or self._joined(k, d))
 
     def _weighed(self, k: int, d: float) -> bool:
-        """Put down what the newest node costs at its reference, and how that pulls; False where that overflows."""
-        new, reference, n, sums = self._known[k], self._reference[k], self._n, self._sums
-        kind, flow, push = self.heard(new.mask), new.flow, 0.0
+        """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
+        new, reference, sums = self._known[k], self._reference[k], self._sums
+        kind = self.heard(new.mask)
         half = kind.root.dot(new.y - new.feedthrough - self._C.dot(reference))
         square = float(half.dot(half))
-        kind.back.dot(half * d, self._heard[k])
-        if k and flow is not None and flow.joint is not None:
-            moved = flow.F.dot(self._reference[k - 1]) + new.drift - reference
-            g = flow.joint[n:].T.dot(moved * d, self._pushed[k - 1])
-            sums[k - 1, 2] = push = float(moved.dot(g[n:]))
+        kind.back.dot(half * d, self._pull[k])
         held = self._held.dot(abs(reference))
-        sums[k, 0], sums[k, 2], sums[k, 4] = square * d, 0.0, held.dot(held)
-        return square < LARGEST**2 and math.isfinite(push)
+        sums[k, 0], sums[k, 4] = square * d, held.dot(held)
+        return square < LARGEST**2
+
+    def _joined(self, k: int, d: float) -> bool:
+        """Put down what the gap before the newest node costs between references; False where that overflows."""
+        new = self._known[k]
+        if not k or new.flow is None or new.flow.joint is None:
+            return True
+        n = self._n
+        moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
+        g = (moved * d).dot(new.flow.joint[n:])
+        self._pull[k - 1] += g[:n]
+        self._pushed[k] = g[n:]
+        self._sums[k - 1, 2] = cost = float(moved.dot(g[n:]))
+        return math.isfinite(cost)
 
     def settle(self, node: Node) -> bool:
         """Take the estimate of the newest node for its reference; False where that cannot be weighed."""
         self.nodes.append(node)
         self._reference[-1] = node.x
-        return self._weighed(len(self._known) - 1, math.exp(self._eta * (node.t - self._zero)))
+        k, d = len(self._known) - 1, math.exp(self._eta * (node.t - self._zero))
+        return self._weighed(k, d) and self._joined(k, d)
 
     def ends_with(self, node: Node) -> bool:
         """Whether the last entry, of which there is no node yet, is that of a node."""
@@ -177,7 +196,7 @@ class SlidingBand:
     def _count_from(self, t: float) -> None:
         """Let discounts count from t."""
         factor, k = math.exp(-self._eta * (t - self._zero)), len(self._known)
-        for part in (self._columns, self._heard, self._pushed, self._sums[:, :3]):
+        for part in (self._own, self._before, self._pull, self._pushed, self._sums[:, :3]):
             part[:k] *= factor
         self._zero = t
 
@@ -187,7 +206,6 @@ class SlidingBand:
         for part in self._parts:
             part[:kept] = part[count : count + kept].copy()
         del self.nodes[:count], self._known[:count], self._reference[:count]
-        self._cut = True
 
     def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array]) -> Optimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
@@ -204,7 +222,7 @@ class SlidingBand:
         *Method.* The window's start, where no weight is left but the prior's and a sample's, is eliminated first:
         what is known of it arrives at the first node as one covariance.
         """
-        known, n, eta, zero = self._known, self._n, self._eta, self._zero
+        known, eta, zero = self._known, self._eta, self._zero
         last, start = known[-1], known[first]
         if eta * max(last.t - zero, zero - opening.t) > WIDEST:
             return None
@@ -220,25 +238,18 @@ class SlidingBand:
         if arrival is None:
             return None
         rows = slice(first, len(known))
-        work, right, pushed = self._columns[rows].copy(), self._heard[rows].copy(), self._pushed[first : len(known) - 1]
-        right[1:] += pushed[:, n:]
-        right[:-1] += pushed[:, :n]
+        work, right = self._own[rows] + self._before[rows], self._pull[rows] + self._pushed[rows]
         moved = flow.F.dot(x) + drift - self._reference[first]
         g = arrival.information.dot(moved * d)
-        right[0] += g
-        if first or self._cut:  # the gap before was not the window's
-            np.multiply(self.heard(start.mask).band, d, out=work[0])
-            if len(work) > 1:
-                after, t = known[first + 1].flow, known[first + 1].t
-                assert after is not None
-                work[0] += after.band[0] * math.exp(eta * (t - zero))
-        work[0] += arrival.band * d
+        # the gap before the first node is the window's own
+        np.add(self._own[first], arrival.band * d, out=work[0])
+        np.add(self._pull[first], g, out=right[0])
         fit, energy, push, read, kept = np.add.reduce(self._sums[rows]).tolist()
         size += fit + push + float(moved.dot(g))
         found = _solved(work, right.ravel(), size)
         if found is None:
             return None
-        deviation, root, gain = found
+        deviation, last_factor, root, gain = found
         cost = size - gain
         if not cost > CANCELLED * gain:
             return None
@@ -246,6 +257,7 @@ class SlidingBand:
         return Optimum(
             self._reference[-1] + deviation,
             (root.T * end).dot(root),
+            last_factor / math.sqrt(end),
             cost / end,
             dual / end,
             (energy + noise) / end,
@@ -264,8 +276,8 @@ class SlidingBand:
         return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
 
 
-def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, float] | None:
-    """Return the last node's deviation, the root of its information inverted, and what the deviations gain."""
+def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, Array, float] | None:
+    """Return the last node's deviation, the root of its information, that inverted, and what the deviations gain."""
     count, n, width = work.shape
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
@@ -278,8 +290,8 @@ def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, float
     gain = float(right.dot(solution))
     if not math.isfinite(gain + size):
         return None
-    last = lapack.dtrtri(last_block(factor, n), lower=1)[0]
-    return solution[-n:], last, gain
+    last = last_block(factor, n)
+    return solution[-n:], last, lapack.dtrtri(last, lower=1)[0], gain
 
 
 NOTHING: tuple[Node | None, SlidingBand | None] = (None, None)

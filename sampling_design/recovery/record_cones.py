@@ -61,7 +61,8 @@ class RecordCones:
             table.more(np.zeros(self._n))
         self._seen(table, np.asarray(H @ L / unit[:, None]))
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
-        self.solver = ConeSolver(self._A, self._cones, tolerance=tolerance)
+        interior = not self._exact.size  # without one the last digits of every step count
+        self.solver = ConeSolver(self._A, self._cones, tolerance=tolerance, scaled=interior)
 
     def _kinds(self) -> None:
         """Which rows are exact, two-sided one by one, one-sided, or two-sided together."""

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from sampling_design import _conic
+from sampling_design._conic import ConeSolver
 from sampling_design.errors import SolverError
 
 RNG = np.random.default_rng(7)
@@ -65,3 +67,25 @@ def test_a_budget_that_ran_out_is_a_status():
     S = random_symmetric(6, 1)[0]
     block = ("psd", _conic.svec(np.eye(6))[:, None], _conic.svec(S))
     assert _conic.solve_cone_program(np.array([-1.0]), [block], iterations=1).record.status == "budget"
+
+
+@pytest.mark.parametrize("spread", [0.0, 3.0])
+def test_a_scaled_program_ends_where_the_careful_one_does(spread):
+    rng = np.random.default_rng(0)
+    sizes = 10 ** rng.uniform(-spread, spread, 6)
+    A, point = rng.normal(size=(18, 6)) / sizes, rng.normal(size=6) * sizes
+    b, cost = A @ point + rng.uniform(0.1, 1.0, 18), -A.T @ rng.uniform(0.0, 1.0, 18)
+    cones = [("nonnegative", 18)]
+    careful = ConeSolver(sparse.csc_matrix(A), cones).solve(cost, b)
+    quick = ConeSolver(sparse.csc_matrix(A), cones, scaled=True).solve(cost, b)
+    assert careful[2] == quick[2] == "solved"
+    assert cost @ quick[0] == pytest.approx(cost @ careful[0], rel=1e-7)
+
+
+def test_what_a_scaled_program_does_not_solve_is_solved_with_care():
+    contradicting = sparse.csc_matrix([[1.0], [-1.0]])
+    solver = ConeSolver(contradicting, [("nonnegative", 2)], scaled=True)
+    assert solver.solve(np.ones(1), np.array([1.0, 1.0]))[2] == "solved"
+    assert solver._careful is None
+    assert solver.solve(np.ones(1), np.array([-1.0, -1.0]))[2] == "infeasible"
+    assert solver._careful is not None

@@ -17,7 +17,8 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict, rounding
+from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict
+from sampling_design.estimators.online.rounded import rounding
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.square_root import covariance_root

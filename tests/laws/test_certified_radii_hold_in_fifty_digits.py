@@ -15,7 +15,7 @@ import pytest
 from sampling_design import KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.gap_flows import flows
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online import open_loop
+from sampling_design.estimators.online import open_loop, rounded
 from tests.oracles.filters import Filter
 
 SEEDS = (29, 78, 162)
@@ -115,7 +115,7 @@ def test_radii_of_the_filter(seed):
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):
-    for room, name in ((open_loop, "ROUNDED"), (open_loop, "FLOWN"), (flows, "COVARIANCE_ERROR")):
+    for room, name in ((rounded, "ROUNDED"), (open_loop, "FLOWN"), (flows, "COVARIANCE_ERROR")):
         monkeypatch.setattr(room, name, 0.0)
     assert worst_miss(29, 30)[0] > 1e-9
 

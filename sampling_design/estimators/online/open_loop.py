@@ -7,7 +7,6 @@ from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import lapack
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
@@ -27,6 +26,7 @@ from sampling_design.estimators.online.estimator import (
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
+from sampling_design.estimators.online.rounded import in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Push, StartError, Told
@@ -40,10 +40,6 @@ CONTRADICTION = 1e-9
 ROUNDING = 1e-12
 """Share of its terms that is added to every bound, so that rounding cannot break it."""
 
-ROUNDED = 1e-14
-"""Relative error of what is computed with data and states: it moves a centre, and adds to the root of a bound. (Found:
-3e-15, against fifty digits, in tests/laws.)"""
-
 FLOWN = 4e-15
 """Relative error of a covariance that was flown over a gap, in units of its diagonal: times its condition it is that of
 the ellipsoid."""
@@ -52,9 +48,6 @@ OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
 
 LARGEST = 1e150
 """Residuals beyond this, in units of their weights, have squares that overflow in sums."""
-
-EXACT_DATA = 1e-13
-"""Relative error with which even exact data and states are held; its square, in the weights, joins every bound."""
 
 
 class Verdict(NamedTuple):
@@ -282,7 +275,7 @@ class OpenLoopEstimator(OnlineEstimator):
     ) -> Node:
         """Return the node of a sample, with the estimate that is handed out; its rounding widens the radius."""
         last, flow = state.last, held.flow
-        size, condition = in_units_of(held.Y, _passed(last, flow, held.drift, held.x), held.half)
+        size, condition = in_units_of(held.Y, passed(last, flow, held.drift, held.x), held.half)
         loose = max(last.loose, flow.loose)
         beta = found.beta * (1 + FLOWN * condition + loose) + moved(found.beta, size)
         estimate = self._estimate(
@@ -343,7 +336,7 @@ class OpenLoopEstimator(OnlineEstimator):
         x, Y, beta = self._ahead(node, flow, drift)
         if not np.isfinite(Y).all():
             self._refuse_overflow(flow, np.array([np.inf]), t)
-        size, condition = in_units_of(Y, _passed(node, flow, drift, x))
+        size, condition = in_units_of(Y, passed(node, flow, drift, x))
         beta = beta * (1 + FLOWN * condition + self.weights.loose) + moved(beta, size)
         scheduled = node.scheduled and self._nothing_missed(node, t)
         told = node.estimate.contradiction
@@ -455,52 +448,3 @@ class OpenLoopEstimator(OnlineEstimator):
             return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
         rest = (ROUNDING + self.weights.loose) * terms + moved(terms, last.held)
         return Verdict(max(beta, 0.0) + rest, "ok", last.sound, last.estimate.contradiction)
-
-
-def moved(bound: float, held: float) -> float:
-    """What is added to a bound by rounding that moves what is measured against it: its root grows by that.
-
-    `held` is the square of the numbers, in the units of the bound.
-    """
-    if not math.isfinite(bound):
-        return 0.0
-    size = ROUNDED * math.sqrt(held)
-    return (2 * math.sqrt(max(bound, 0.0)) + size) * size
-
-
-def _passed(node: Node, flow: GapFlow, drift: Array, x: Array) -> Array:
-    """The sizes of the numbers that x was computed from, along a gap from a node."""
-    return np.asarray(np.maximum(abs(x), flow.size.dot(abs(node.x)) + abs(drift)))
-
-
-def in_units_of(Y: Array, size: Array, half: Array | None = None) -> tuple[float, float]:
-    """|z|^2 for |z_i| <= |S^-1| size, S S' = Y: a state, entry by entry, in units of what is known of it.
-
-    And the trace of the inverse of Y's correlations, which is their condition or more. What rounding has made singular
-    counts as known to n eps of the rest. `half` is a U with U U' = Y^-1, where one is known.
-    """
-    if half is not None:
-        far = math.hypot(*size.dot(abs(half)).tolist())
-        return far * far, sum(Y.diagonal().dot(half * half).tolist())
-    unit = np.sqrt(Y.diagonal())
-    if not (np.isfinite(Y).all() and np.isfinite(size).all()):
-        return 0.0, 0.0  # then there is no radius
-    kept = unit > 0
-    if not kept.all():
-        if not kept.any():
-            return 0.0, 0.0
-        Y, size, unit = Y[np.ix_(kept, kept)], size[kept], unit[kept]
-    factor, flag = lapack.dpotrf(Y / unit[:, None] / unit, lower=1, clean=1)
-    if flag:
-        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-        least = len(Y) * float(np.finfo(float).eps) * values[-1]
-        half = vectors.T / np.sqrt(np.maximum(values, least))[:, None]
-    else:
-        half = lapack.dtrtri(factor, lower=1)[0]
-    far, near = math.hypot(*np.abs(half).dot(size / unit).tolist()), math.hypot(*half.ravel().tolist())
-    return far * far, near * near
-
-
-def rounding(read: float, held: float) -> float:
-    """What the rounding of measurements and of states may cost, for the sums of their weighted squares."""
-    return (EXACT_DATA * (math.sqrt(read) + math.sqrt(held))) ** 2

@@ -25,54 +25,8 @@ def draw_accuracy(
     """
     count = len(result.rows)
     axes = _panels(count) if ax is None else style.Panels(np.ravel(np.asarray(ax, dtype=object)))
-    profile = result.profile
     for k, one in zip(range(count), axes, strict=False):
-        label = result.rows.labels()[k]
-        one.set_ylabel(f"error of\n{label}")
-        for t in profile.samples:
-            one.axvline(t, color=style.ALLOWED, linewidth=0.8, zorder=0)
-        if tolerance is not None:
-            one.axhline(tolerance[k], color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")
-        if not np.isfinite(result.upper[k]):
-            one.text(0.5, 0.5, "without bound", transform=one.transAxes, ha="center", color=style.FAILED)
-            continue
-        lower, upper = (np.where(np.isfinite(side), side, np.nan) for side in (profile.lower[k], profile.upper[k]))
-        one.fill_between(
-            profile.edges,
-            np.append(lower, lower[-1]),
-            np.append(upper, upper[-1]),
-            step="post",
-            color=style.PROVEN,
-            alpha=0.3,
-            linewidth=0,
-        )
-        one.stairs(upper, profile.edges, baseline=None, color=style.PROVEN, label="guaranteed by an estimator")
-        cut = np.searchsorted(profile.edges[:-1], profile.samples)  # a sample ends a curve, no line falls from it
-        attained = np.insert(lower, cut, np.nan)
-        times = np.insert(profile.edges[:-1], cut, profile.samples)
-        one.plot(times, attained, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
-        late = result.known_from[k]
-        if late > profile.edges[0]:
-            one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
-            one.annotate(
-                "unknown", (profile.edges[0], 0.0), xytext=(4, 4), textcoords="offset points", fontsize="small"
-            )
-        shown = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance[k]])]
-        if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
-            curve = result.deviation.profile[k]
-            shown.append(curve)
-            one.plot(
-                result.deviation.times,
-                np.where(np.isfinite(curve), curve, np.nan),
-                color=style.MEASURED,
-                linewidth=1.0,
-                linestyle="--",
-                label="standard deviation",
-            )
-        one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
-        style.from_below(one, *_range(shown))
-        span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
-        one.set_title(f"{span} at the worst time", loc="left", fontsize="medium")
+        _draw_row(one, result, k, None if tolerance is None else tolerance[k])
     axes[-1].set_xlabel(
         style.time_label(
             result.plant.time_unit,
@@ -83,6 +37,63 @@ def draw_accuracy(
     if finite:
         style.legend(finite[0])
     return axes
+
+
+def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> None:
+    """Draw both bounds of one row, its standard deviation and its tolerance where there are any."""
+    profile = result.profile
+    label = result.rows.labels()[k]
+    one.set_ylabel(f"error of\n{label}")
+    for t in profile.samples:
+        one.axvline(t, color=style.ALLOWED, linewidth=0.8, zorder=0)
+    if tolerance is not None:
+        one.axhline(tolerance, color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")
+    if not np.isfinite(result.upper[k]):
+        one.text(0.5, 0.5, "without bound", transform=one.transAxes, ha="center", color=style.FAILED)
+        return
+    lower, upper = (np.where(np.isfinite(side), side, np.nan) for side in (profile.lower[k], profile.upper[k]))
+    one.fill_between(
+        profile.edges,
+        np.append(lower, lower[-1]),
+        np.append(upper, upper[-1]),
+        step="post",
+        color=style.PROVEN,
+        alpha=0.3,
+        linewidth=0,
+    )
+    one.stairs(upper, profile.edges, baseline=None, color=style.PROVEN, label="guaranteed by an estimator")
+    cut = np.searchsorted(profile.edges[:-1], profile.samples)  # a sample ends a curve, no line falls from it
+    attained = np.insert(lower, cut, np.nan)
+    times = np.insert(profile.edges[:-1], cut, profile.samples)
+    one.plot(times, attained, color=style.ATTAINED, linewidth=1.0, label="nobody guarantees less")
+    late = result.known_from[k]
+    if late > profile.edges[0]:
+        one.axvspan(profile.edges[0], late, color=style.ALLOWED, alpha=0.3, linewidth=0)
+        low = ("data", "axes fraction")
+        one.annotate(
+            "unknown",
+            (profile.edges[0], 0.0),
+            xycoords=low,
+            xytext=(4, 4),
+            textcoords="offset points",
+            fontsize="small",
+        )
+    shown = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance])]
+    if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
+        curve = result.deviation.profile[k]
+        shown.append(curve)
+        one.plot(
+            result.deviation.times,
+            np.where(np.isfinite(curve), curve, np.nan),
+            color=style.MEASURED,
+            linewidth=1.0,
+            linestyle="--",
+            label="standard deviation",
+        )
+    one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
+    style.from_below(one, *_range(shown))
+    span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
+    one.set_title(f"{span} at the worst time", loc="left", fontsize="medium")
 
 
 def _range(curves: Sequence[Array]) -> tuple[float, float]:

@@ -230,7 +230,7 @@ def _times(schedule: PeriodicSchedule, samples: frozenset[int]) -> Array:
     return np.asarray(schedule.times[chosen % len(schedule)] + schedule.period * (chosen // len(schedule)))
 
 
-def _rows(plant: Plant, schedule: PeriodicSchedule, periods: int, growth: float) -> Array:
+def hidden_rows(plant: Plant, schedule: PeriodicSchedule, periods: int, growth: float) -> Array:
     """C e^{(A - a I) t} of every sample, (N, p, n): columns of one size, each row of length 1 or nothing at all."""
     tau = schedule.times - schedule.times[0]
     times = (tau + schedule.period * np.arange(periods)[:, None]).ravel()
@@ -255,7 +255,7 @@ def _hidden(
     for periods in range(1, MOST_PERIODS + 1):
         if (growth - float(values.min())) * schedule.period * periods > MOST_GROWTH:
             break
-        largest = largest_hidden(_rows(plant, schedule, periods, growth))
+        largest = largest_hidden(hidden_rows(plant, schedule, periods, growth))
         if largest is None:
             break
         found[periods] = (len(largest), largest)
@@ -264,8 +264,8 @@ def _hidden(
     return best, found
 
 
-def largest_hidden(rows: Array) -> frozenset[int] | None:
-    """Return a largest set of samples, of (N, p, n) rows of length 1 or 0, that all miss one direction.
+def largest_hidden(rows: Array, blind: float = NEARLY_HIDDEN) -> frozenset[int] | None:
+    """Return a largest set of samples, of (N, p, n) rows of length 1 or 0, that all miss one direction within `blind`.
 
     None where more than `LOOKS` sets would have to be looked at. Every such set is what the null space of some
     of its own samples, at most n - 1 of them, is hidden from.
@@ -278,7 +278,7 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
     while stack:
         space = stack.pop()
         shown = np.linalg.norm(rows @ space, axis=(1, 2))
-        closure = frozenset(np.flatnonzero(shown <= NEARLY_HIDDEN).tolist())
+        closure = frozenset(np.flatnonzero(shown <= blind).tolist())
         if closure in seen:
             continue
         seen.add(closure)
@@ -293,7 +293,7 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
             if looks > LOOKS:
                 return None
             _, singular, right = np.linalg.svd(rows[j] @ space)
-            rank = int(np.sum(singular > NEARLY_HIDDEN))
+            rank = int(np.sum(singular > blind))
             if rank < space.shape[1]:
                 stack.append(space @ right[rank:].T)
     return best
@@ -313,7 +313,7 @@ def _repeating(
         turned = exponential(fast.A - (growth - line) * np.eye(fast.n_states))([count * schedule.period])[0]
         if np.max(np.abs(turned - turned[0, 0] * np.eye(fast.n_states))) > NEARLY_HIDDEN * max(1.0, abs(turned[0, 0])):
             continue  # not every direction comes back; whether the hidden one does is not asked
-        largest = largest_hidden(_rows(fast, schedule, count, growth - line))
+        largest = largest_hidden(hidden_rows(fast, schedule, count, growth - line))
         if largest and (best is None or len(largest) * best[0] > len(best[1]) * count):
             best = (count, largest)
     return best

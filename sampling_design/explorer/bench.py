@@ -353,19 +353,22 @@ class Bench:
         if self.tolerance is None:
             return told
         for label, wanted, row in zip(self.labels, self.tolerance.tolist(), upper, strict=True):
-            over = np.flatnonzero(row > wanted)
-            if not over.size or not np.all(np.isfinite(row)):
+            over = row > wanted
+            if not over.any() or not np.all(np.isfinite(row)):
                 continue
-            last = int(next((k for k in range(over.size - 1) if over[k + 1] > over[k] + 1), over.size - 1))
-            begin, end = (float(edges[k]) for k in (over[0], over[last] + 1))
-            worst = short(float(row.max()), 3)
-            if over.size == row.size:
-                told.append(f"{label}: {worst} is guaranteed, {short(wanted, 3)} wanted; at no time is it kept.")
+            text = f"{label}: {short(float(row.max()), 3)} is guaranteed, {short(wanted, 3)} wanted; "
+            if over.all():
+                told.append(f"{text}at no time is it kept.")
                 continue
-            told.append(
-                f"{label}: {worst} is guaranteed, {short(wanted, 3)} wanted; not kept from "
-                f"{short(begin % self.period, 4)} to {short(end % self.period, 4)}. A sample before then would help."
-            )
+            at = [short(float(t) % self.period, 4) for t in edges]
+            # the last cell of a period is followed by the first
+            starts = np.flatnonzero(over & ~np.roll(over, 1))
+            ends = np.flatnonzero(over & ~np.roll(over, -1))
+            ends = np.roll(ends, -1) if ends[0] < starts[0] else ends
+            pairs = sorted(zip(starts, ends, strict=True), key=lambda pair: edges[pair[0]] % self.period)
+            spans = [f"from {at[a]} to {at[b + 1]}" for a, b in pairs]
+            help_at = f"A sample shortly before {at[int(np.argmax(row))]}, where it is worst, would help."
+            told.append(f"{text}not kept {' and '.join(spans)}. {help_at}")
         return told
 
     def _shadow(self) -> Reply:

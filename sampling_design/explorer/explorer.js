@@ -14,7 +14,7 @@ const STYLE = `
 .sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
 .sd .told { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
 .sd .mend button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
-.sd .stale { opacity: 0.3; }
+.sd .stale { opacity: 0.3; } .sd svg:empty { display: none; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
 const short = (x) => (x === null || x === undefined ? "–" : Number(x).toPrecision(4).replace(/\.?0+($|e)/, "$1"));
@@ -212,21 +212,33 @@ export async function mount(element, ask) {
     unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : answer.told.join("\n");
     if (answer.error) return;
     const one = 90;
-    errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 24}`);
+    errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 42}`);
+    // over one period from its beginning, so that each edge stands below its sample
+    const cells = opened.states.map((_, k) => {
+      const found = [];
+      (answer.upper[k] || []).forEach((s, i) => {
+        const a = answer.edges[i] % period, b = a + answer.edges[i + 1] - answer.edges[i];
+        found.push([a, Math.min(b, period), s]);
+        if (b > period * (1 + 1e-12)) found.push([0, b - period, s]);
+      });
+      return found.sort((one, two) => one[0] - two[0]);
+    });
     opened.states.forEach((state, k) => {
       const y0 = 20 + k * (one + 26), upper = answer.upper[k];
-      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: at most ${short(answer.worst[k])} off can be guaranteed` : `${state}: no bound holds at all times`);
+      node("text", { x: narrow ? 2 : LEFT, y: y0 - 4 }, errors, upper ? `${state}: guaranteed within ${short(answer.worst[k])}` : `${state}: no bound holds at all times`);
       if (!upper) return;
       const wanted = opened.tolerance ? opened.tolerance[k] : 0, top = 1.15 * Math.max(...upper, wanted);
-      const from = answer.edges[0], to = answer.edges[answer.edges.length - 1];
-      const x = (t) => LEFT + ((WIDE - LEFT - RIGHT) * (t - from)) / (to - from), y = (s) => y0 + one - (one * s) / top;
+      const y = (s) => y0 + one - (one * s) / top;
       frame(errors, y0, one, top, "");
-      let path = `M${x(from)} ${y(0)}`;
-      upper.forEach((s, i) => (path += `L${x(answer.edges[i]).toFixed(2)} ${y(s).toFixed(2)}L${x(answer.edges[i + 1]).toFixed(2)} ${y(s).toFixed(2)}`));
+      let path = `M${at(0)} ${y(0)}`;
+      for (const [a, b, s] of cells[k]) path += `L${at(a).toFixed(2)} ${y(s).toFixed(2)}L${at(b).toFixed(2)} ${y(s).toFixed(2)}`;
       const good = !wanted || Math.max(...upper) <= wanted;
-      node("path", { d: `${path}L${x(to)} ${y(0)}Z`, fill: good ? COLOUR.proven : COLOUR.failed, "fill-opacity": 0.25, stroke: good ? COLOUR.proven : COLOUR.failed }, errors);
+      node("path", { d: `${path}L${at(period)} ${y(0)}Z`, fill: good ? COLOUR.proven : COLOUR.failed, "fill-opacity": 0.25, stroke: good ? COLOUR.proven : COLOUR.failed }, errors);
       if (wanted) node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(wanted), y2: y(wanted), stroke: "#000", "stroke-dasharray": "3 3" }, errors);
     });
+    const foot = opened.states.length * (one + 26);
+    for (const t of ticks(0, period)) node("text", { x: at(t), y: foot + 8, "text-anchor": "middle", class: "soft" }, errors, t === 0 ? "0" : short(t));
+    node("text", { x: WIDE - RIGHT, y: foot + 25, "text-anchor": "end", class: "soft" }, errors, `time in the period [${unit}]`);
   }
 
   /* What the first sample, the first two, ... leave possible: one polygon in the next, the last one filled. */

@@ -67,6 +67,9 @@ class Handler(BaseHTTPRequestHandler):
     server: Server
     timeout = 30
     protocol_version = "HTTP/1.1"
+    # an answer leaves as one packet: its body would wait for the acknowledgement of its head, ten milliseconds a drag
+    wbufsize = 65536
+    disable_nagle_algorithm = True
 
     def log_message(self, format: str, *args: object) -> None:
         """Say nothing: the terminal belongs to whoever started the explorer."""

@@ -50,6 +50,8 @@ def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
     for budget, gain, horizon in zip(curve.budgets, curve.C_v, curve.horizons, strict=True):
         label = f"budget {short(budget, 4)}"
         ax.annotate(label, (gain, horizon), xytext=(5, 4), textcoords="offset points", fontsize="small")
+    ax.margins(x=0.15, y=0.15)  # room for what is written beside the dots
+    style.plain_numbers(ax.xaxis)
     ax.set_xlabel("noise gain C_v")
     ax.set_ylabel(f"least horizon [{curve.certificates[0].plant.time_unit}]")
     style.legend(ax)

@@ -13,6 +13,7 @@ from datetime import timedelta
 import matplotlib.axes
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
@@ -119,11 +120,16 @@ def from_below(ax: matplotlib.axes.Axes, low: float, high: float) -> None:
 def log_axis(ax: matplotlib.axes.Axes) -> None:
     """Make the y axis logarithmic, with plain numbers at 1, 2 and 5 where it spans few decades."""
     ax.set_yscale("log")
-    low, high = ax.get_ylim()
+    plain_numbers(ax.yaxis)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Write plain numbers at 1, 2 and 5 on a logarithmic axis that spans few decades."""
+    low, high = axis.get_view_interval()
     if high < 2e3 * low:
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 START = 0.25

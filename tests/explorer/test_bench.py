@@ -1,6 +1,7 @@
 """What the explorer answers is what the verbs say, and what is no question changes nothing."""
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -74,7 +75,16 @@ def test_nothing_that_small_moves_mend_says_so():
 def test_a_tolerance_that_is_not_kept_says_when():
     told = scene("plan").answer({"ask": "accuracy"})["told"]
     assert len(told) == 1
-    assert "0.35 wanted; not kept from 1.975 to 2" in told[0]
+    assert "0.35 wanted; not kept from 1.975 to 2 and from " in told[0]
+    stretches = [[float(t) for t in pair] for pair in re.findall(r"from ([\d.]+) to ([\d.]*\d)", told[0])]
+    worst = float(re.search(r"shortly before ([\d.]+),", told[0])[1])
+    bench = scene("plan")
+    bounds = {"w_bound": bench.w_bound, "v_bound": bench.v_bound}
+    known = sd.accuracy(bench.plant, bench.schedule, **bounds, of=bench.rows, rtol=0.05)
+    edges, row = known.profile.edges, known.profile.upper[0]
+    for t, upper in zip((edges[:-1] + edges[1:]) / 2 % bench.period, row, strict=True):
+        assert any((t - a) % bench.period < (b - a) % bench.period for a, b in stretches) == (upper > 0.35)
+    assert (worst - stretches[1][0]) % bench.period < (stretches[1][1] - stretches[1][0]) % bench.period
     tight = Bench(PLANT, sd.Requirement(period=TURN, window=TURN), w_bound=0.02, v_bound=0.1, tolerance=[0.05, 9.0])
     (told,) = tight.answer({"ask": "accuracy", "marks": marks(1.0, 3.0, 5.0)})["told"]
     assert "at no time is it kept" in told

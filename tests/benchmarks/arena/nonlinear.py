@@ -1,8 +1,9 @@
-"""Nonlinear plants beside an extended and an unscented Kalman filter: `python -m tests.benchmarks.arena.nonlinear`.
+"""Nonlinear plants beside do-mpc and Kalman filters: `python -m tests.benchmarks.arena.nonlinear [RUNS [PLANT ...]]`.
 
-Each plant of `nonlinear.examples` in its region, gaps drawn between half the longest and the longest, w constant on
-quarters of the longest gap, w and v Gaussian, the first estimate off by a draw of its standard deviation. All methods
-know the same model, standard deviations and steps. Errors are in scales of the states, a norm over all of them.
+Each plant of `nonlinear.examples` in its region, and an inertial chain whose bias decays at another rate than all
+methods believe; gaps drawn between half the longest and the longest, w constant on quarters of the longest gap, w and v
+Gaussian, the first estimate off by a draw of its standard deviation. All methods know the same model, standard
+deviations and steps. Errors are in scales of the states, a norm over all of them.
 """
 
 from __future__ import annotations
@@ -15,13 +16,18 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from sampling_design import CostFunction, Plant
+from sampling_design.estimators.nominal import NominalFilter
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import cost_from_deviations
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 
-from .table import Table, duration
+from .nonlinear_rival import stepped
+from .table import Table, duration, named
 
 SAMPLES, STEPS, SUBSTEPS, WINDOW = 16, 4, 3, 5
 """Samples of a run, steps of w in the longest gap, Runge-Kutta steps in each of them, longest gaps in a window."""
@@ -42,6 +48,23 @@ class Case:
     u: tuple[float, ...] = ()
     prior: tuple[float, ...] = ()
     """The first estimate, if it is not drawn."""
+    box: UncertainPlant | None = None
+    truth: NonlinearPlant | None = None
+    """Where the plant is not exactly known: all that it may be, and what it is."""
+
+
+def inertial_chain(nominal: float = 0.5) -> UncertainPlant:
+    """Position, speed, acceleration and its bias, which decays at a rate between 1/12 and 3 per second."""
+    A, decay = np.diag(np.ones(3), 1), np.diag([0.0, 0.0, 0.0, -1.0])
+    known = Plant(A + nominal * decay, [[1.0, 0.0, 0.0, 0.0]], G=[[0.0], [0.0], [0.0], [1.0]], name="inertial chain")
+    return UncertainPlant(known, [UncertainParameter("rate", 1 / 12, 3.0, A=decay, nominal=nominal)])
+
+
+def chain_case() -> Case:
+    """The chain whose bias decays six times as fast as its nominal plant says, as fast as it may."""
+    box = inertial_chain()
+    known, true = (from_linear(plant) for plant in (box.nominal, box.at([3.0])))
+    return Case(known, 0.25, (0.0, 1.0, 0.0, 0.5), (0.5,) * 4, (0.2,), (0.01,), box=box, truth=true)
 
 
 CASES = {
@@ -67,6 +90,7 @@ CASES = {
     "unicycle": Case(
         examples.unicycle(), 0.5, (-0.8, 0.0, 0.1), (0.2, 0.2, 0.2), (0.02, 0.02, 0.02), (0.05,) * 3, (1.0, 0.3)
     ),
+    "inertial chain, bias rate 3 (believed .5)": chain_case(),
 }
 
 
@@ -133,7 +157,7 @@ class Unscented(Extended):
 def drawn(case: Case, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Steps before each sample, states and measurements there, and the first estimate."""
     rng, dt = np.random.default_rng(seed), case.longest / STEPS
-    step, output = stepper(case.plant, dt)
+    step, output = stepper(case.truth or case.plant, dt)
     counts = rng.integers(STEPS // 2, STEPS + 1, SAMPLES)
     x, states, shown = np.array(case.start), [], []
     for count in counts:
@@ -176,16 +200,34 @@ def windowed(case: Case, data: tuple[np.ndarray, ...]) -> tuple[np.ndarray, floa
     return np.array(found), (time.process_time() - before) / len(shown)
 
 
+def nominal(case: Case, data: tuple[np.ndarray, ...]) -> tuple[np.ndarray, float]:
+    """The same of the filter of the nominal plant, which weighs the mismatch as a disturbance."""
+    counts, _, shown, prior = data
+    dt = case.longest / STEPS
+    P2, Qw, R = (np.diag(1 / np.square(s)) for s in (case.error, np.array(case.push) * np.sqrt(dt), case.noise))
+    assert case.box is not None
+    filter_ = NominalFilter(case.box, cost=CostFunction(P2=P2, Qw=Qw, R=2 * R, Qv=2 * R, eta=1e-6), prior=prior)
+    times, found, before = np.cumsum(counts) * dt, [], time.process_time()
+    for t, y in zip(times.tolist(), shown, strict=True):
+        found.append(filter_.update(t, y).x)
+    return np.array(found), (time.process_time() - before) / len(shown)
+
+
+NOMINAL, RIVAL = "sampling_design, filter of the nominal plant", f"{named('do-mpc')} MHE"
 METHODS = {
     "sampling_design, moving horizon": windowed,
+    NOMINAL: nominal,
+    RIVAL: lambda case, data: stepped(case, data, case.longest / STEPS, WINDOW * STEPS),
     "extended Kalman filter": lambda case, data: filtered(Extended, case, data),
     "unscented Kalman filter": lambda case, data: filtered(Unscented, case, data),
 }
 
 
-def run(quick: bool, runs: int | None = None) -> list[Table]:
+def run(quick: bool, runs: int | None = None, names: list[str] | None = None) -> list[Table]:
     """One table: a row for each plant and method."""
     count, cases = runs or (1 if quick else 3), list(CASES.items())[1:2] if quick else list(CASES.items())
+    if names:
+        cases = [(name, CASES[name]) for name in names]
     table = Table(
         "Nonlinear plants of others",
         f"{count} runs of {SAMPLES} irregular samples each; errors at the samples after the first {SKIPPED}, in scales "
@@ -196,6 +238,10 @@ def run(quick: bool, runs: int | None = None) -> list[Table]:
         scales = case.plant.signals["states"].scales
         data = [drawn(case, seed) for seed in range(count)]
         for method, estimate in METHODS.items():
+            if (method == NOMINAL and case.box is None) or (
+                method == RIVAL and table.missing(name, "do-mpc", "do_mpc")
+            ):
+                continue
             errors, seconds, lost = [], [], 0
             for each in data:
                 try:
@@ -220,5 +266,5 @@ def run(quick: bool, runs: int | None = None) -> list[Table]:
 
 
 if __name__ == "__main__":
-    for row in run(False, int(sys.argv[1]) if len(sys.argv) > 1 else None)[0].rows:
-        print(*row, sep=" | ")
+    for row in run(False, int(sys.argv[1]) if len(sys.argv) > 1 else None, sys.argv[2:])[0].rows:
+        print(f"| {' | '.join(map(str, row))} |")

@@ -14,7 +14,7 @@ from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.nonlinear.time_varying import TimeVaryingPlant, TransitionTable
+from sampling_design.plants.time_varying import TimeVaryingPlant, TransitionTable
 
 Array = npt.NDArray[np.float64]
 Criterion = Literal["mean", "worst"]

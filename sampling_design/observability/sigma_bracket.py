@@ -15,6 +15,8 @@ class SigmaBracket(Record):
 
     @property
     def _grounds(self) -> str:
+        if self.status == "sampled":
+            return "nothing is proven"
         return "proven in ball arithmetic" if self.rigorous else "proven"
 
     def _between(self, *inside: tuple[str, str], scaled: SigmaBracket | None) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Linear plants that vary in time, on a finite horizon: from functions, tables, or along a nonlinear trajectory."""
+"""Linear plants that vary in time, on a finite horizon, from functions or tables: their transitions."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from sampling_design._linalg import symmetrise
 from sampling_design._record import Record, counted, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear._casadi import casadi
-from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.plants.plant import Signals
+from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.time_table import MatrixTable, table_flow
 
 Array = npt.NDArray[np.float64]
 MatrixOfTime = Callable[[float], npt.ArrayLike]
@@ -35,7 +34,7 @@ MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""
 
 
-class _Spent:
+class Spent:
     """Evaluations over one stretch."""
 
     count = 0
@@ -60,13 +59,20 @@ class TransitionTable(NamedTuple):
     """What a plant does between increasing times, scaled.
 
     F (K-1, n, n) and W (K-1, n, n) carry a state, and what white noise on w adds, over each gap; C (K, p, n) at the
-    times; error : the largest change of F at a hundredth of the tolerance.
+    times. errors (K-1,) : how far each F is off at most in the spectral norm; `proven` of tables, else an estimate,
+    its change at a hundredth of the tolerance.
     """
 
     F: Array
     W: Array
     C: Array
-    error: float
+    errors: Array
+    proven: bool
+
+    @property
+    def error(self) -> float:
+        """The largest of the errors."""
+        return float(self.errors.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,9 +86,9 @@ class TimeVaryingPlant(Record):
     A, C, G : callables t -> matrix
         G may be left out: no disturbance.
     horizon : float [time]
-    states, outputs : Signals, optional
+    states, outputs, disturbances : Signals, optional
         With scales.
-    time_unit : str
+    time_unit, name : str
 
     Raises
     ------
@@ -103,6 +109,7 @@ class TimeVaryingPlant(Record):
     time_unit: str = field(default="s", kw_only=True)
     states: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     outputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    disturbances: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -111,9 +118,8 @@ class TimeVaryingPlant(Record):
         n = len(_checks.matrix("A(0)", self.A(0.0)))
         _checks.matrix("A(0)", self.A(0.0), n, n)
         p = len(_checks.matrix("C(0)", self.C(0.0), None, n))
-        if self.G is not None:
-            _checks.matrix("G(0)", self.G(0.0), n, None)
-        for key, size, prefix in (("states", n, "x"), ("outputs", p, "y")):
+        q = 0 if self.G is None else _checks.matrix("G(0)", self.G(0.0), n, None).shape[1]
+        for key, size, prefix in (("states", n, "x"), ("outputs", p, "y"), ("disturbances", q, "w")):
             given = getattr(self, key)
             given = Signals(_checks.names(key, None, size, prefix)) if given is None else given
             if len(given) != size:
@@ -141,67 +147,30 @@ class TimeVaryingPlant(Record):
             stack = _checks.floats(key, value)
             if stack.ndim != 3 or len(stack) != grid.size or not np.isfinite(stack).all():
                 raise ArgumentError(f"`{key}` must hold one finite matrix for each of the {grid.size} times.")
-            tables[key] = _Table(grid, stack)
+            tables[key] = MatrixTable(grid, stack)
         return cls(tables["A"], tables["C"], tables.get("G"), horizon=float(grid[-1]), **details)  # type: ignore[arg-type]
-
-    @classmethod
-    def along(
-        cls, plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: npt.ArrayLike = ()
-    ) -> TimeVaryingPlant:
-        """Return the small deviations from a nonlinear plant's trajectory from `start`, with constant u and w = 0.
-
-        Raises
-        ------
-        ArgumentError
-            If a size differs.
-        SolverError
-            If the trajectory cannot be followed.
-        """
-        x0 = _checks.vector("start", start, plant.n_states)
-        control = _checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
-        end, scale = _checks.positive("horizon", horizon), plant.states.scales
-        still = np.zeros(plant.n_disturbances)
-
-        spent = _Spent()
-
-        def rate(t: float, z: Array) -> Array:
-            spent.one_more(t)
-            return np.array(plant.rate_casadi(z * scale, control, still, t)).ravel() / scale
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the status says the same
-            path = solve_ivp(
-                rate, (0.0, end), x0 / scale, "LSODA", dense_output=True, rtol=TOLERANCE / 100, atol=TOLERANCE / 100
-            )
-        if not path.success:
-            raise SolverError("the nominal trajectory cannot be followed to the horizon.", status="integration failed")
-        ca = casadi()
-        x, t = ca.SX.sym("x", plant.n_states), ca.SX.sym("t")
-        w, v = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("v", plant.n_noises)
-        f, h = plant.rate_casadi(x, control, w, t), plant.shown_casadi(x, control, v, t)
-        slopes = [
-            ca.Function("slope", [x, t], [ca.densify(ca.substitute(ca.jacobian(y, by), z, ca.SX.zeros(z.numel())))])
-            for y, by, z in ((f, x, w), (h, x, v), (f, w, w))
-        ]
-
-        def at(which: int) -> MatrixOfTime:
-            return lambda t: np.array(slopes[which](path.sol(t) * scale, t))
-
-        return cls(
-            at(0),
-            at(1),
-            at(2) if plant.n_disturbances else None,
-            horizon=end,
-            time_unit=plant.time_unit,
-            states=plant.states,
-            outputs=plant.outputs,
-            name=plant.name,
-        )
 
     @cached_property
     def n_states(self) -> int:
         """Number of states."""
         return len(self.states)
+
+    @property
+    def tabled(self) -> bool:
+        """Whether it is a table, straight in between, of which more can be proven than of functions."""
+        return isinstance(self.A, MatrixTable)
+
+    @property
+    def has_scales(self) -> bool:
+        """Whether states or outputs have scales other than 1."""
+        return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
+
+    def at(self, t: float) -> Plant:
+        """The plant that stands still as this one is at time t: names, units and sizes, and no motion."""
+        A, C = (np.asarray(part(t), dtype=float) for part in (self.A, self.C))
+        G = np.zeros((self.n_states, 0)) if self.G is None else np.asarray(self.G(t), dtype=float)
+        return Plant(A, C, G=G, time_unit=self.time_unit, states=self.states, outputs=self.outputs,
+                     disturbances=self.disturbances, name=self.name)  # fmt: skip
 
     def motion(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> TransitionTable:
         """Return the transitions between increasing times in [0, horizon].
@@ -221,24 +190,33 @@ class TimeVaryingPlant(Record):
 
         Notes
         -----
-        *Method.* Phi' = A Phi and W' = A W + W A' + G S G' by LSODA to 1e-9, and once more to 1e-11: `error` is how far
-        they differ. That is an estimate, no proof.
+        *Claim.* Of a table `errors` are proven, truncation and rounding counted; of functions they are an estimate.
+        *Method.* Phi' = A Phi and W' = A W + W A' + G S G': of tables by Taylor series on each straight piece, of
+        functions by LSODA to 1e-9, and once more to 1e-11.
         """
         grid = _checks.increasing("times", times)
         if grid[0] < 0 or grid[-1] > self.horizon * (1 + 1e-12):
             raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}].")
         spread = None if w_spread is None or self.G is None else _checks.vector("w_spread", w_spread, None) ** 2
-        coarse, fine = (self._flown(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
         n, unit = self.n_states, self.states.scales
-        error = float(np.abs(fine[:, :n] - coarse[:, :n]).max(initial=0.0))
-        shown = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()])
-        return TransitionTable(fine[:, :n], fine[:, n:], shown * unit / self.outputs.scales[:, None], error)
+        shown = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit
+        shown = shown / self.outputs.scales[:, None]
+        if isinstance(self.A, MatrixTable):
+            own = self.A.in_units(unit, unit)
+            driven = self.G.in_units(unit, np.ones(len(self.disturbances))) if isinstance(self.G, MatrixTable) else None
+            gaps = zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True)
+            found = [table_flow(own, None if spread is None else driven, spread, a, b) for a, b in gaps]
+            F, W = (np.array([part[k] for part in found]).reshape(-1, n, n) for k in (0, 1))
+            return TransitionTable(F, W, shown, np.array([part[2] for part in found]), True)
+        coarse, fine = (self._flown(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
+        errors = np.linalg.norm(fine[:, :n] - coarse[:, :n], ord=2, axis=(1, 2))
+        return TransitionTable(fine[:, :n], fine[:, n:], shown, errors, False)
 
     def _flown(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
 
-        spent = _Spent()
+        spent = Spent()
 
         def rate(t: float, flat: Array) -> Array:
             spent.one_more(t)
@@ -281,16 +259,3 @@ class TimeVaryingPlant(Record):
         name = self.name or "A plant that varies in time"
         sizes = f"{counted(self.n_states, 'state')}, {counted(len(self.outputs), 'output')}"
         return f"{name}: {sizes}, over {short(self.horizon)} {self.time_unit}."
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Matrices at times, straight in between."""
-
-    times: Array
-    stack: Array
-
-    def __call__(self, t: float) -> Array:
-        k = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.times.size - 2))
-        share = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
-        return np.asarray((1 - share) * self.stack[k] + share * self.stack[k + 1])

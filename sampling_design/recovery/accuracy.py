@@ -15,9 +15,10 @@ from sampling_design._record import Gridded, Plain, Variable, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.time_varying import TimeVaryingPlant
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, accuracy_over_box, one_plant, refuse_others
-from sampling_design.recovery.atoms import Atoms
+from sampling_design.recovery.accuracy_varying import AccuracyAlong, accuracy_along, finite_or_none
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.recovery.profile import AccuracyProfile, GapProof
@@ -262,18 +263,18 @@ class Accuracy(Gridded):
             },
             "time_unit": self.plant.time_unit,
             "schedule": self.schedule.to_dict(),
-            "lower": _finite(self.lower),
-            "upper": _finite(self.upper),
+            "lower": finite_or_none(self.lower),
+            "upper": finite_or_none(self.upper),
             "unknown": list(self.unknown),
             "worst": self.worst.tolist(),
             "offset": self.offset.tolist(),
-            "known_from": _finite(self.known_from),
+            "known_from": finite_or_none(self.known_from),
             "closed": self.closed.tolist(),
-            "at_samples": [_finite(row) for row in self.at_samples],
+            "at_samples": [finite_or_none(row) for row in self.at_samples],
             "profile": {
                 "edges": self.profile.edges.tolist(),
-                "lower": [_finite(row) for row in self.profile.lower],
-                "upper": [_finite(row) for row in self.profile.upper],
+                "lower": [finite_or_none(row) for row in self.profile.lower],
+                "upper": [finite_or_none(row) for row in self.profile.upper],
             },
             "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
         }
@@ -304,15 +305,23 @@ def accuracy(
     v_bound: Bound = None,
     of: Wanted = None,
     rtol: float | None = None,
+) -> AccuracyOverBox: ...
+@overload
+def accuracy(
+    plant: TimeVaryingPlant,
+    schedule: Schedule,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    rtol: float | None = None,
     initial_error: InitialError = None,
     start: float | None = None,
     end: float | None = None,
-    w_intensity: Intensity = None,
-    v_deviation: Intensity = None,
-) -> AccuracyOverBox: ...
+) -> AccuracyAlong: ...
 @door
 def accuracy(
-    plant: Plant | UncertainPlant,
+    plant: Plant | UncertainPlant | TimeVaryingPlant,
     schedule: Schedule | PeriodicSchedule,
     *,
     w_bound: Bound = None,
@@ -324,7 +333,7 @@ def accuracy(
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-) -> Accuracy | AccuracyOverBox:
+) -> Accuracy | AccuracyOverBox | AccuracyAlong:
     """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
 
         rho(c; t) = min over gains of  h(rest) + int h_W(G'g(s)) ds + sum h_V(lambda_j)
@@ -332,8 +341,9 @@ def accuracy(
 
     Parameters
     ----------
-    plant : Plant or UncertainPlant
-        With constant parameters in a box: the worst of its plants, each with an estimator that knows it.
+    plant : Plant, UncertainPlant or TimeVaryingPlant
+        With constant parameters in a box: the worst of its plants, each with an estimator that knows it. One that
+        varies in time: a finite schedule within its horizon, bounds on each entry, five times of each gap looked at.
     schedule : PeriodicSchedule or Schedule
         Periodic: without end, and so long under way that its start no longer matters. Finite: from `start` to `end`.
     w_bound : float, (q,) array or mapping
@@ -357,7 +367,7 @@ def accuracy(
 
     Returns
     -------
-    Accuracy, or AccuracyOverBox
+    Accuracy, AccuracyOverBox or AccuracyAlong
         With `verify()`, which recomputes both sides without a solver.
 
     Raises
@@ -395,12 +405,15 @@ def accuracy(
     True
     """
     if isinstance(plant, UncertainPlant):
-        refuse_others(initial_error=initial_error, start=start, end=end)
-        refuse_others(w_intensity=w_intensity, v_deviation=v_deviation)
+        others = {"initial_error": initial_error, "start": start, "end": end, "w_intensity": w_intensity}
+        refuse_others("over a box of parameters", **others, v_deviation=v_deviation)
         aligned, share = meet(plant.nominal, schedule), _checks.positive("rtol", OVER_BOX if rtol is None else rtol)
         return accuracy_over_box(plant, aligned, w_bound, v_bound, of, share, one_plant(accuracy, aligned))
-    schedule = meet(plant, schedule)
     tolerance = _checks.positive("rtol", RTOL if rtol is None else rtol)
+    if isinstance(plant, TimeVaryingPlant):
+        refuse_others("of a plant that varies", w_intensity=w_intensity, v_deviation=v_deviation)
+        return accuracy_along(plant, schedule, w_bound, v_bound, of, tolerance, initial_error, (start, end))
+    schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
     if isinstance(schedule, PeriodicSchedule):
         given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
@@ -468,7 +481,7 @@ def _record(
         late = open_ends[-1] + 1 if open_ends.size else 0
         known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf
     if finder is not None:
-        proof = tuple(_proof(j, atoms) for j, atoms in enumerate(finder.atoms))
+        proof = tuple(GapProof(j, freeze(a.mu), tuple(g.gains for g in a.gains)) for j, a in enumerate(finder.atoms))
     return Accuracy(
         question=question,
         rows=rows,
@@ -484,12 +497,3 @@ def _record(
         unknown=known.modes if plain else left_open(question, finder, upper),
         proof=proof,
     )
-
-
-def _finite(values: Array) -> list[float | None]:
-    """Plain numbers; what is infinite becomes None."""
-    return [float(x) if np.isfinite(x) else None for x in values]
-
-
-def _proof(j: int, atoms: Atoms) -> GapProof:
-    return GapProof(j, freeze(atoms.mu), tuple(gains.gains for gains in atoms.gains))

@@ -264,8 +264,8 @@ def _entries(name: str, value: Bound, count: int) -> Array:
     )
 
 
-def refuse_others(**others: object) -> None:
-    """Raise if something is given that has no meaning over a box.
+def refuse_others(where: str, **others: object) -> None:
+    """Raise if something is given that has no meaning there.
 
     Raises
     ------
@@ -274,7 +274,7 @@ def refuse_others(**others: object) -> None:
     """
     for name, value in others.items():
         if value is not None:
-            raise ArgumentError(f"`{name}` must be left out for accuracy over a box of parameters.")
+            raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
 
 
 class Bracketed(Protocol):

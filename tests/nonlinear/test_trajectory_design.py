@@ -12,8 +12,9 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.time_varying import TimeVaryingPlant
+from sampling_design.nonlinear.time_varying import plant_along
 from sampling_design.nonlinear.trajectory_design import design_along
+from sampling_design.plants.time_varying import TimeVaryingPlant
 
 A, C, G = np.array([[0.1, 1.0], [-2.0, -0.3]]), np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])
 FIXED = TimeVaryingPlant(lambda t: A, lambda t: C, lambda t: G, horizon=3.0)
@@ -46,7 +47,7 @@ def test_tables_run_straight_and_units_change_no_transition():
 
 def test_along_a_linear_plant_it_is_the_plant_itself():
     linear = from_linear(sd.Plant(A, C, G=G))
-    along = TimeVaryingPlant.along(linear, [1.0, -1.0], 3.0)
+    along = plant_along(linear, [1.0, -1.0], 3.0)
     np.testing.assert_allclose(along.motion(TIMES, [0.5]).F, FIXED.motion(TIMES, [0.5]).F, rtol=1e-8)
     np.testing.assert_allclose(along.motion(TIMES, [0.5]).W, FIXED.motion(TIMES, [0.5]).W, rtol=1e-8)
     assert "2 states, 1 output, over 3 s" in along.explain()
@@ -88,7 +89,7 @@ def orbit(eccentricity):
     sizes = {"states": 4, "outputs": 1}
     plant = NonlinearPlant(pull, lambda x, u, v: [casadi.atan2(x[1], x[0]) + v[0]], sizes, name="orbit")
     e = eccentricity
-    return TimeVaryingPlant.along(plant, [1 - e, 0.0, 0.0, np.sqrt((1 + e) / (1 - e))], 2 * np.pi)
+    return plant_along(plant, [1 - e, 0.0, 0.0, np.sqrt((1 + e) / (1 - e))], 2 * np.pi)
 
 
 def test_bearings_of_an_orbit_are_taken_near_its_ends():
@@ -139,11 +140,12 @@ def test_bad_arguments_are_refused():
 
 
 def test_an_integrator_that_gives_up_is_named(monkeypatch):
-    monkeypatch.setattr(
-        "sampling_design.nonlinear.time_varying.solve_ivp", lambda *args, **options: SimpleNamespace(success=False)
-    )
+    for room in ("nonlinear", "plants"):
+        monkeypatch.setattr(
+            f"sampling_design.{room}.time_varying.solve_ivp", lambda *args, **options: SimpleNamespace(success=False)
+        )
     with pytest.raises(SolverError, match=r"the transition over \[0, 1.5\] fails"):
         FIXED.motion([0.0, 1.5])
     still = NonlinearPlant(lambda x, u, w: [0.0 * x[0]], lambda x, u, v: [x[0]], {"states": 1, "outputs": 1})
     with pytest.raises(SolverError, match="the nominal trajectory cannot be followed"):
-        TimeVaryingPlant.along(still, [1.0], 2.0)
+        plant_along(still, [1.0], 2.0)

@@ -18,9 +18,11 @@ from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
+from sampling_design.observability.windows.bracket_varying import bracket_varying
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.observability.windows.window_sigma_over_box import WindowSigmaOverBox, window_sigma_over_box
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.time_varying import TimeVaryingPlant
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -117,8 +119,8 @@ class WindowSigma(SigmaBracket, Table, Gridded):
     closed : bool
         Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
     status : str
-        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding" or
-        "no states".
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "no states", or
+        "sampled" where the plant varies in time by functions: `lower` is 0 then, and nothing is proven.
     window : float
     profile : WindowProfile
     scaled : WindowSigma or None
@@ -221,13 +223,18 @@ class WindowSigma(SigmaBracket, Table, Gridded):
             state = short(self.witness.direction)
             return f"{where}; it does not see the state {state}: sigma is zero to rounding.{hidden}"
         length = f"{short(self.window)} {self.time_unit}"
+        if self.status == "sampled":
+            return (
+                f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
+                f"proven, as A is a function of time and no table. {where}."
+            )
         proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
 
 @overload
 def window_sigma(
-    plant: Plant,
+    plant: Plant | TimeVaryingPlant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
@@ -249,7 +256,7 @@ def window_sigma(
 ) -> WindowSigmaOverBox: ...
 @door
 def window_sigma(
-    plant: Plant | UncertainPlant,
+    plant: Plant | UncertainPlant | TimeVaryingPlant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
@@ -264,15 +271,16 @@ def window_sigma(
 
     Parameters
     ----------
-    plant : Plant or UncertainPlant
-        With constant parameters in a box: the least sigma over every plant of the box too.
+    plant : Plant, UncertainPlant or TimeVaryingPlant
+        With constant parameters in a box: the least sigma over every plant of the box too. One that varies in time: a
+        finite schedule within its horizon, rows C(tau) Phi(tau, t - T); proven of a table, not of functions.
     schedule : Schedule or PeriodicSchedule
         A finite schedule is judged from the window that begins with its first sample (or at `start`) to the one that
         ends with its last; an endless one in its rhythm, over one period of t.
     window : float [plant.time_unit]
         Length T > 0.
     rtol : float
-        The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.001, over a box 0.01.
+        The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.001, over a box or in varying time 0.01.
     budget : float, optional [seconds]
         When it runs out, the bounds so far are returned with closed = False.
     progress : callable, optional
@@ -326,14 +334,13 @@ def window_sigma(
     >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
     0.0
     """
+    if isinstance(plant, TimeVaryingPlant):
+        return _varying(plant, schedule, window, rtol, budget, rigorous, start)
     if not isinstance(plant, (Plant, UncertainPlant)):
         raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    box = isinstance(plant, UncertainPlant)
     aligned = meet(plant.nominal if isinstance(plant, UncertainPlant) else plant, schedule)
     length = _checks.positive("window", window)
-    tolerance = _checks.positive("rtol", (OVER_BOX if box else RTOL) if rtol is None else rtol)
-    if tolerance >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    tolerance = _tolerance(rtol, OVER_BOX if isinstance(plant, UncertainPlant) else RTOL)
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
     if isinstance(plant, UncertainPlant):
@@ -346,13 +353,49 @@ def window_sigma(
     scaled = None
     for part in reversed(parts):
         found = bracket_sigma(part, pieces, tolerance, seconds / len(parts), progress)
-        result = _record(found, length, tolerance, part, scaled)
+        result = _record(found, length, tolerance, part.time_unit, scaled)
         if rigorous:
             result = _in_balls(result, part, aligned, pieces, seconds / len(parts))
         elif _hidden(found) and find_spec("flint") is not None:
             result = _in_balls(result, part, aligned, pieces, min(seconds, HANDED_OVER) / len(parts))
         scaled = result
     return result
+
+
+def _tolerance(rtol: float | None, default: float) -> float:
+    tolerance = _checks.positive("rtol", default if rtol is None else rtol)
+    if tolerance >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    return tolerance
+
+
+def _varying(
+    plant: TimeVaryingPlant, schedule: object, window: float, rtol: float | None, budget: float | None,
+    rigorous: bool, start: float | None,
+) -> WindowSigma:  # fmt: skip
+    """The same of a plant that varies in time."""
+    if rigorous:
+        raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")
+    if not isinstance(schedule, Schedule):
+        raise ArgumentError(
+            f"`schedule` must be a Schedule within the plant's horizon, got {_checks.described(schedule)}."
+        )
+    aligned = meet(plant.at(0.0), schedule)
+    outside = [t for t in aligned.times.tolist() if not 0 <= t <= plant.horizon]
+    if outside:
+        raise ArgumentError(
+            f"`schedule` must lie within the plant's horizon [0, {plant.horizon:.6g}], got a sample at {outside[0]!r}."
+        )
+    length, tolerance = _checks.positive("window", window), _tolerance(rtol, OVER_BOX)
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
+    kinds = (True, False) if plant.has_scales else (False,)
+    found: WindowSigma | None = None
+    for scaled in kinds:
+        bracket = bracket_varying(plant, pieces, scaled, tolerance, seconds / len(kinds))
+        found = _record(bracket, length, tolerance, plant.time_unit, found)
+    assert found is not None
+    return found
 
 
 def _hidden(found: Bracket) -> bool:
@@ -380,7 +423,7 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
 
 
-def _record(found: Bracket, window: float, rtol: float, plant: Plant, scaled: WindowSigma | None) -> WindowSigma:
+def _record(found: Bracket, window: float, rtol: float, time_unit: str, scaled: WindowSigma | None) -> WindowSigma:
     """The public record: window starts become window ends."""
     witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)
     left, right = found.pieces.left + window, found.pieces.right + window
@@ -389,11 +432,11 @@ def _record(found: Bracket, window: float, rtol: float, plant: Plant, scaled: Wi
         found.lower,
         found.upper,
         witness,
-        found.status not in ("budget", "rounding"),
+        found.status not in ("budget", "rounding", "sampled"),
         found.status,
         window,
         rtol,
         profile,
         scaled=scaled,
-        time_unit=plant.time_unit,
+        time_unit=time_unit,
     )

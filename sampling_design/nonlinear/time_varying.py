@@ -1,0 +1,69 @@
+"""Linear plants that vary in time along a nonlinear plant's trajectory."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_ivp
+
+from sampling_design import _checks
+from sampling_design.errors import SolverError
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.plants.time_varying import TOLERANCE, MatrixOfTime, Spent, TimeVaryingPlant
+
+Array = npt.NDArray[np.float64]
+
+
+def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: npt.ArrayLike = ()) -> TimeVaryingPlant:
+    """Return the small deviations from a nonlinear plant's trajectory from `start`, with constant u and w = 0.
+
+    Raises
+    ------
+    ArgumentError
+        If a size differs.
+    SolverError
+        If the trajectory cannot be followed.
+    """
+    x0 = _checks.vector("start", start, plant.n_states)
+    control = _checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
+    end, scale = _checks.positive("horizon", horizon), plant.states.scales
+    still = np.zeros(plant.n_disturbances)
+
+    spent = Spent()
+
+    def rate(t: float, z: Array) -> Array:
+        spent.one_more(t)
+        return np.array(plant.rate_casadi(z * scale, control, still, t)).ravel() / scale
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the status says the same
+        path = solve_ivp(
+            rate, (0.0, end), x0 / scale, "LSODA", dense_output=True, rtol=TOLERANCE / 100, atol=TOLERANCE / 100
+        )
+    if not path.success:
+        raise SolverError("the nominal trajectory cannot be followed to the horizon.", status="integration failed")
+    ca = casadi()
+    x, t = ca.SX.sym("x", plant.n_states), ca.SX.sym("t")
+    w, v = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("v", plant.n_noises)
+    f, h = plant.rate_casadi(x, control, w, t), plant.shown_casadi(x, control, v, t)
+    slopes = [
+        ca.Function("slope", [x, t], [ca.densify(ca.substitute(ca.jacobian(y, by), z, ca.SX.zeros(z.numel())))])
+        for y, by, z in ((f, x, w), (h, x, v), (f, w, w))
+    ]
+
+    def at(which: int) -> MatrixOfTime:
+        return lambda t: np.array(slopes[which](path.sol(t) * scale, t))
+
+    return TimeVaryingPlant(
+        at(0),
+        at(1),
+        at(2) if plant.n_disturbances else None,
+        horizon=end,
+        time_unit=plant.time_unit,
+        states=plant.states,
+        outputs=plant.outputs,
+        name=plant.name,
+    )

@@ -92,7 +92,7 @@ def test_bad_arguments_are_refused(monkeypatch):
         sd.accuracy(STILL, sd.Schedule([0.0, 6.0]), **given)
     with pytest.raises(ArgumentError, match="`of` must name states, or be rows of a matrix"):
         sd.accuracy(STILL, SAMPLES, of="y1", **given)
-    with pytest.raises(ArgumentError, match="`initial_error` must hold one number for each entry here"):
+    with pytest.raises(ArgumentError, match="must hold one number for each entry here, not one bound on the norm"):
         sd.accuracy(STILL, SAMPLES, initial_error=1.0, **given)
     with pytest.raises(ArgumentError, match="`w_intensity` must be left out for accuracy of a plant that varies"):
         sd.accuracy(STILL, SAMPLES, w_intensity=1.0, **given)

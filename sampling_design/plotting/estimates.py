@@ -13,6 +13,7 @@ from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
 from sampling_design.estimators.online.tube import Tube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
+from sampling_design.plotting.readings import mark_readings
 
 
 def draw_estimates(
@@ -101,7 +102,7 @@ def _panel(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements 
     if failed.any():
         ax.plot(t[failed], x[failed], "x", color=style.FAILED, label="failed")
     if measurements is not None:
-        _readings(ax, record, i, measurements)
+        mark_readings(ax, record.plant, i, measurements)
     ax.set_ylabel(record.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
     _clock(ax, record, measurements)
@@ -113,17 +114,3 @@ def _clock(ax: Axes, record: EstimateRecord | EstimateEnvelope, measurements: Me
     unit = record.plant.time_unit
     ax.set_xlabel(style.time_label(unit))
     style.dates(ax, unit, (measurements.origin or None) if measurements is not None else None)
-
-
-def _readings(ax: Axes, record: EstimateRecord, i: int, measurements: Measurements) -> None:
-    """Marks where an output reads this state alone, rescaled to it; else ticks at the sample times."""
-    C = record.plant.C
-    reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]
-    drawn = measurements.measured.any(axis=1)
-    if reads:
-        y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
-        t = np.tile(measurements.times, len(reads))
-        ax.plot(t, y, ".", color=style.MEASURED, markersize=5, label="measured")
-        return
-    place = ax.get_xaxis_transform()
-    ax.vlines(measurements.times[drawn], 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.certificates.compare.robustness import Losses, TimingTrial
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.plotting import style
+from sampling_design.recovery.readings import Told
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -283,3 +284,62 @@ def test_a_wide_start_does_not_rule_the_axis_of_estimates():
     wide, later = estimates.ellipsoid_radii[0, 0], estimates.ellipsoid_radii[len(estimates.times) // 2 :, 0].max()
     assert high - low < wide
     assert high >= later
+
+
+def test_measurements_show_numbers_limits_and_means():
+    said = [(), (Told(0, -np.inf, 0.1),), (Told(0, 0.6, np.inf),), (Told(0, -0.5, -0.5, since=1.0),)]
+    y = [[0.9], [np.nan], [np.nan], [np.nan]]
+    (ax,) = sd.Measurements(OSCILLATOR, [0.0, 1.0, 2.0, 3.0], y, origin="2026-03-02T00:00:00+00:00", told=said).plot()
+    marks = [(line.get_marker(), line.get_xdata()[0], line.get_ydata()[0]) for line in ax.lines[1:]]
+    assert marks == [("v", 1.0, 0.1), ("^", 2.0, 0.6), ("_", 3.0, -0.5)]
+    assert [s.tolist() for s in ax.collections[0].get_segments()] == [[[1.0, -0.5], [3.0, -0.5]]]
+    both = sd.Plant(OSCILLATOR.A, np.eye(2), outputs=["a", "b"])
+    two = sd.Measurements(both, [0.0, 1.0], [[1.0, np.nan], [2.0, 3.0]])
+    assert [ax.get_ylabel() for ax in two.plot()] == ["a", "b"]
+    own = style.new_axes()
+    assert two.plot(own) is own
+
+
+def test_a_simulated_record_shows_the_truth_and_what_was_read_of_it():
+    record = sd.simulate_record(OSCILLATOR, SCHEDULE, 8.0)
+    first, second = record.plot()
+    assert first.lines[0].get_ydata() == pytest.approx(record.states[:, 0])
+    assert first.lines[1].get_ydata() == pytest.approx(record.measurements.y[:, 0])
+    assert len(second.collections[0].get_segments()) == len(record.measurements)
+    own = style.new_axes()
+    assert record.plot(own) is own
+
+
+def test_a_counterexample_is_zero_wherever_a_sample_is_taken():
+    turn = sd.Plant([[0.0, 3.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    for plant, gaps in ((OSCILLATOR, (3.0, 3.3)), (turn, (1.0, 1.1))):
+        with pytest.raises(CertificateError, match="no certificate with rate") as refused:
+            sd.certify(plant, sd.GapRange(*gaps), eta=0.1)
+        found = refused.value.details["counterexample"]
+        *curves, samples = found.plot().lines
+        for curve in curves:
+            assert np.interp(samples.get_xdata(), *curve.get_data()) == pytest.approx(0.0, abs=1e-3)
+        assert max(np.abs(curve.get_ydata()).max() for curve in curves) == pytest.approx(1.0)
+
+
+def test_a_split_has_its_line_between_what_is_kept_and_what_fades():
+    plant = sd.Plant(np.diag([-2.0, -0.1, -0.1]), np.eye(3))
+    kept, rest, line, _ = sd.split_modes(plant, 1.0).plot().lines
+    assert line.get_xdata()[0] == -0.5
+    assert (kept.get_xdata() > -0.5).all()
+    assert (rest.get_xdata() < -0.5).all()
+    assert [text.get_text() for text in line.axes.texts] == ["2"]  # a double eigenvalue is one point
+
+
+def test_a_smoothed_window_shows_its_deviations():
+    cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
+    scheme = sd.NonlinearMovingHorizonEstimator(sd.from_linear(OSCILLATOR), horizon=5.0, cost=cost)
+    scheme.run([(0.7, [0.3], None), (2.3, [-0.5], None)])
+    window = scheme.smoothed()
+    first, second = window.plot()
+    assert second.lines[0].get_ydata() == pytest.approx(window.x[:, 1])
+    band = first.collections[0].get_paths()[0].vertices[:, 1]
+    assert band.max() == pytest.approx((window.x[:, 0] + window.deviation[:, 0]).max())
+    assert len(first.collections[1].get_segments()) == 2
+    own = style.new_axes()
+    assert window.plot(own) is own

@@ -1,0 +1,67 @@
+"""Modes: which are kept and which fade by themselves; and a motion that no sample of a schedule shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sampling_design._linalg import expm_batch
+from sampling_design.certificates.existence.counterexample import Counterexample
+from sampling_design.plants.modes import ModalSplit
+from sampling_design.plotting import style
+
+POINTS = 600
+"""Points of a curve over the periods that are drawn."""
+PERIODS, LEAST_SAMPLES = 2, 4
+"""Periods that are drawn, more where they hold fewer samples than these."""
+
+
+def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:
+    """Draw the eigenvalues: right of the line they must be observed, left of it they fade by themselves."""
+    ax = style.new_axes(ax, width=6.0, height=3.4)
+    kept = [c for c in split.clusters if c in split.retained_clusters]
+    rest = [c for c in split.clusters if c not in split.retained_clusters]
+    for clusters, colour, mark, label in (
+        (kept, style.MEASURED, "o", "to be observed"),
+        (rest, style.ALLOWED, "x", "fades by itself"),
+    ):
+        if clusters:
+            values = np.array([c.value for c in clusters])
+            ax.plot(values.real, values.imag, mark, color=colour, label=label)
+            for c in clusters:
+                if c.multiplicity > 1:
+                    ax.annotate(f"{c.multiplicity}", (c.value.real, c.value.imag), (4, 4), textcoords="offset points")
+    ax.axvline(0.0 - split.decay_rate / 2, color=style.ALLOWED, linewidth=0.8, linestyle=":")
+    ax.axhline(0.0, color=style.ALLOWED, linewidth=0.4)
+    ax.margins(0.12)
+    unit = split.plant.time_unit
+    ax.set_xlabel(f"growth [1/{unit}]")
+    ax.set_ylabel(f"frequency [rad/{unit}]")
+    style.legend(ax)
+    return ax
+
+
+def draw_counterexample(found: Counterexample, ax: Axes | None = None) -> Axes:
+    """Draw the outputs while the state moves along the direction that no sample sees: zero wherever one is taken."""
+    ax = style.new_axes(ax)
+    schedule, C = found.schedule, found.plant.C
+    rounds = max(PERIODS, -(-LEAST_SAMPLES // len(schedule)))
+    end = rounds * schedule.period
+    t = np.linspace(0.0, end, POINTS)
+    curves = np.einsum("pn,tnm,m->tp", C, expm_batch(found.plant.A, t), np.array(found.direction))
+    with np.errstate(over="ignore"):
+        turn = np.exp(-0.5j * np.angle(np.sum(curves**2)))  # the phase in which the motion is seen best
+    shown = np.real(turn * curves) / found.plant.outputs.scales
+    size = float(np.abs(shown).max()) or 1.0
+    names = found.plant.outputs.names
+    colours = (style.TRUTH, style.ATTAINED, style.PROVEN, style.ALLOWED)
+    for i, name in enumerate(names):
+        colour = colours[i % len(colours)]
+        ax.plot(t, shown[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unseen state")
+    taken = np.concatenate([np.cumsum(schedule.gaps) + k * schedule.period for k in range(rounds)])
+    ax.plot(taken, np.zeros_like(taken), "o", color=style.MEASURED, markersize=5, label="samples", zorder=3)
+    ax.set_ylabel("outputs, largest 1")
+    ax.set_xlabel(style.time_label(found.plant.time_unit))
+    ax.margins(x=0.02)
+    style.legend(ax, 3)
+    return ax

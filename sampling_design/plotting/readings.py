@@ -1,0 +1,85 @@
+"""What was measured, and beside it the truth where it was simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.plants.plant import Plant
+from sampling_design.plotting import style
+from sampling_design.validation.scenario import SimulatedRecord
+
+
+def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw one panel per output: numbers as points, limits as triangles that point to the truth, means as bars.
+
+    With `ax` only the first output is drawn. Where the record has an origin the axis has dates.
+    """
+    labels = record.plant.outputs.labels()
+    if ax is not None:
+        return _panel(ax, record, 0, labels[0])
+    _, axes = style.new_figure(len(labels), row_height=1.7 if len(labels) > 1 else 2.6)
+    for i, panel in enumerate(axes):
+        _panel(panel, record, i, labels[i])
+    for panel in axes[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+    return axes
+
+
+def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
+    t = record.times
+    ax.plot(t, record.y[:, i], ".", color=style.MEASURED, markersize=6, label="measured")
+    for time, row in zip(t.tolist(), record.told, strict=True):
+        for each in (each for each in row if each.output == i):
+            at = each.lower if np.isfinite(each.lower) else each.upper
+            mark = "_" if np.isfinite([each.lower, each.upper]).all() else "^" if np.isfinite(each.lower) else "v"
+            ax.plot([time], [at], mark, color=style.MEASURED, markersize=6)
+            if each.since is not None:
+                ax.hlines(at, each.since, time, color=style.MEASURED, linewidth=1.2)
+    ax.set_ylabel(label, fontsize="small")
+    ax.margins(x=0.02)
+    ax.set_xlabel(style.time_label(record.plant.time_unit))
+    style.dates(ax, record.plant.time_unit, record.origin or None)
+    return ax
+
+
+def draw_simulated(record: SimulatedRecord, ax: Axes | None = None) -> Axes | style.Panels:
+    """Draw one panel per state: the truth, and the measurements of an output that reads this state alone.
+
+    Ticks at the bottom mark the samples of a state that no output reads alone. With `ax` only the first state is drawn.
+    """
+    plant = record.measurements.plant
+    assert isinstance(plant, Plant)  # simulated from one
+    labels = plant.states.labels()
+    figure, axes = style.new_figure(len(labels) if ax is None else 1, row_height=1.7 if len(labels) > 1 else 2.6)
+    panels = list(axes) if ax is None else [ax]
+    for i, panel in enumerate(panels):
+        panel.plot(record.times, record.states[:, i], color=style.TRUTH, linewidth=0.9, label="truth")
+        mark_readings(panel, plant, i, record.measurements)
+        panel.set_ylabel(labels[i], fontsize="small")
+        panel.margins(x=0.01)
+        panel.set_xlabel(style.time_label(plant.time_unit))
+    for panel in panels[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+    if ax is not None:
+        return ax
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper right", ncols=2, fontsize="small", frameon=False)
+    return axes
+
+
+def mark_readings(ax: Axes, plant: Plant, i: int, measurements: Measurements) -> None:
+    """Mark what was read where an output reads state i alone, rescaled to it; else ticks at the sample times."""
+    C = plant.C
+    reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]
+    drawn = measurements.measured.any(axis=1)
+    if reads:
+        y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
+        t = np.tile(measurements.times, len(reads))
+        ax.plot(t, y, ".", color=style.MEASURED, markersize=5, label="measured")
+        return
+    place = ax.get_xaxis_transform()
+    ax.vlines(measurements.times[drawn], 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)

@@ -71,6 +71,7 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
     cases = [
         ({**data, "reached": [x * 0.9 for x in data["reached"]]}, "where the schedule gives"),
         ({**data, "cost": data["cost"] - 1}, "where the schedule gives"),
+        ({**data, "cost": data["cost"] + 1}, "where the schedule gives"),
         ({**data, "schedule": {**data["schedule"], "times": [0.0] * len(data["schedule"]["times"])}}, "cannot be used"),
         ({**data, "attacks": [{**a, "knots": [1]} for a in data["attacks"]]}, "that do not fit together"),
         ({**data, "no_cheaper_than": {**data["no_cheaper_than"], "tree": []}}, "has a tree that is cut off"),
@@ -81,7 +82,9 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
         path.write_text(json.dumps(changed))
         with pytest.raises(FileFormatError, match=words):
             sd.load_plan(path)
-    path.write_text(json.dumps({**data, "reached": [x * 1.1 for x in data["reached"]], "ratio": data["ratio"] * 1.1}))
+    path.write_text(
+        json.dumps({**data, "reached": [data["reached"][0] * 1.1, *data["reached"][1:]], "ratio": data["ratio"] * 1.1})
+    )
     np.testing.assert_array_equal(sd.load_plan(path).reached, back.reached)  # what is proven by now, and it is less
     finite = {key: value for key, value in data["schedule"].items() if key not in ("period", "kind")}
     path.write_text(json.dumps({**data, "schedule": finite}))

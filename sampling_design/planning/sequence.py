@@ -15,7 +15,7 @@ from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.oracle import LOOKS, Oracle
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import Goal
-from sampling_design.planning.spread_sequence import SampleSequence, SpreadSequence, asked
+from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.question import Question
@@ -35,7 +35,7 @@ def looks_back(plan: Plan) -> int:
     if plan.accuracy is not None:
         parts += [len(given) for part in plan.accuracy.proof for given in part.gains]
     if plan.deviation is not None:
-        parts.append(SpreadSequence(plan).back)
+        parts.append(spread_of(plan).back)
     return max(parts)
 
 
@@ -45,7 +45,7 @@ def worst_ratio(plan: Plan, sequence: SampleSequence, above: float = np.inf, unt
     Stops once a gap is worse than `above`, or begins at or after `until`.
     """
     oracle = plan.oracle
-    spread = SpreadSequence(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
+    spread = spread_of(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
     if spread > above or plan.accuracy is None:
         return spread
     return max(spread, _bounded_worst(oracle, sequence, above, until))
@@ -88,8 +88,8 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     """
     spread = 0.0
     if plan.deviation is not None:
-        spread, wider = SpreadSequence(plan).worst(sequence)
-        spread = max(spread, wider * SpreadSequence(plan).usual)
+        spread, wider = spread_of(plan).worst(sequence)
+        spread = max(spread, wider * spread_of(plan).usual)
     return spread if plan.accuracy is None or spread > 1 else max(spread, _proven_bounds(plan, sequence))
 
 

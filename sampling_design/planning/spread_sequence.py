@@ -8,7 +8,7 @@ scales with a factor above 1 at most.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ LOOKS = 24
 
 BETWEEN = 1 + 1e-4
 """Share by which it may be larger between them."""
+
+GRAIN = 1e-9
+"""Lengths are the same if they differ by less than this share of a step of the raster."""
 
 FORGOTTEN = 1e-4
 """A filter has forgotten what it was started with where that changes it by no more than this share."""
@@ -83,6 +86,7 @@ class SpreadSequence:
         self.A, self.noise, self.S = motion.A, motion.N @ motion.N.T, motion.S
         rows = plan.oracle.rows
         self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.spread]
+        self._known: dict[bytes, tuple[Array, Array]] = {}
 
     @property
     def usual(self) -> float:
@@ -90,8 +94,15 @@ class SpreadSequence:
         pairs = zip(self.plan.reached.tolist(), self.plan.goals, strict=True)
         return float(max(r / g.tolerance for r, g in pairs if g.spread))
 
+    def _flows(self, lengths: Array) -> tuple[Array, Array]:
+        """Flows over lengths, and the noise that joins; worked out once."""
+        key = np.round(lengths / (GRAIN * self.plan.problem.step)).tobytes()
+        if key not in self._known:
+            self._known[key] = discounted_flow(self.A, self.noise, lengths)
+        return self._known[key]
+
     def _flow(self, P: Array, length: float) -> Array:
-        F, W = discounted_flow(self.A, self.noise, [length])
+        F, W = self._flows(np.array([length]))
         P = F[0] @ P @ F[0].T + W[0]
         return np.asarray((P + P.T) / 2)
 
@@ -142,7 +153,7 @@ class SpreadSequence:
             for goal, row in self.goals:
                 offsets = self._offsets(goal, sequence, k, gap)
                 if offsets.size:
-                    F, W = discounted_flow(self.A, self.noise, offsets)
+                    F, W = self._flows(offsets)
                     flown = row @ F
                     variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
                     worst = max(worst, float(np.sqrt(max(variance.max(), 0.0))) * BETWEEN)
@@ -170,3 +181,9 @@ class SpreadSequence:
         """Which sample of the period is taken at a time of the plan."""
         phase = (t - self.plan.schedule.times) / self.plan.schedule.period
         return int(np.argmin(np.abs(phase - np.round(phase))))
+
+
+@lru_cache(maxsize=4)
+def spread_of(plan: Plan) -> SpreadSequence:
+    """The filter of a plan, made once."""
+    return SpreadSequence(plan)

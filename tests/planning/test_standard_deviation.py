@@ -9,12 +9,14 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
+from sampling_design.planning import spread_sequence
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.plan import accuracy_of
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.spread import RasterFilter
 from tests.oracles import planning as oracle
 
@@ -59,6 +61,18 @@ def test_the_cheapest_plan_is_that_of_a_search_through_all_choices(found):
     assert found.verify()
     anew = truth(found.schedule.times, [[True, False]] * found.samples, [1.0, 0.0])
     assert anew <= found.reached[0] <= anew * 1.02  # the oracle looks every 0.2 s
+
+
+def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch):
+    asked, flow = [], spread_sequence.discounted_flow
+    monkeypatch.setattr(
+        spread_sequence, "discounted_flow", lambda A, W, lengths: asked.append(tuple(lengths)) or flow(A, W, lengths)
+    )
+    plan = replace(found)  # a plan that has no filter yet
+    bears = plan_robustness(plan)
+    np.testing.assert_allclose(bears.late, found.robustness.late)
+    np.testing.assert_allclose(bears.lost_ratio, found.robustness.lost_ratio, rtol=1e-12)
+    assert 0 < len(asked) == len({tuple(np.round(lengths, 6)) for lengths in asked})
 
 
 def test_the_best_of_so_many_is_within_its_gap_of_all_choices():

@@ -129,7 +129,7 @@ class SpreadSequence:
         P, last, back = np.eye(len(self.A)) * WIDE, np.zeros(0), 0
         for period in range(PERIODS):
             after = []
-            for mask, gap in zip(masks, schedule.gaps, strict=True):
+            for mask, gap in zip(masks, np.roll(schedule.gaps, -1), strict=True):  # gaps[j] lies before sample j
                 P = self._read(P, mask)
                 after.append(P)
                 P = self._flow(P, float(gap))

@@ -13,7 +13,7 @@ from sampling_design.planning import spread_sequence
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.motion import motion_of
-from sampling_design.planning.plan import accuracy_of
+from sampling_design.planning.plan import accuracy_of, proven_plan
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.robustness import plan_robustness
@@ -61,6 +61,24 @@ def test_the_cheapest_plan_is_that_of_a_search_through_all_choices(found):
     assert found.verify()
     anew = truth(found.schedule.times, [[True, False]] * found.samples, [1.0, 0.0])
     assert anew <= found.reached[0] <= anew * 1.02  # the oracle looks every 0.2 s
+
+
+def test_the_filter_of_uneven_samples_is_that_of_the_plan():
+    """Its covariance after each sample, and a sequence that is the plan's own, which nothing makes worse."""
+    problem = pose_plan(OSCILLATOR, sd.PlanRequirement({"position": goal(1.0)}, **ONE))
+    chosen = np.zeros_like(problem.allowed)
+    chosen[[0, 1, 5], 0] = True
+    plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+    limits = spread_sequence.SpreadSequence(plan).limits
+    row = plan.oracle.rows[0]
+    times = plan.schedule.times
+    anew = oracle.deviation(
+        OSCILLATOR.A, OSCILLATOR.C[:1], np.eye(2), times, [[True]] * 3, 6.4, [1.0, 0.0], times, [0.01, 0.02], [0.2]
+    )
+    np.testing.assert_allclose([np.sqrt(row @ P @ row) for P in limits], anew, rtol=1e-6)
+    own, seen = spread_sequence.planned(plan, -6.4, 10 * 6.4)
+    _, wider = spread_sequence.SpreadSequence(plan).worst(spread_sequence.SampleSequence(own, seen, 3))
+    assert wider == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch):

@@ -1,4 +1,4 @@
-"""The certificate of the thyroid patient, made anew: `python -m tests.benchmarks.thyroid_theorem [FILE]`."""
+"""The patient's certificates, made anew: `python -m tests.benchmarks.thyroid_theorem [--therapy] [FILE]`."""
 
 import sys
 import time
@@ -8,13 +8,15 @@ import numpy as np
 from sampling_design import GapRange
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.nonlinear.thyroid import NOISE_BOUND, PROCESS_BOUND
-from sampling_design.nonlinear.thyroid_logs import patient_in_tube
+from sampling_design.nonlinear.thyroid_logs import patient_in_tube, patient_under_therapy
 
 if __name__ == "__main__":
     began = time.process_time()
     Qw, R = np.diag(1e4 / PROCESS_BOUND**2), np.diag(2e-2 / NOISE_BOUND**2)
-    found = certify_inclusion(patient_in_tube(), GapRange(0.5, 1.5), eta=0.45, Qw=Qw, R=R, pieces=3)
+    therapy = "--therapy" in sys.argv
+    plant, eta = (patient_under_therapy(), 0.3) if therapy else (patient_in_tube(), 0.45)
+    found = certify_inclusion(plant, GapRange(0.5, 1.5), eta=eta, Qw=Qw, R=R, pieces=3)
     print(found)
     print(f"{time.process_time() - began:.1f} s of processor time")
-    if len(sys.argv) > 1:
-        found.save(sys.argv[1])
+    if len(sys.argv) > 1 + therapy:
+        found.save(sys.argv[-1])

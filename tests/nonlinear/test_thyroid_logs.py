@@ -10,9 +10,16 @@ from sampling_design import load_certificate
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import PRIOR_START, PROCESS_BOUND, TRUE_START, thyroid
-from sampling_design.nonlinear.thyroid_logs import logarithmic_thyroid, logarithms, patient_in_tube
+from sampling_design.nonlinear.thyroid_logs import (
+    DOSE,
+    logarithmic_thyroid,
+    logarithms,
+    patient_in_tube,
+    patient_under_therapy,
+)
 
 FILE = Path(__file__).parents[2] / "examples" / "data" / "thyroid_patient.json"
+THERAPY = FILE.with_name("thyroid_therapy.json")
 DAYS = np.concatenate([[0.0], np.geomspace(1e-7, 0.5, 20), np.arange(1.0, 21.0)])
 
 
@@ -39,6 +46,26 @@ def test_the_region_holds_start_prior_and_course(start, sign):
     w = sign * np.tile(PROCESS_BOUND, (DAYS.size, 1)) * np.where(np.arange(DAYS.size) % 2, 1.0, -1.0)[:, None]
     states = simulate(thyroid(), start, DAYS, w=w)
     assert patient_in_tube().region.holds(logarithms(states)).all()
+
+
+@pytest.mark.parametrize("start", [TRUE_START, PRIOR_START])
+def test_the_region_under_therapy_holds_its_course(start):
+    """The full dose, and one that comes and goes, with the printed disturbances."""
+    w = np.tile(PROCESS_BOUND, (DAYS.size, 1)) * np.where(np.arange(DAYS.size) % 2, 1.0, -1.0)[:, None]
+    for on in (np.ones(DAYS.size), np.arange(DAYS.size) % 2):
+        states = simulate(thyroid(), start, DAYS, u=on[:, None] * [DOSE, 0.0], w=w)
+        assert patient_under_therapy().region.holds(logarithms(states)).all()
+    assert states[-1, 1] > 2.5e-8
+    overdosed = simulate(thyroid(), start, DAYS, u=np.tile([3 * DOSE, 0.0], (DAYS.size, 1)))
+    assert not patient_under_therapy().region.holds(logarithms(overdosed)).all()
+
+
+def test_the_patient_under_therapy_is_certified_with_windows_below_5_days():
+    found = load_certificate(THERAPY)
+    assert found.verify().verdict == "proven"
+    assert (found.family.shortest, found.family.longest) == (0.5, 1.5)
+    assert found.horizon("arrival").minimum < 5.0
+    assert found.model_data == patient_under_therapy().model_to_dict()
 
 
 @pytest.fixture(scope="module")

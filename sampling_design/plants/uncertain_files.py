@@ -37,7 +37,7 @@ from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 Array = npt.NDArray[np.float64]
 Ends: TypeAlias = tuple[float, float]
 FORMAT = "sampling-design/uncertain-plant/1"
-_DECIMAL = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_DECIMAL = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"  # possessive: long texts are read once
 _AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
 
 

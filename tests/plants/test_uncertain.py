@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
+from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 from sampling_design.plants.uncertain_files import (
+    ends,
     read_uncertain_plant,
     uncertain_from_tree,
     uncertain_to_tree,
@@ -153,3 +155,11 @@ def test_the_record_shows_and_explains_itself():
     assert "omega^2" in str(plant)
     assert "between 0.81 and 1.21" in plant.explain()
     assert "2 vertices" in UncertainPlant(OSCILLATOR, vertices=[OSCILLATOR] * 2).explain()
+
+
+def test_long_texts_in_files_are_read_once():
+    """Two ways to split digits would be a million ways to fail; a text that is code is a text."""
+    for text in ("1" * 100_000, "1 +- " + "2" * 100_000 + "x", '__import__("os").getcwd()'):
+        with pytest.raises(BadFile, match='"middle \\+- half", got a text'):
+            ends(text, "`A[0][0]`")
+    assert ends(" -1.5e3 +- .5e3", "") == (-2000.0, -1000.0)

@@ -24,15 +24,12 @@ from sampling_design.recovery.readings import (
     Arrived,
     Readings,
 )
-from sampling_design.recovery.record_program import SPREADS, End, RecordProgram
+from sampling_design.recovery.record_program import DISPROVED, SPREADS, End, RecordProgram
 from sampling_design.recovery.record_readings import read_record
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.unknown import unseen_modes
 
 Array = npt.NDArray[np.float64]
-
-DISPROVED = 1e-9
-"""A contradiction must exceed this share of its terms before the bounds count as disproved."""
 
 KEPT = 1e-9
 """Share of its width within which an end is that of its gains when it is evaluated anew."""

@@ -145,6 +145,18 @@ class RecordCones:
             found[chosen] = y[at + 1 : at + 1 + len(chosen)]
         return found / self._unit, y[: (self._K - 1) * self._n].reshape(-1, self._n)
 
+    def _sizes(self, which: str) -> Array:
+        """What b gains when some bounds grow by their own size."""
+        found = np.zeros(len(self.b))
+        for at, sizes, whose in self._grown:
+            if which in ("all", whose):
+                found[at : at + sizes.size] += sizes
+        return found
+
+    def loosened(self, multiple: float) -> Array:
+        """b for bounds so many times as large."""
+        return np.asarray(self.b + (multiple - 1.0) * self._sizes("all"))
+
     def grown(self, which: str) -> tuple[Array | None, float]:
         """Return the least multiple of some bounds under which something is possible, and its multipliers first.
 
@@ -152,11 +164,8 @@ class RecordCones:
         """
         from scipy import sparse
 
-        column, b = np.zeros(len(self.b)), self.b.copy()
-        for at, sizes, whose in self._grown:
-            if which in ("all", whose):
-                column[at : at + sizes.size] += sizes
-                b[at : at + sizes.size] -= sizes
+        column = self._sizes(which)
+        b = self.b - column
         A = sparse.hstack([self._A, sparse.csc_matrix(-column[:, None])])
         cost = np.zeros(self.columns + 1)
         cost[-1] = 1.0

@@ -45,6 +45,15 @@ LEAST = 1e-12
 CLOSED = 1e-2
 """Share of the half-width by which the adversary may fall short of it before cells are made finer."""
 
+COARSE = 1.1
+"""Multiple of the bounds up to which cells on which w is constant may be too coarse to explain what bounds allow."""
+
+ROOM = 1e-3
+"""How much larger than that multiple the bounds are taken where gains are sought nevertheless."""
+
+DISPROVED = 1e-9
+"""A contradiction must exceed this share of its terms before the bounds count as disproved."""
+
 LEVELS = 3
 """Levels of cells."""
 
@@ -99,6 +108,7 @@ class RecordProgram:
             self.F = self.F * readings.kept[:-1, None, :]
         self.H = readings.H * table.D
         self.infeasible = False
+        self._multiples: dict[int, float] = {}
 
     @cached_property
     def _quadrature(self) -> Quadrature:
@@ -222,9 +232,22 @@ class RecordProgram:
         cost[posed.last] = -mu / size
         x, y, status = posed.solver.solve(cost, posed.b)
         self.infeasible = status == INFEASIBLE
+        if self.infeasible and self._multiple(level) <= COARSE:  # gains of larger bounds prove these, too
+            x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
         if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
             return nothing
         return -float(cost @ x) * size, *posed.read(np.asarray(y * size, dtype=np.float64))
+
+    def _multiple(self, level: int) -> float:
+        """The least multiple of all bounds under which the program of a level has a solution."""
+        if level not in self._multiples:
+            self._multiples[level] = self.posed(level).grown("all")[1]
+        return self._multiples[level]
+
+    @cached_property
+    def contradicted(self) -> bool:
+        """Whether gains prove that the readings contradict the bounds."""
+        return self.growth("all", self.least_growth("all")) > 1 + DISPROVED
 
     def _steadied(self, c: Array, gains: Array, ahead: Array) -> Array:
         """The solver's gains, corrected by the filter's wherever its costate and the true one part.

@@ -120,6 +120,17 @@ def test_limits_means_and_the_tube_hold_the_truth_too(name):
     assert all(held(name, seed) for seed in range(2))
 
 
+def test_cells_too_coarse_for_the_truth_are_no_contradiction():
+    """Here only w at its bound, switching inside cells, explains the data: no w constant on coarse cells does."""
+    estimate, truth, tube, path = told_run("satellite", 10389)
+    found = estimate.interval()
+    assert estimate.proof._program.infeasible
+    assert not found.contradiction
+    assert found.holds(truth)
+    assert np.all((tube.lower <= path) & (path <= tube.upper))
+    assert np.all(found.radii < 0.2 * estimate.ellipsoid_radii)
+
+
 def held(name, seed):
     """Whether one such run is held by the interval, by its middle with the half-widths, and by the tube."""
     estimate, truth, tube, path = told_run(name, seed)

@@ -66,7 +66,7 @@ def _opened(program: RecordProgram, times: Array, x: Array) -> Tube:
         added[:, i] = [program.after(float(t), row) for t in times]
         for side, sign in enumerate((1.0, -1.0)):
             ends[side, :, i] = sign * _ends(program, times, sign * row)
-    if program.infeasible or np.any(ends[0] < ends[1]):
+    if np.any(ends[0] < ends[1]) or (program.infeasible and program.contradicted):
         nothing = np.full((N, n), np.nan)
         return Tube(times, nothing, nothing)
     upper, lower = ends

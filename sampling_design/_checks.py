@@ -5,7 +5,6 @@ The grammar: the argument as typed, what was expected, what came, and the likely
 
 from __future__ import annotations
 
-import difflib
 import numbers
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import unit_diagonal
+from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
@@ -274,7 +274,7 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
 
 
 def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse a key that is not known, naming the nearest known one.
+    """Refuse a key that is not known, naming the nearest known one, or all where none is near.
 
     Raises
     ------
@@ -284,8 +284,7 @@ def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
     allowed = list(known)
     for key in found:
         if key not in allowed:
-            near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.0)
-            raise ArgumentError(f"unknown key {key!r} in {where}. Did you mean {near[0]!r}?")
+            raise ArgumentError(f"unknown key {key!r} in {where}. {likely(str(key), allowed)}")
 
 
 def output_mask(name: str, value: object, samples: int) -> npt.NDArray[np.bool_] | None:

@@ -75,6 +75,9 @@ REFUSED = [
         ("[x]", ["windw"], ["window", "period"]),
         r"unknown key 'windw' in \[x\]\. Did you mean 'win",
     ),
+    (_checks.known_keys, ("x", ["a"], ["A", "C"]), "unknown key 'a' in x. Did you mean 'A'"),
+    (_checks.known_keys, ("x", ["price"], ["available", "cost"]), "'price' in x. Known: 'available', 'cost'[.]$"),
+    (_checks.known_keys, ("x", ["no"], [f"y{i}" for i in range(20)]), "Known: 'y0', .*, 'y11' and 8 more[.]$"),
     (
         _checks.output_mask,
         ("outputs", [1, 0], 2),

@@ -9,6 +9,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,9 @@ MOST_BYTES = 100_000_000  # of one file; a family certificate of 400 nodes and 2
 MOST_ITEMS = 20_000_000  # values of one file
 MOST_DEPTH = 20  # lists and tables inside each other; certificates have six levels
 MOST_WHOLE = 2**53  # beyond it a double does not hold every whole number
+NEAR = 0.5  # twice the letters that two words share over all of theirs: from here on one is a slip for the other
+LONGEST_NAME = 60  # letters of a name that a sentence repeats
+MOST_LISTED = 12  # names that a sentence lists
 
 
 class BadFile(Exception):
@@ -296,6 +300,19 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
     return read
 
 
+def likely(word: str, known: Collection[str]) -> str:
+    """What a word that is not known may have meant: the nearest one, or all of them where none is near."""
+    found = {name.casefold(): name for name in known}
+    near = difflib.get_close_matches(word[:LONGEST_NAME].casefold(), found, n=1, cutoff=NEAR)
+    return f"Did you mean {found[near[0]]!r}?" if near else f"Known: {listed(known)}."
+
+
+def listed(names: Collection[str]) -> str:
+    """Names side by side, the first few of many."""
+    first = [repr(name[:LONGEST_NAME]) for name in islice(names, MOST_LISTED)]
+    return ", ".join(first) + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
+
+
 def known_keys(
     value: object, place: str, needed: Collection[str], optional: Collection[str], whole: str
 ) -> Mapping[str, object]:
@@ -305,8 +322,8 @@ def known_keys(
         raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
     for key in value:
         if key not in needed and key not in optional:
-            near = difflib.get_close_matches(str(key), [*needed, *optional], n=1, cutoff=0.0)
-            raise refuse("", f"unknown key {str(key)[:60]!r} in {where}. Did you mean {near[0]!r}?")
+            slip = likely(str(key), [*needed, *optional])
+            raise refuse("", f"unknown key {str(key)[:LONGEST_NAME]!r} in {where}. {slip}")
     for key in needed:
         if key not in value:
             raise refuse("", f"`{key}` is missing in {where}. Was the file cut off?")

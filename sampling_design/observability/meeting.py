@@ -7,6 +7,7 @@ from typing import overload
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design.checkers.strict import listed
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
@@ -74,6 +75,11 @@ def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule:
 
 def _in_order(schedule: AnySchedule, theirs: tuple[str, ...], mine: tuple[str, ...]) -> AnySchedule:
     """The schedule with one column per output of the plant, False where it does not name that output."""
+    if not set(theirs) & set(mine):
+        raise ArgumentError(
+            f"`schedule` measures {listed(theirs)}, and the plant's outputs are {listed(mine)}. "
+            "Is it another plant's schedule?"
+        )
     _checks.known_keys("`schedule.output_names`", theirs, mine)
     mask = np.zeros((len(schedule), len(mine)), dtype=bool)
     mask[:, [mine.index(name) for name in theirs]] = True if schedule.outputs is None else schedule.outputs

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy import sparse
 
 from sampling_design import _checks
 from sampling_design._door import door
+from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.sparse import SparsePlant
@@ -361,7 +361,7 @@ def named_plant(name: str) -> Plant:
     Raises
     ------
     ArgumentError
-        If there is no such plant; the nearest name is offered.
+        If there is no such plant; the nearest name is offered, or all where none is near.
 
     Examples
     --------
@@ -369,10 +369,7 @@ def named_plant(name: str) -> Plant:
     2
     """
     if name not in PLANTS:
-        near = difflib.get_close_matches(str(name), PLANTS, n=1, cutoff=0.0)[0]
-        raise ArgumentError(
-            f"`name` must be a plant of the library, got {name!r}. Did you mean {near!r}? All: {', '.join(PLANTS)}."
-        )
+        raise ArgumentError(f"`name` must be a plant of the library, got {name!r}. {likely(str(name), PLANTS)}")
     return PLANTS[name]()
 
 

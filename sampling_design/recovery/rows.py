@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
+from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 
@@ -82,5 +82,4 @@ def _named(plant: Plant, name: str) -> tuple[Array, str]:
     if output is not None:
         return output, outputs.units[outputs.names.index(name)]
     known = [*states.names, *outputs.names]
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
-    raise ArgumentError(f"`of` must name states or outputs, got {name!r}. Did you mean {near!r}?")
+    raise ArgumentError(f"`of` must name states or outputs, got {name!r}. {likely(name, known)}")

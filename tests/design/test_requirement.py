@@ -75,6 +75,7 @@ def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
         (FULL.replace("[outputs.range]", "[[outputs]]"), "`outputs` must be a table of keys and values, got a list"),
         (FULL.replace("window", "spacing"), "is not valid TOML"),
         (FULL + "avail = []", "unknown key 'avail' in `outputs.range`"),
+        (FULL + "price = 2.0", "unknown key 'price' in `outputs.range`. Known: 'available', 'cost'."),
         (
             "format='sampling-design/requirement/1'\ntarget_sigma=1.0\nsamples={target_sigma=2.0}",
             "is given twice, beside",

@@ -40,8 +40,14 @@ def test_masks_must_fit():
 
 
 def test_unknown_output():
-    with pytest.raises(ArgumentError, match=r"unknown key 'T5' in `schedule.output_names`. Did you mean"):
-        meet(PLANT, Schedule([0.0], output_names=["T5"]))
+    with pytest.raises(ArgumentError, match=r"unknown key 'T5' in `schedule.output_names`. Did you mean 'T[34]'"):
+        meet(PLANT, Schedule([0.0], output_names=["T3", "T5"]))
+
+
+def test_a_schedule_that_measures_nothing_of_the_plant_is_another_plants():
+    words = "`schedule` measures 'radial', 'along', and the plant's outputs are 'T3', 'T4'. Is it another plant's"
+    with pytest.raises(ArgumentError, match=words):
+        meet(PLANT, Schedule([0.0], output_names=["radial", "along"]))
 
 
 def test_times_are_no_schedule():

@@ -168,7 +168,10 @@ class Atoms:
     def rest(self, rest: Array, targets: Array) -> Array:
         """Return what the reach bounds of the rests of targets: nothing of them may lie outside the basis."""
         seen = rest @ self.basis
-        found = np.abs(seen) @ self.reach
+        endless = ~np.isfinite(self.reach)
+        found = np.abs(seen) @ np.where(endless, 0.0, self.reach)
+        if endless.any():
+            found = np.where(np.any(seen[..., endless] != 0, axis=-1), np.inf, found)
         if self.whole:
             return np.asarray(found)
         left = np.linalg.norm(rest - seen @ self.basis.T, axis=1)

@@ -14,12 +14,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design._linalg import discounted_flow, expm_batch, psd_root
 from sampling_design.errors import UndecidedError
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.riccati import CovarianceMap, limit, updated
+from sampling_design.recovery.riccati import CovarianceMap, RootedPeriod, limit, noise_root, updated
 from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
@@ -52,6 +52,12 @@ PERIODS = 4000
 
 REFINED = 6
 """Times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much."""
+
+FOLLOWED = 40.0
+"""Growth over a gap, as an exponent, beyond which a root of a covariance has no digit left."""
+
+AHEAD = 150.0
+"""Growth after the last sample, as an exponent, whose square is a number still, in any units."""
 
 GROWN = 1e70
 """Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
@@ -185,8 +191,11 @@ class SampleChain:
             sample, gap = self.samples[j], self.gaps[(j - 1) % len(self)]
             mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
             j = (j - 1) % len(self)
-            if np.linalg.norm(mu, 2) < FORGOTTEN:
+            left = np.linalg.norm(mu, 2)
+            if left < FORGOTTEN:
                 return count + 1
+            if left > GROWN:
+                raise too_far()
         return PERIODS * len(self)
 
     @cached_property
@@ -228,7 +237,10 @@ class SampleChain:
                 gains = sample.K.T @ mu
                 mu = mu - sample.H.T @ gains
                 cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
-                if steps and np.abs(mu).sum(axis=0).max() < CONTRACTED:
+                left = np.abs(mu).sum(axis=0).max(initial=0.0)
+                if left > GROWN:
+                    raise too_far()
+                if steps and left < CONTRACTED:
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
                 at = (at - 1) % count
@@ -242,6 +254,27 @@ class SampleChain:
         return found
 
 
+def refuse_growth(plant: Plant, gaps: Array, last: float = 0.0) -> None:
+    """Refuse gaps over which a mode grows so far that no double tells what samples show of it; `last` comes after all.
+
+    Raises
+    ------
+    UndecidedError
+        If there is one.
+    """
+    rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
+    if rate * float(np.max(gaps, initial=0.0)) > FOLLOWED or rate * last > AHEAD:
+        raise too_far()
+
+
+def too_far() -> UndecidedError:
+    """What is said where growth has left nothing of what samples show."""
+    return UndecidedError(
+        "undecided: what is not measured grows so far between the samples of this schedule that no filter's error can "
+        "be followed in doubles. Measure more often."
+    )
+
+
 def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
     """h_V of scaled gains (p, k): exact sensors cost nothing."""
     noisy = gains[~exact]
@@ -253,6 +286,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
 
     `moving` (n, m) is what no sample shows, as it is at the first one; nobody knows it.
     """
+    refuse_growth(plant, gaps)
     balance = balanced_schur(plant.A).d
     A = plant.A * balance / balance[:, None]
     G = plant.G * bounds.w / balance[:, None]
@@ -270,12 +304,11 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
     N = [basis[:, :r] for basis in bases]
     inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
     spread = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
-    P = _covariances(inner, spread, [H @ X for H, X in zip(rows, N, strict=True)])
+    P, roots = _covariances(inner, spread, [H @ X for H, X in zip(rows, N, strict=True)])
     L, samples = np.zeros_like(F), []
     for j, H in enumerate(rows):
         seen = H @ N[j]
-        X = updated(P[j], seen.T @ seen)
-        root = np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X)))
+        root = roots[j]
         L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
         gain = np.linalg.solve(seen @ P[j] @ seen.T + np.eye(len(H)), seen @ P[j]).T
         K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
@@ -345,8 +378,8 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
     return np.asarray(np.where(D > 0, D, 1.0))
 
 
-def _covariances(F: Array, W: Array, rows: list[Array]) -> list[Array]:
-    """The filter's covariance before each sample, in its periodic limit."""
+def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
+    """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
     period = maps[0]
     for following in maps[1:]:
@@ -358,9 +391,24 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> list[Array]:
     start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
     walk = RANDOM_WALK * several(start)
     P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
+    rooted = RootedPeriod(list(F), rows, [noise_root(w) for w in W])
+    if not rooted.walking(psd_root(walk)).gives_back(psd_root(P[0])):
+        return _by_roots(rooted, np.sqrt(np.diag(start)))
     for following in maps[:-1]:
         P.append(following(P[-1]))
-    return P
+    after = [updated(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
+    return P, [np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))) for X in after]
+
+
+def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:
+    """The same where a covariance in doubles has lost what modes that grow leave of it."""
+    root = np.diag(start)
+    for _ in range(len(start) + 1):
+        _, root, _ = rooted(root)
+    rooted = rooted.walking(np.sqrt(RANDOM_WALK) * root)
+    after = rooted.settled(root)
+    flown = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
+    return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
 
 
 def make_gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> Gap:

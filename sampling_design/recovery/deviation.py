@@ -18,7 +18,7 @@ from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.finite import DIFFUSE
 from sampling_design.recovery.question import Question
-from sampling_design.recovery.riccati import CovarianceMap, strong, updated
+from sampling_design.recovery.riccati import CovarianceMap, RootedPeriod, noise_root, strong
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.start import SEMIDEFINITE
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -199,7 +199,7 @@ def deviations(
 
 
 class _Curves:
-    """Covariances after each node, in scaled coordinates, and variances of rows between nodes."""
+    """Roots of the covariances after each node, in scaled coordinates, and variances of rows between nodes."""
 
     def __init__(self, question: Question, plant: Plant, W: Array, moving: Array | None):
         self.question = question
@@ -207,52 +207,43 @@ class _Curves:
         self.D, self.A, self._L, self._atoms, self._r = chain.D, chain.A, chain.L, atoms, chain.determined
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)
-        rows = [np.linalg.solve(L.T, s.H.T).T for s, L in zip(chain.samples, chain.L, strict=True)]
-        information = [H.T @ H for H in rows]
-        if question.initial is None:
-            self._after = self._endless(information)
-        else:
-            self._after = self._finite(information)
+        rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in chain.samples]
+        self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
 
     def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:
         return list(zip(*discounted_flow(self.A, self._noise, lengths), strict=True))
 
-    def _endless(self, information: list[Array]) -> list[Array]:
+    def _endless(self, rows: list[Array]) -> list[Array]:
         lengths = np.diff(self.question.nodes, append=self.question.end)
         n, r, count = len(self.A), self._r, len(lengths)
         bases = [np.eye(n)] * count if r == n else list(self._L)  # the last n - r entries nobody knows, or needs
         maps = []
-        for j, ((F, W), G) in enumerate(zip(self._flows(lengths), information, strict=True)):
+        for j, ((F, W), H) in enumerate(zip(self._flows(lengths), rows, strict=True)):
             L, following = bases[j], bases[(j + 1) % count]
             step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
             noise = np.linalg.solve(following, noise.T)
-            maps.append(CovarianceMap(step[:r, :r], (L.T @ G @ L)[:r, :r], symmetrise(noise[:r, :r])))
+            maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
         period = maps[0]
         for following_map in maps[1:]:
             period = period.then(following_map)
         P = strong(period, np.eye(r) * DIFFUSE, WALK)
-        after = []
-        for map_, L in zip(maps, bases, strict=True):
-            X = updated(P, map_.G)
-            P = symmetrise(map_.Q + map_.F @ X @ map_.F.T)
-            after.append(L[:, :r] @ X @ L[:, :r].T)
-        return after
+        seen = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
+        rooted = RootedPeriod([m.F for m in maps], seen, [noise_root(m.Q) for m in maps])
+        root = psd_root(P)
+        roots = rooted(root)[0] if rooted.gives_back(root) else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
+        return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
 
-    def _finite(self, information: list[Array]) -> list[Array]:
-        P, after = np.eye(len(self.A)) * DIFFUSE, []
-        flows = [*self._flows(np.diff(self.question.nodes)), None] if self.question.nodes.size > 1 else [None]
-        for step, G in zip(flows, information, strict=True):
-            after.append(updated(P, G))
-            if step is not None:
-                P = symmetrise(step[1] + step[0] @ after[-1] @ step[0].T)
-        return after
+    def _finite(self, rows: list[Array]) -> list[Array]:
+        n = len(self.A)
+        flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
+        F, noise = [F for F, _ in flows], [noise_root(W) for _, W in flows]
+        return RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])(np.eye(n) * np.sqrt(DIFFUSE))[0]
 
     def variance(self, j: int, offsets: Array, row: Array) -> Array:
         """c'P(t_j + d)c for offsets d; infinite where the samples do not determine the row."""
         F, W = discounted_flow(self.A, self._noise, offsets)
         flown = (row * self.D) @ F
-        root = psd_root(self._after[j])
-        found = np.sum((flown @ root) ** 2, axis=1) + np.maximum(
+        found = np.sum((flown @ self._roots[j]) ** 2, axis=1) + np.maximum(
             np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
         )
         mu = flown @ self._L[j]

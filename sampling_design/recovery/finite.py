@@ -10,7 +10,15 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import SignalBounds
-from sampling_design.recovery.chain import ChainSample, SampleChain, make_gap, noise_units, state_scales
+from sampling_design.recovery.chain import (
+    ChainSample,
+    SampleChain,
+    make_gap,
+    noise_units,
+    refuse_growth,
+    state_scales,
+    too_far,
+)
 from sampling_design.recovery.gains import filtered
 from sampling_design.recovery.riccati import updated
 from sampling_design.recovery.start import InitialSet, StartSet
@@ -39,6 +47,7 @@ MEMORY = 64
 def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:
     """Return the chain of nodes `times`, the first of which is the start; rows of `bounds.v` say what each measures."""
     lengths, last = np.diff(times), float(end - times[-1])
+    refuse_growth(plant, lengths, last)
     balance = balanced_schur(plant.A).d
     A = plant.A * balance / balance[:, None]
     G = plant.G * bounds.w / balance[:, None]
@@ -83,6 +92,8 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
 
 def _root(P: Array) -> Array:
     """A root of a covariance, for coordinates only: where rounding has made it indefinite, a little is added."""
+    if not np.all(np.diag(P) > 0):
+        raise too_far()
     d = np.sqrt(np.diag(P))
     R = P / np.outer(d, d)
     for share in LITTLE:

@@ -76,7 +76,8 @@ class FlownGap:
     def _cut(self, level: int) -> Array:
         count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS**level, float(self.marks.size))
         cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
-        return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
 
 
 class GapTable:
@@ -103,7 +104,8 @@ class GapTable:
         moved, pushed = A * balance / balance[:, None], G / balance[:, None]
         if not lengths.size:
             return cls(A, G, balance)
-        F, W = discounted_flow(moved, pushed @ pushed.T, lengths)
+        with np.errstate(over="ignore", invalid="ignore"):
+            F, W = discounted_flow(moved, pushed @ pushed.T, lengths)
         D = state_scales(F, W * float(np.mean(lengths)), [H * balance for H in rows])
         return cls(A, G, balance * D)
 

@@ -51,7 +51,8 @@ class RecordCones:
         self._grown: list[tuple[int, Array, str]] = []  # rows of b that are bounds, and whose
         self._kinds()
         table = ConeTable(self.columns)
-        self._dynamics(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
+        with np.errstate(over="ignore", invalid="ignore"):  # a flow may overflow: no solver takes it, and no bound is
+            self._dynamics(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
         if root is not None:
             longer = np.zeros((self._n, self._starts))
             longer[: len(root)] = root

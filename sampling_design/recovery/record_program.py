@@ -147,7 +147,8 @@ class RecordProgram:
         gains, identity = np.zeros((len(H), n)), np.eye(n)
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
-                P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
+                with np.errstate(over="ignore", invalid="ignore"):  # beyond all numbers no gain is any use
+                    P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
             if b > a:
                 own = H[a:b]
                 seen = own @ P

@@ -255,7 +255,8 @@ def simulate_record(
     Raises
     ------
     ArgumentError
-        If a bound is negative, x0 or u has another length, or the schedule does not fit.
+        If a bound is negative, x0 or u has another length, the schedule does not fit, or the state grows beyond all
+        numbers.
 
     Examples
     --------
@@ -294,10 +295,16 @@ def _trajectory(line: Timeline, x: Array, w: Array, changes: list[tuple[float, A
         lengths = np.diff(edges)
         F, gamma = (line.F[c : c + 1], line.gamma[c : c + 1]) if len(edges) == 2 else _flows(line.plant, lengths, "G")
         driven = _flows(line.plant, lengths, "B")[1] if changes else None
-        for k, left in enumerate(edges[:-1]):
-            x = F[k] @ x + gamma[k] @ w[c]
-            if driven is not None:
-                x = x + driven[k] @ _input_at(line.plant, changes, left)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k, left in enumerate(edges[:-1]):
+                x = F[k] @ x + gamma[k] @ w[c]
+                if driven is not None:
+                    x = x + driven[k] @ _input_at(line.plant, changes, left)
+        if not np.isfinite(x).all():
+            raise ArgumentError(
+                "`duration` must end before the state grows beyond all numbers, at "
+                f"t = {short(b)} {line.plant.time_unit}. Simulate less of it."
+            )
         states[c + 1] = x
     return states
 

@@ -1,11 +1,15 @@
 """Standard deviations for white noise: against a plain filter, in the limit, unstable, unknown, finite."""
 
+import contextlib
+
+import mpmath
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import sampling_design as sd
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+from sampling_design.recovery.riccati import RootedPeriod
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], states=["position", "velocity"])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9])
@@ -114,3 +118,49 @@ def test_a_mode_that_only_the_samples_hide_leaves_other_rows_as_they_are():
     found = sd.standard_deviation(both, sd.PeriodicSchedule([1.0, 1.0]), w_intensity=1.0, v_deviation=1.0)
     assert np.isinf(found.worst).tolist() == [True, True, False]
     assert abs(found.worst[2] ** 2 - (1 + 5**0.5) / 2) < 1e-9
+
+
+def in_many_digits(growth, periods=5):
+    """Deviations before a sample of a growing oscillator, by a plain filter in 200 digits from a start that it
+    forgets."""
+    with mpmath.workdps(200):
+        g, W = mpmath.mpf(growth), mpmath.mpf("0.1")
+        F = mpmath.exp(g) * mpmath.matrix([[mpmath.cos(1), mpmath.sin(1)], [-mpmath.sin(1), mpmath.cos(1)]])
+        spread, P = W * (mpmath.exp(2 * g) - 1) / (2 * g) * mpmath.eye(2), mpmath.mpf(10) ** 6 * mpmath.eye(2)
+        for _ in range(periods):
+            P = P - P[:, 0] * P[0, :] / (P[0, 0] + mpmath.mpf("0.1") ** 2)
+            P = F * P * F.T + spread
+        return [float(mpmath.sqrt(P[i, i])) for i in range(2)]
+
+
+@pytest.mark.parametrize("growth", [3.0, 10.0, 14.0, 15.0, 18.0, 20.0, 25.0, 30.0])
+def test_growth_between_samples_costs_no_digits(growth):
+    """Covariances lose them from e^12 on: 4e5 was said where 1.2e12 is true, and "infinite" beyond."""
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    found = sd.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=0.1, v_deviation=0.1)
+    assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)
+    if growth == 3.0:
+        ends = sd.standard_deviation(plant, sd.Schedule([0.0, 1.0, 2.0]), w_intensity=0.1, v_deviation=0.1, end=3.0)
+        assert ends.profile[:, -1] == pytest.approx(in_many_digits(growth, 3), rel=1e-5)
+
+
+@pytest.mark.parametrize("growth", [28.0, 36.0, 100.0, 400.0])
+@pytest.mark.parametrize("schedule", [sd.PeriodicSchedule([1.0]), sd.Schedule([0.0, 1.0, 2.0])])
+def test_growth_that_no_double_follows_is_undecided_and_never_a_number(growth, schedule):
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    noise, bounds = {"w_intensity": 0.1, "v_deviation": 0.1}, {"w_bound": 0.1, "v_bound": 0.1}
+    if isinstance(schedule, sd.Schedule):
+        bounds["initial_error"] = 1.0
+    least = 0.5 * np.array(in_many_digits(growth, 4)) if growth < 40 else np.inf
+    with contextlib.suppress(UndecidedError, SolverError):
+        assert np.all(sd.standard_deviation(plant, schedule, **noise).worst >= least)
+    with contextlib.suppress(UndecidedError, SolverError):
+        assert np.all(sd.accuracy(plant, schedule, **bounds).upper >= least)
+
+
+def test_growth_says_so():
+    plant = sd.Plant([[400.0, 1.0], [-1.0, 400.0]], [[1.0, 0.0]])
+    with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):
+        sd.accuracy(plant, sd.Schedule([0.0, 1.0, 2.0]), w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    with pytest.raises(UndecidedError, match="the covariance of the filter on this schedule does not settle in double"):
+        RootedPeriod([2 * np.eye(1)], [np.zeros((1, 1))], [np.eye(1)]).settled(np.eye(1))

@@ -117,3 +117,10 @@ def test_bad_input_is_refused():
         simulate_record(OSCILLATOR, PeriodicSchedule([5.0]), 3.0)
     with pytest.raises(ArgumentError, match="`duration` must be positive"):
         simulate_record(OSCILLATOR, PeriodicSchedule([5.0]), -3.0)
+
+
+@pytest.mark.parametrize("growth", [150.0, 800.0])
+def test_a_truth_beyond_all_numbers_is_refused_and_not_left_out(growth):
+    plant = Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    with pytest.raises(ArgumentError, match="`duration` must end before the state grows beyond all numbers, at t = "):
+        simulate_record(plant, PeriodicSchedule([0.5]), 6.0, x0=[1.0, 0.0])

@@ -34,6 +34,11 @@ def test_what_survives_is_proven_with_the_same_weights(planned, found):
     assert all(d < w for d, w in found.tolerated)
 
 
+def test_the_certificate_of_a_family_is_sent_to_that_of_a_schedule(found):
+    with pytest.raises(ArgumentError, match="must be about one schedule, got a FamilyCertificate, which says itself"):
+        sd.robustness(OSCILLATOR, found.jittered)
+
+
 def test_the_radius_is_nearly_the_largest(planned, found):
     # schedules that are only a little worse break the horizon: a late sample, then early ones, and so on
     weights = (planned.Qw, planned.R, planned.Qv)

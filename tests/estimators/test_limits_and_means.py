@@ -6,7 +6,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.recovery.interval import interval
-from sampling_design.recovery.readings import Above, Below, Mean
+from sampling_design.recovery.readings import Above, Below, Mean, Told
 
 TANK = sd.Plant(
     [[-0.05]], [[1.0], [1.0]], [[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
@@ -60,6 +60,10 @@ def test_bad_cells_are_refused(tmp_path, cells, match):
 def test_told_belongs_to_rows():
     with pytest.raises(ArgumentError, match="`told` must have an entry for each row"):
         sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=((), ()))
+    beyond = Told(2, 0.0, 1.0, None)
+    for told in (np.nan, "<0.5", ((3,),), (3,), ((beyond,),)):
+        with pytest.raises(ArgumentError, match="`told` must be a tuple of what each row says, got "):
+            sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=told)
 
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"])

@@ -371,6 +371,7 @@ def test_refusals_at_the_door(arguments, message):
         (lambda: CostFunction(P2=[[1.0, 0.0]]), r"`P2` must have shape \(1, 1\), got \(1, 2\)"),
         (lambda: CostFunction(form="mine"), '`form` must be "certificate" or "paper", got'),
         (lambda: CostFunction(arrival="free"), "`arrival` must be "),
+        (lambda: CostFunction(arrival=np.eye(2)), '`arrival` must be "fixed" or "filtered", got ndarray'),
         (lambda: Constraints(engine="fast"), "`engine` must be "),
         (lambda: KalmanFilter(PLANT, cost=CostFunction(form="paper")), '`cost` must have the form "certificate" here'),
     ],

@@ -290,6 +290,11 @@ def robustness(
     (True, True)
     """
     report = progress or (lambda fraction, message: None)
+    if isinstance(certificate, FamilyCertificate):
+        raise ArgumentError(
+            "`certificate` must be about one schedule, got a FamilyCertificate, which says itself what its family "
+            "bears. Certify the schedule that is planned."
+        )
     held = getattr(certificate, "schedule", None)
     if not isinstance(held, (Schedule, PeriodicSchedule)):
         raise ArgumentError(f"`certificate` must be one about samples, got {_checks.described(certificate)}.")

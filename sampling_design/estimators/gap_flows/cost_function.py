@@ -77,9 +77,10 @@ class CostFunction(Record):
         if self.eta is not None:
             object.__setattr__(self, "eta", _checks.nonnegative("eta", self.eta))
         for key, value, known in (("form", self.form, Form), ("arrival", self.arrival, ArrivalKind)):
-            if not (value in get_args(known) or (key == "form" and value is None)):
+            named = isinstance(value, str) and value in get_args(known)
+            if not (named or (key == "form" and value is None)):
                 words = " or ".join(f'"{word}"' for word in get_args(known))
-                raise ArgumentError(f"`{key}` must be {words}, got {value!r}.")
+                raise ArgumentError(f"`{key}` must be {words}, got {_checks.described(value)}.")
 
     @property
     def given(self) -> tuple[str, ...]:

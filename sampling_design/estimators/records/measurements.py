@@ -83,8 +83,14 @@ class Measurements(Record):
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False
             owned[key] = array
-        for key, held in owned.items():
-            object.__setattr__(self, key, held)
+        for key, array in owned.items():
+            object.__setattr__(self, key, array)
+        held, outputs = (tuple, list), range(self.plant.n_outputs)
+        if not isinstance(self.told, held) or not all(
+            isinstance(row, held) and all(isinstance(each, Told) and each.output in outputs for each in row)
+            for row in self.told
+        ):
+            raise ArgumentError(f"`told` must be a tuple of what each row says, got {_checks.described(self.told)}.")
         rows = tuple(tuple(row) for row in self.told) or ((),) * times.size
         if len(rows) != times.size or any(
             not np.isnan(self.y[k, each.output]) for k, r in enumerate(rows) for each in r

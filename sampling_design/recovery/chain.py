@@ -397,7 +397,7 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
     for following in maps[:-1]:
         P.append(following(P[-1]))
     after = [updated(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
-    return P, [np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))) for X in after]
+    return P, [np.asarray(np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))), dtype=np.float64) for X in after]
 
 
 def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:

@@ -182,7 +182,8 @@ CALLS = {
         lambda: sd.sigma_min(sd.named_plant("oscillator"), sd.Schedule([1.0, 2.0], time_unit="h")),
         "in_unit",
     ),
-    "an unknown plant": (lambda: sd.named_plant("pendulum"), "oscillator"),
+    "an unknown plant": (lambda: sd.named_plant("pendulum"), "'cart_pendulum'"),
+    "a plant like none": (lambda: sd.named_plant("rocket"), "'oscillator'"),
     "a bound forgotten": (
         lambda: sd.accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1),
         "`v_bound`",

@@ -200,7 +200,7 @@ def test_log_says_what_deviations_cost(shell, tmp_path):
         (("estimate", OSCILLATOR, "nowhere.csv"), "no such file"),
         (("estimate", OSCILLATOR, DATA / "satellite.csv"), "column 'position' is missing"),
         (("estimate", OSCILLATOR, "READINGS", "--w-bound", "1,x"), "`--w-bound` must be numbers with commas between"),
-        (("estimate", OSCILLATOR, "READINGS", "--prior", "1,2,3"), "`prior` must have 2 entries"),
+        (("estimate", OSCILLATOR, "READINGS", "--prior", "1,2,3"), "`--prior` must be one number, or 2"),
         (("estimate", OSCILLATOR, "READINGS", "--v-bound", "-1"), "`v_bound` must not be negative"),
         (("estimate", OSCILLATOR, "EMPTY"), "holds no measurement"),
         (("validate", OSCILLATOR, "nowhere.csv"), "no such file"),

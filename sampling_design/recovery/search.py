@@ -297,10 +297,14 @@ class ChainSearch:
         )
 
     def _close(self, found: RowSearch, high: float, j: int, offset: int, rtol: float) -> bool:
-        """Whether an attack at an offset, or better windows, brought its two sides closer."""
+        """Whether an attack at an offset, or better windows, brought its two sides closer.
+
+        Where they are close already and the offset has been attacked before, what is left is the panels' own width.
+        """
+        again, lower = (j, offset) in found.tried, found.lower
         below, above = self._attack(found, j, offset)
         if below * (1 + rtol * SHARE) >= high:
-            return True
+            return not again or found.lower > lower
         if above < high * (1 - rtol / 8):  # a longer past says more
             self.back = min(2 * self.back, self.deep)
             return True

@@ -10,6 +10,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import library
 from sampling_design.errors import ArgumentError
+from sampling_design.recovery import search
 from sampling_design.recovery.profile import GapProof
 from tests.oracles import accuracy as oracle
 
@@ -221,3 +222,13 @@ def test_rows_asked_for_together_are_known_as_well_as_alone():
     both = sd.accuracy(plant, schedule, w_bound=asked["w_bound"], v_bound=[20.0], of=np.eye(5)[2:], rtol=0.005)
     assert both.closed.all()
     assert both.upper[0] == pytest.approx(3.1112, rel=1e-3)  # 3.1531 where pairs of atoms are sought nearby only
+
+
+def test_what_only_the_width_of_panels_leaves_open_is_not_attacked_for_ever(monkeypatch):
+    """A sample that says nothing new: 0.1 at all times, where 64 panels of a long gap cannot tell 0.1 from 0.1005."""
+    calls, attack = [], search.ChainSearch.attack
+    monkeypatch.setattr(search.ChainSearch, "attack", lambda *given: calls.append(1) or attack(*given))
+    found = sd.accuracy(sd.Plant([[-1.0]], [[1.0]]), sd.PeriodicSchedule([24.0]), w_bound=0.1, v_bound=0.5, rtol=1e-3)
+    assert found.lower[0] == pytest.approx(0.1, rel=1e-9)
+    assert 0.1 <= found.upper[0] <= 0.101
+    assert len(calls) < 20

@@ -12,7 +12,8 @@ from sampling_design.plants.sparse import SparsePlant, split_sparse
 
 def random_pair(rng, n, units=0):
     """A symmetric A with a crowded spectrum and masses, in units of time 10^units."""
-    W = sparse.random_array((n, n), density=4 / n, rng=rng, data_sampler=lambda size: rng.uniform(0.1, 1, size))
+    where, weights = tuple(rng.integers(n, size=(2, 4 * n))), rng.uniform(0.1, 1, 4 * n)
+    W = sparse.coo_array((weights, where), shape=(n, n)).tocsr()
     A = (W + W.T) * 10.0**units
     A = A - sparse.diags_array(np.asarray(A.sum(axis=1)).ravel() * rng.uniform(0.5, 1.5, n))
     return SparsePlant(A, np.eye(2, n), rng.uniform(0.1, 10.0, n))

@@ -31,7 +31,7 @@ def test_global_search_stays_below(name, search):
         return -window_sigma_scan(own.A, own.C, np.cumsum(gaps) - gaps[0], window, window, places=0)
 
     if search == "evolution":
-        found = -differential_evolution(cost, [(0, 1)] * count, rng=1, maxiter=4, popsize=4, polish=False).fun
+        found = -differential_evolution(cost, [(0, 1)] * count, seed=1, maxiter=4, popsize=4, polish=False).fun
     else:
         found = -shgo(cost, [(0, 1)] * count, n=16, iters=1, options={"maxfev": 60}).fun
     assert 0 < found <= design.upper_bound

@@ -275,7 +275,7 @@ class _Dating:
         ratio, proven = self.judged(sequence)
         word = "back" if shift > 0 else "forward"
         day = self.calendar.local(clock * self.unit).date().isoformat()
-        return DateException(f"clocks {word} by {short(abs(shift))} {self.plan.plant.time_unit}", day, ratio, proven)
+        return DateException(f"clocks {word} by {short(abs(shift) * self.unit / 60)} h", day, ratio, proven)
 
 
 def _runs(mask: Mask) -> list[npt.NDArray[np.intp]]:

@@ -151,6 +151,16 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def finite_or_none(value: float) -> float | None:
+    """A number for a file, where what is infinite or no number is None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def finite_or_nones(values: npt.NDArray[np.float64]) -> list[float | None]:
+    """The same for a row of numbers."""
+    return [finite_or_none(value) for value in values.tolist()]
+
+
 def short(value: object, digits: int = 6) -> str:
     """Return a number, or a short list of numbers, as text of `digits` significant digits."""
     numbers = np.asarray(value, dtype=float)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, short
+from sampling_design._record import Plain, finite_or_nones, short
 from sampling_design.checkers.inclusion_file import region as region_of
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.slopes import enclosed
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.instructions import instructions
-from sampling_design.nonlinear.region import drawn, ends
+from sampling_design.nonlinear.region import drawn
 from sampling_design.plants.inclusion import Hull, Members
 from sampling_design.plants.plant import Plant
 
@@ -71,7 +71,7 @@ def model_of(plant: NonlinearPlant) -> dict[str, Plain]:
     ca, s = casadi(), symbols_of(plant)
     f, h = ca.Function("dynamics", [s.x, s.u, s.w], [s.f]), ca.Function("measurement", [s.x, s.u], [s.h])
     boxes: dict[str, Plain] = {
-        key: {"low": ends(plant.bounds[name][0]), "high": ends(plant.bounds[name][1])}
+        key: {"low": finite_or_nones(plant.bounds[name][0]), "high": finite_or_nones(plant.bounds[name][1])}
         for key, name in (("u", "inputs"), ("w", "disturbances"))
     }
     programs: dict[str, Plain] = {"f": instructions(f, ("x", "u", "w")), "h": instructions(h, ("x", "u"))}

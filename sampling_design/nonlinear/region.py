@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +86,7 @@ class StateRegion(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; unbounded ends are None."""
         return {
-            "x": {"low": ends(self.lower), "high": ends(self.upper)},
+            "x": {"low": finite_or_nones(self.lower), "high": finite_or_nones(self.upper)},
             "rows": self.rows.tolist(),
             "offsets": self.offsets.tolist(),
         }
@@ -105,11 +105,6 @@ def _frozen(value: Array) -> Array:
     value = np.array(value)
     value.flags.writeable = False
     return value
-
-
-def ends(values: Array) -> list[Plain]:
-    """Numbers, None where they are infinite."""
-    return [float(v) if np.isfinite(v) else None for v in values.tolist()]
 
 
 def drawn(lower: Array, upper: Array, scales: Array, count: int, rng: np.random.Generator) -> Array:

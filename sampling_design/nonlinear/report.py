@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design._record import Record, short
+from sampling_design._record import Record, finite_or_none, short
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.patient_run import SCHEMES, SPANS
@@ -94,13 +94,13 @@ class ThyroidReport(Record):
         }
 
     def _case(self, case: str) -> Tree:
-        data: Tree = {"ratio": {span: _number(self.ratio(case, span)) for span in SPANS}}
+        data: Tree = {"ratio": {span: finite_or_none(self.ratio(case, span)) for span in SPANS}}
         for scheme in SCHEMES:
             seconds = self.seconds(case, scheme)
             values = {span: self.rmse(case, scheme, span) for span in SPANS}
             data[scheme] = {
-                "rmse": {span: _number(np.mean(value)) for span, value in values.items()},
-                "spread": {span: _number(np.std(value)) for span, value in values.items()},
+                "rmse": {span: finite_or_none(np.mean(value)) for span, value in values.items()},
+                "spread": {span: finite_or_none(np.std(value)) for span, value in values.items()},
                 "problems": int(seconds.size),
                 "seconds_mean": float(seconds.mean()),
                 "seconds_max": float(seconds.max()),
@@ -156,10 +156,6 @@ class ThyroidReport(Record):
 
 def _paper_ratio() -> float:
     return PAPER_RMSE["sample_based"] / PAPER_RMSE["standard"]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _figure(value: float | None, spread: float | None) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, counted, short
+from sampling_design._record import Plain, Record, counted, finite_or_nones, short
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
@@ -97,7 +97,7 @@ class PlanRobustness(Record):
             "step": self.step.tolist(),
             "late_ratio": self.late_ratio.tolist(),
             "lost": self.lost,
-            "lost_ratio": [x if np.isfinite(x) else None for x in self.lost_ratio.tolist()],
+            "lost_ratio": finite_or_nones(self.lost_ratio),
         }
 
 

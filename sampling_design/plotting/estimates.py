@@ -35,11 +35,8 @@ def draw_estimates(
     figure, axes = style.new_figure(len(states), row_height=1.7 if len(states) > 1 else 2.6)
     for i, panel in enumerate(axes):
         _panel(panel, record, i, measurements, tube)
-        if i + 1 < len(axes):
-            panel.set_xlabel("")
-            panel.tick_params(labelbottom=False)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=4, fontsize="small", frameon=False)
+    style.one_time_axis(axes)
+    style.legend_above(figure, axes[0], 4)
     return axes
 
 
@@ -68,13 +65,10 @@ def draw_envelope(
         panel.margins(x=0.01)
     for panel in panels:
         _clock(panel, record, measurements)
-    for panel in panels[:-1]:
-        panel.set_xlabel("")
-        panel.tick_params(labelbottom=False)
+    style.one_time_axis(panels)
     if ax is not None:
         return ax
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=4, fontsize="small", frameon=False)
+    style.legend_above(figure, axes[0], 4)
     return axes
 
 

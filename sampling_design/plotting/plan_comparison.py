@@ -32,9 +32,7 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
     for one in axes:
         mark_days(longest, one)
         one.set_xlim(*whole(longest))
-    for one in axes[:-1]:
-        one.tick_params(labelbottom=False)
-        one.set_xlabel("")
+    style.one_time_axis(axes)
     figure.suptitle(f"{result.first.plant.name or 'plans'}: {result.names[0]} and {result.names[1]}")
     return axes
 

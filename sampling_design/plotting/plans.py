@@ -31,9 +31,7 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     for one in axes:
         mark_days(result, one)
         one.set_xlim(*whole(result))
-    for one in axes[:-1]:
-        one.tick_params(labelbottom=False)
-        one.set_xlabel("")
+    style.one_time_axis(axes)
     figure.suptitle(f"{result.plant.name or 'plan'}: {priced(result)} a period")
     return axes
 

@@ -22,9 +22,7 @@ def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | st
     _, axes = style.new_figure(len(labels), row_height=1.7 if len(labels) > 1 else 2.6)
     for i, panel in enumerate(axes):
         _panel(panel, record, i, labels[i])
-    for panel in axes[:-1]:
-        panel.set_xlabel("")
-        panel.tick_params(labelbottom=False)
+    style.one_time_axis(axes)
     return axes
 
 
@@ -61,13 +59,10 @@ def draw_simulated(record: SimulatedRecord, ax: Axes | None = None) -> Axes | st
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
         panel.set_xlabel(style.time_label(plant.time_unit))
-    for panel in panels[:-1]:
-        panel.set_xlabel("")
-        panel.tick_params(labelbottom=False)
+    style.one_time_axis(panels)
     if ax is not None:
         return ax
-    handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper right", ncols=2, fontsize="small", frameon=False)
+    style.legend_above(figure, axes[0], 2)
     return axes
 
 

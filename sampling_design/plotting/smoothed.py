@@ -28,8 +28,6 @@ def draw_smoothed(window: SmoothedWindow, ax: Axes | None = None) -> Axes | styl
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
         panel.set_xlabel(style.time_label(window.plant.time_unit))
-    for panel in panels[:-1]:
-        panel.set_xlabel("")
-        panel.tick_params(labelbottom=False)
+    style.one_time_axis(panels)
     style.legend(panels[0])
     return ax if ax is not None else axes

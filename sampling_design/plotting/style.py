@@ -69,6 +69,19 @@ def new_figure(
     return figure, Panels(row[0] for row in axes)
 
 
+def one_time_axis(panels: Iterable[matplotlib.axes.Axes]) -> None:
+    """Panels below each other share the time axis of the lowest."""
+    for panel in list(panels)[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+
+
+def legend_above(figure: Figure, ax: matplotlib.axes.Axes, columns: int) -> None:
+    """Above the whole picture, what one of its panels names."""
+    handles, names = ax.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper right", ncols=columns, fontsize="small", frameon=False)
+
+
 def time_label(unit: str | None, what: str = "time") -> str:
     """Return an axis label with the unit."""
     return f"{what} [{unit}]" if unit else what

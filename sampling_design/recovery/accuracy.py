@@ -11,14 +11,14 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import Gridded, Plain, Variable, short
+from sampling_design._record import Gridded, Plain, Variable, finite_or_nones, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.time_varying import TimeVaryingPlant
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, accuracy_over_box, one_plant, refuse_others
-from sampling_design.recovery.accuracy_varying import AccuracyAlong, accuracy_along, finite_or_none
+from sampling_design.recovery.accuracy_varying import AccuracyAlong, accuracy_along
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.recovery.profile import AccuracyProfile, GapProof
@@ -263,18 +263,18 @@ class Accuracy(Gridded):
             },
             "time_unit": self.plant.time_unit,
             "schedule": self.schedule.to_dict(),
-            "lower": finite_or_none(self.lower),
-            "upper": finite_or_none(self.upper),
+            "lower": finite_or_nones(self.lower),
+            "upper": finite_or_nones(self.upper),
             "unknown": list(self.unknown),
             "worst": self.worst.tolist(),
             "offset": self.offset.tolist(),
-            "known_from": finite_or_none(self.known_from),
+            "known_from": finite_or_nones(self.known_from),
             "closed": self.closed.tolist(),
-            "at_samples": [finite_or_none(row) for row in self.at_samples],
+            "at_samples": [finite_or_nones(row) for row in self.at_samples],
             "profile": {
                 "edges": self.profile.edges.tolist(),
-                "lower": [finite_or_none(row) for row in self.profile.lower],
-                "upper": [finite_or_none(row) for row in self.profile.upper],
+                "lower": [finite_or_nones(row) for row in self.profile.lower],
+                "upper": [finite_or_nones(row) for row in self.profile.upper],
             },
             "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
         }

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.evidence import Claim
 from sampling_design.observability.box.model import require_constant_box
@@ -79,7 +79,7 @@ class AccuracyOverBox(Record):
         return {
             "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
             "lower": self.lower.tolist(),
-            "upper": [float(x) if np.isfinite(x) else None for x in self.upper],
+            "upper": finite_or_nones(self.upper),
             "worst": [dict(each) for each in self.worst],
             "closed": self.closed.tolist(),
             "cells": self.cells,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
@@ -80,10 +80,10 @@ class AccuracyAlong(Record):
             "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
             "times": self.times.tolist(),
             "time_unit": self.plant.time_unit,
-            "lower": [finite_or_none(row) for row in self.lower],
-            "upper": [finite_or_none(row) for row in self.upper],
+            "lower": [finite_or_nones(row) for row in self.lower],
+            "upper": [finite_or_nones(row) for row in self.upper],
             "worst": self.worst.tolist(),
-            "known_from": finite_or_none(self.known_from),
+            "known_from": finite_or_nones(self.known_from),
             "closed": self.closed.tolist(),
             "error": self.error,
             "claim": self.claim.to_dict(),
@@ -125,11 +125,6 @@ class AccuracyAlong(Record):
 def _worst(upper: Array) -> npt.NDArray[np.intp]:
     """Where each row is largest among the times at which it is known."""
     return np.asarray(np.where(np.isfinite(upper), upper, -1.0).argmax(axis=1))
-
-
-def finite_or_none(values: Array) -> list[float | None]:
-    """Plain numbers; what is infinite becomes None."""
-    return [float(x) if np.isfinite(x) else None for x in values]
 
 
 def accuracy_along(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
@@ -90,7 +90,7 @@ class ScheduleLog(Record):
             "time_unit": self.time_unit,
             "planned": self.planned.times.tolist(),
             "actual": self.actual.times.tolist(),
-            "deviations": [float(d) if np.isfinite(d) else None for d in self.deviations],
+            "deviations": finite_or_nones(self.deviations),
             "largest_deviation": self.largest_deviation,
             "missed": self.missed.tolist(),
             "extra": self.extra.tolist(),

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
+from sampling_design._record import Gridded, Plain, Record, Table, Variable, finite_or_none, finite_or_nones, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.tube import Tube
 from sampling_design.plants.plant import Plant
@@ -85,7 +85,7 @@ class Contradiction(NamedTuple):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; an infinite factor becomes None."""
-        return {**self._asdict(), "factor": _finite(self.factor)}
+        return {**self._asdict(), "factor": finite_or_none(self.factor)}
 
     def __str__(self) -> str:
         sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"
@@ -292,10 +292,10 @@ class Estimate(Record):
         return {
             "t": self.t,
             "x": self.x.tolist(),
-            "radii": [_finite(r) for r in self.radii],
-            "radius": _finite(self.radius),
+            "radii": finite_or_nones(self.radii),
+            "radius": finite_or_none(self.radius),
             "status": self.status,
-            "cost": _finite(self.cost),
+            "cost": finite_or_none(self.cost),
             "certified": self.certified,
             "on_schedule": self.on_schedule,
             "note": self.note,
@@ -324,10 +324,6 @@ def half_widths(radius: Array, variance: Array) -> Array:
     if np.isfinite(size).all():
         return np.asarray(size * spread)
     return np.multiply(size, spread, where=(spread > 0) | np.isnan(radius), out=np.zeros(spread.shape))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -409,9 +405,9 @@ class EstimateRecord(Table, Gridded):
             "time_unit": self.plant.time_unit,
             "times": self.times.tolist(),
             "x": self.x.tolist(),
-            "radii": [[_finite(r) for r in row] for row in self.radii],
-            "radius": [_finite(r) for r in self.radius],
-            "cost": [_finite(c) for c in self.cost],
+            "radii": [finite_or_nones(row) for row in self.radii],
+            "radius": finite_or_nones(self.radius),
+            "cost": finite_or_nones(self.cost),
             "status": list(self.status),
             "certified": self.certified.tolist(),
             "on_schedule": self.on_schedule.tolist(),

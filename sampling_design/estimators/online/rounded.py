@@ -44,8 +44,9 @@ def in_units_of(Y: Array, size: Array, half: Array | None = None) -> tuple[float
     counts as known to n eps of the rest. `half` is a U with U U' = Y^-1, where one is known.
     """
     if half is not None:
-        far = math.hypot(*size.dot(abs(half)).tolist())
-        return far * far, sum(Y.diagonal().dot(half * half).tolist())
+        far, near = math.hypot(*size.dot(abs(half)).tolist()), sum(Y.diagonal().dot(half * half).tolist())
+        # beyond all numbers there is no radius, as below
+        return (far * far, near) if math.isfinite(far) and math.isfinite(near) else (0.0, 0.0)
     unit = np.sqrt(Y.diagonal())
     if not (np.isfinite(Y).all() and np.isfinite(size).all()):
         return 0.0, 0.0  # then there is no radius

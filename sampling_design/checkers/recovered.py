@@ -5,8 +5,9 @@ For gains lambda let g be c at t, run back by g' = -A'g, less row'lambda at each
 so that with |row x - y| <= size, x(s) = centre + root a and w = push_centre + push_root a
     c'x(t) <= sum lambda y + g(s)'centre + int g'(Bu + G push_centre)
               + |root'g(s)| + int |push_root'G'g| + sum |lambda| size.
-Every number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below its
-chord plus (s - a)(b - s)/2 sup|p''|.
+Costates at readings are integers (`long_numbers`): over many gaps doubles would lose them, or the bound of their error.
+Every other number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below
+its chord plus (s - a)(b - s)/2 sup|p''|.
 
 Nothing is known of a start without a root: then g(s) must be 0. Gains near those of the file make it so; by how much
 more they may cost is added. What is read as a mean is a row of a longer state: x and its integral, 0 at `since`.
@@ -14,12 +15,14 @@ more they may cost is added. What is read as a mean is a row of a longer state: 
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 
 from .interval_file import OfInterval
-from .numbers import EPS
+from .long_numbers import UNIT, doubles, long, long_flow, product
+from .numbers import EPS, safe
 from .outcome import Refused, Undecided
 from .strict import Array
 from .work import Work
@@ -28,6 +31,7 @@ PANEL = 1 / 128  # length of a panel times |A|, at most
 LEAST_PANELS = 64  # of one gap
 TERMS = 14  # of e^M, |M| <= 1/128: the rest is below 1e-36
 MOST_PANELS = 2**14  # of one gap
+STEPS = 30  # microseconds of a flow in integers, over the cube of its size
 INEQUALITY = "c'x(t) <= sum lambda y + b(lambda)"
 LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves, which are sums of positive terms
 HALF = 0.5
@@ -35,15 +39,25 @@ HALF = 0.5
 
 @dataclass
 class Columns:
-    """Costates (N, k), bounds of their errors, and what their functionals come to; one column for each question."""
+    """Costates (N, k), a bound of their errors, and what their functionals come to; one column for each question."""
 
-    g: Array
-    wrong: Array
+    long: Array  # integers
+    off: Array
     exact: Array  # sum lambda y + g'centre + int g'(Bu + G centre)
     doubt: Array  # of it
     pushed: Array  # int |push_root'G'g| at most
     least: Array  # and at least
     noise: Array
+
+    @property
+    def g(self) -> Array:
+        """Costates as doubles."""
+        return doubles(self.long)
+
+    @property
+    def wrong(self) -> Array:
+        """Bounds of their errors."""
+        return (self.off + EPS * np.abs(self.g)) * LOOSE
 
 
 def prove(c: OfInterval, work: Work | None = None) -> tuple[str, float]:
@@ -132,20 +146,22 @@ class Backward:
         lost = (c.plant.G.shape[1] + 2) * EPS * (np.abs(c.plant.G) @ np.abs(c.push_root))
         self.wrong_G = np.zeros_like(self.G)
         self.wrong_G[:n] = lost / self.d[:n, None]
-        self.known: dict[tuple[float, int], tuple[Array, Array, Array, Array]] = {}
+        self.known: dict[Fraction, tuple[Array, Array, Array, Array, Array, float]] = {}
         self.size = float(np.linalg.norm(self.A, 2)) * LOOSE
-        if not (np.isfinite(self.A).all() and np.isfinite(self.G).all() and np.isfinite(self.size)):
-            raise Undecided(INEQUALITY, "these numbers are beyond the range of doubles")
+        root = np.zeros(0) if c.root is None else c.root / self.d[:n, None]
+        # what underflows in units that a file states would be lost: nothing may
+        rows = [c.rows, *(one.row for some in c.readings for one in some)]
+        safe(self.d, c.plant.A, G, *rows)
+        safe(self.A, self.G, root, *(row * self.d[:n] for row in rows))
 
     def run(self, targets: Array, gains: Array) -> Found:
         """What gains (k, R) for targets (k, n) come to; a column of its own for each row where the start is open."""
         c, n, count = self.c, self.c.plant.n, len(targets)
         R = gains.shape[1]
         extra = R if c.root is None else 0
-        g = np.zeros((len(self.A), count + extra))
+        g, zero = np.zeros((len(self.A), count + extra)), np.zeros(count + extra)
         g[:n, :count] = (targets * self.d[:n]).T
-        zero = np.zeros(count + extra)
-        columns = Columns(g, EPS * np.abs(g), *(zero.copy() for _ in range(5)))
+        columns = Columns(long(g), np.full(g.shape, UNIT), *(zero.copy() for _ in range(5)))
         every = np.vstack([gains, -np.eye(R)[:extra]])
         at = R
         self.fly(columns, c.times[-1], c.t)
@@ -162,17 +178,17 @@ class Backward:
         c, n = self.c, self.c.plant.n
         squares = np.zeros(len(gains))
         for one, gain in zip(c.readings[k], gains.T, strict=True):
-            row = np.zeros(len(self.A))
+            row = [Fraction(0)] * len(self.A)
             if one.since is None:
-                row[:n] = one.row * self.d[:n]
+                row[:n] = map(Fraction, (one.row * self.d[:n]).tolist())
             else:
                 place = n + self.means.index(one.row.tobytes())
-                row[place] = self.d[place] / (c.times[k] - one.since)
+                row[place] = Fraction(float(self.d[place])) / (Fraction(c.times[k]) - Fraction(one.since))
             if one.below and np.any(gain[: self.questions(gain)] < 0):
                 raise Refused(INEQUALITY, f"a gain of a one-sided reading at {c.times[k]:.9g} is negative")
-            step = row[:, None] * gain
-            columns.wrong += 4 * EPS * np.abs(step) + EPS * np.abs(columns.g)
-            columns.g -= step
+            taken = [[share * x for x in map(Fraction, gain.tolist())] for share in row]
+            columns.long = columns.long - long(taken)
+            columns.off += UNIT
             columns.exact += gain * one.y
             columns.doubt += 2 * EPS * (np.abs(gain * one.y) + np.abs(columns.exact))
             if one.below or not c.together:
@@ -191,7 +207,7 @@ class Backward:
             for one in some:
                 if one.since is not None and one.since == self.c.times[k]:
                     place = self.c.plant.n + self.means.index(one.row.tobytes())
-                    columns.g[place] = columns.wrong[place] = 0.0
+                    columns.long[place], columns.off[place] = 0, 0.0
 
     def fly(self, columns: Columns, a: float, b: float) -> None:
         """From b back to a, piece by piece of the input."""
@@ -200,24 +216,26 @@ class Backward:
         for left, right in reversed(list(pairwise(edges))):
             if right > left:
                 u = next((u for t, u in reversed(c.inputs) if t <= left), np.zeros(c.B.shape[1]))
-                self.piece(columns, right - left, u)
+                self.piece(columns, Fraction(right) - Fraction(left), u)
 
-    def piece(self, columns: Columns, h: float, u: Array) -> None:
-        """Over a length h with a constant input, in panels."""
-        c, n = self.c, self.c.plant.n
+    def piece(self, columns: Columns, length: Fraction, u: Array) -> None:
+        """Over a length with a constant input, in panels."""
+        c, n, h = self.c, self.c.plant.n, float(length)
         panels = 2 ** math.ceil(math.log2(max(self.size * h / PANEL, LEAST_PANELS)))
         if panels > MOST_PANELS:
             raise Undecided(INEQUALITY, f"a gap of {h:.6g} is too long for this check")
-        self.work.spend(panels * columns.g.size * len(self.A) / 50)
+        self.work.spend(panels * columns.off.size * len(self.A) / 50 + STEPS * len(self.A) ** 3)
         if self.work.over:
             raise Undecided(INEQUALITY, "it takes more work than one check may do")
         d = h / panels
-        if (h, panels) not in self.known:
-            self.known[h, panels] = flows(self.A.T, d, panels)
-        E, wrong_E, mean, wrong_mean = self.known[h, panels]
-        path = E @ columns.g
-        doubts = (np.abs(E) + wrong_E) @ columns.wrong + (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(columns.g)
-        columns.g, columns.wrong = path[-1], doubts[-1] * LOOSE
+        if length not in self.known:
+            self.known[length] = *flows(self.A.T, d, panels), *long_flow(self.A.T, length)
+        E, wrong_E, mean, wrong_mean, whole, wrong_whole = self.known[length]
+        g, wrong = columns.g, columns.wrong
+        path = E @ g
+        doubts = (np.abs(E) + wrong_E) @ wrong + (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(g)
+        carried = np.abs(doubles(whole)) @ columns.off + wrong_whole * (np.abs(g) + columns.off).sum(axis=0)
+        columns.long, columns.off = product(whole, columns.long), (carried + UNIT) * LOOSE
         self.integrate(columns, path, doubts, d)
         force = np.zeros(len(self.A))
         force[:n] = (c.B @ u + c.plant.G @ c.push_centre) / self.d[:n]

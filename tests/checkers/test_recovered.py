@@ -4,6 +4,7 @@ import copy
 import json
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 import sampling_design as sd
 from sampling_design.checkers import check, grammar, recovered
+from sampling_design.checkers.long_numbers import BITS, doubles, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import from_json
@@ -260,6 +262,11 @@ def beyond_doubles(data):
     data["scales"] = [1e-300, 1e300, 1e300]
 
 
+def lost_in_units(data):
+    """In these units the entry of A by which velocity moves position is below the least double."""
+    data["scales"] = [1e170, 1e-170, 1.0]
+
+
 def far(data):
     data["t"] = 1e9
 
@@ -270,7 +277,8 @@ def far(data):
         (forged_sign, Refused, "a gain of a one-sided reading at"),
         (forged_end, Refused, "the gains prove the upper end of row 0 only up to"),
         (unseen, Undecided, "nothing is known of the start, and the readings do not show it well enough"),
-        (beyond_doubles, Undecided, "these numbers are beyond the range of doubles"),
+        (beyond_doubles, Undecided, "some numbers are too large or too small for an honest check"),
+        (lost_in_units, Undecided, "some numbers are too large or too small for an honest check"),
         (far, Undecided, "is too long for this check"),
     ],
 )
@@ -305,9 +313,24 @@ def test_a_check_may_do_so_much_and_no_more(whole):
 
 @pytest.mark.parametrize("name", ["double_integrator", "cart_pendulum", "satellite"])
 def test_intervals_of_adversarial_runs_are_proven_with_every_rounding(name):
-    for seed in range(3):
+    for seed in (0, 1010, 1014):  # in the later ones costates in doubles lost up to a thousandth of the width
         found, _ = adversarial_run(name, seed)
         assert found.verify(rigorous=True), (name, seed)
+
+
+def test_a_flow_in_integers_is_as_exact_as_it_says():
+    import mpmath
+
+    stiff = np.array([[-40.0, 7.0, 0.0], [0.0, -40.0, 1.0], [0.0, 0.0, 1e-9]])
+    growing = np.array([[0.3, 1.1], [-7.0, 2.9]])
+    for a, h in ((growing, Fraction(13, 10)), (stiff, Fraction(3)), (stiff * 0, Fraction(1))):
+        found, off = long_flow(a, h)
+        with mpmath.workprec(700):
+            flow = mpmath.expm(mpmath.matrix(a.tolist()) * h.numerator / h.denominator)
+            pairs = ((mpmath.mpf(x) / 2**BITS, flow[at]) for at, x in np.ndenumerate(found))
+            worst = max(abs(x - y) for x, y in pairs)
+        assert worst <= off < 1e-30
+    assert np.isinf(doubles(np.array([2**2000], dtype=object))).all()
 
 
 def main(runs: int) -> None:

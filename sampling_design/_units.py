@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from sampling_design._checks import described
+from sampling_design._record import short
 from sampling_design.errors import ArgumentError
+
+WHOLE = (1e-3, 1e-6)
+"""A length counts as whole seconds within so many of them, and within this share of it."""
 
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
 
@@ -27,3 +33,22 @@ def check_time_unit(unit: object, name: str = "time_unit") -> str:
 def time_factor(source: str, target: str) -> float:
     """Return c so that a time of value t in `source` has value c t in `target`."""
     return SECONDS[check_time_unit(source)] / SECONDS[check_time_unit(target)]
+
+
+def spoken(length: float, unit: str) -> str:
+    """Return a length of time as people say it: 1.08333 d is "26 h", 5400 s "1 h 30 min", 100 h "4 d 4 h".
+
+    Below two days in hours; what is shorter than a minute, or no whole number of seconds, stays as it is ("6.4 s").
+    """
+    seconds = length * SECONDS[check_time_unit(unit)]
+    whole = round(seconds) if math.isfinite(seconds) else 0
+    if abs(whole) < 60 or abs(seconds - whole) > min(WHOLE[0], WHOLE[1] * abs(seconds)):
+        return f"{short(length)} {unit}"
+    rest, parts = abs(whole), []
+    for name in ("d", "h", "min", "s"):
+        size = round(SECONDS[name])
+        if name == "d" and rest < 2 * size and rest != size:
+            continue
+        count, rest = divmod(rest, size)
+        parts += [f"{count} {name}"] if count else []
+    return ("-" if whole < 0 else "") + " ".join(parts)

@@ -24,6 +24,9 @@ from sampling_design.planning.sheet import write_form, write_sheet
 from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
 
+WEEK = 7 * 1440
+"""Minutes after which a weekday alone is no date."""
+
 
 def plan(
     settings: Settings,
@@ -165,8 +168,9 @@ def _times(result: Plan) -> Table:
     """The samples of one period."""
     calendar, unit = result.requirement.calendar, result.plant.time_unit
     rows, names = [], result.plant.outputs.names
+    form = "%a %H:%M" if result.minutes(result.schedule.period) <= WEEK else "%a %d %b %H:%M"
     for t, mask in zip(result.schedule.times, result.chosen[result.chosen.any(axis=1)], strict=True):
-        when = f"{t:.6g}" if calendar is None else f"{calendar.local(result.minutes(float(t))):%a %H:%M}"
+        when = f"{t:.6g}" if calendar is None else f"{calendar.local(result.minutes(float(t))):{form}}"
         rows.append([when, ", ".join(name for name, m in zip(names, mask, strict=True) if m)])
     return table("Samples of one period", [f"time [{unit}]" if calendar is None else "local time", "sensors"], rows)
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sampling_design._record import Plain, Record, short
-from sampling_design._units import time_factor
+from sampling_design._units import spoken, time_factor
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.robustness import LOST
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class PlanComparison(Record):
 
         unit = self.first.plant.time_unit
         rows = [
-            both("samples", lambda p: f"{p.samples} in {short(p.schedule.period)} {p.plant.time_unit}"),
+            both("samples", lambda p: f"{p.samples} in {spoken(p.schedule.period, p.plant.time_unit)}"),
             both("cost of a period", lambda p: short(p.cost)),
         ]
         if self.first.schedule.period != self.second.schedule.period:
@@ -132,8 +133,8 @@ def _bears(plan: Plan, what: str, unit: str) -> str:
     if plan.robustness is None:
         return "-"
     if what == "lost":
-        return f"{plan.robustness.lost} in a row" if plan.robustness.lost else "none"
-    return f"{short(plan.robustness.least_late)} {unit}"
+        return LOST[plan.robustness.lost]
+    return spoken(plan.robustness.least_late, unit)
 
 
 def _rate(plan: Plan) -> str:

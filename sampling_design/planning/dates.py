@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import SECONDS
+from sampling_design._units import SECONDS, spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
@@ -275,7 +275,7 @@ class _Dating:
         ratio, proven = self.judged(sequence)
         word = "back" if shift > 0 else "forward"
         day = self.calendar.local(clock * self.unit).date().isoformat()
-        return DateException(f"clocks {word} by {short(abs(shift) * self.unit / 60)} h", day, ratio, proven)
+        return DateException(f"clocks {word} by {spoken(abs(shift) * self.unit, 'min')}", day, ratio, proven)
 
 
 def _runs(mask: Mask) -> list[npt.NDArray[np.intp]]:

@@ -11,6 +11,7 @@ from scipy.linalg import schur
 
 from sampling_design._linalg import expm_batch
 from sampling_design._record import short
+from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import format_eigenvalue
@@ -205,7 +206,7 @@ def motion_of(problem: PlanProblem) -> Motion:
     fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)
     if fastest.real * problem.step > GROWTH / 2:
         raise ArgumentError(
-            f"`raster` is too coarse: from one of its steps to the next (here {short(problem.step)} {plant.time_unit}) "
+            f"`raster` is too coarse: from one of its steps to the next (here {spoken(problem.step, plant.time_unit)}) "
             f"the mode {format_eigenvalue(fastest)} grows by e^{fastest.real * problem.step:.3g}, so that a sample "
             f"says nothing of the next step; take at most {short(GROWTH / 8 / fastest.real)} {plant.time_unit}."
         )

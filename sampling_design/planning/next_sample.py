@@ -23,6 +23,9 @@ Mask = npt.NDArray[np.bool_]
 NEAR = 0.998
 """A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
 
+WEEK = 7
+"""Days after which a weekday alone is no date."""
+
 TRIES = 12
 """Times proven, each a step of the raster earlier than the one before, until one is."""
 
@@ -63,12 +66,21 @@ class NextSample(Record):
         calendar = self.plan.requirement.calendar
         return None if calendar is None or not np.isfinite(t) else calendar.instant(self.plan.minutes(t))
 
-    def when(self, t: float) -> str:
-        """A time in words: local where there is a calendar."""
+    def when(self, t: float, since: float | None = None) -> str:
+        """A time in words: local where there is a calendar; with no more of its date than one needs after `since`."""
         if not np.isfinite(t):
             return "never"
-        date = self.date(t)
-        return f"{short(t)} {self.plan.plant.time_unit}" if date is None else f"{date:%a %d %b %H:%M}"
+        date, before = self.date(t), None if since is None else self.date(since)
+        if date is None:
+            return f"{short(t)} {self.plan.plant.time_unit}"
+        near = before is not None and (date.date() - before.date()).days < WEEK
+        return f"{date:%a %H:%M}" if near else f"{date:%a %d %b %H:%M}"
+
+    def _beside(self, t: float) -> str:
+        """A time in words next to the latest: on the same day its hour alone."""
+        date, latest = self.date(t), self.date(self.latest)
+        same = date is not None and latest is not None and date.date() == latest.date()
+        return f"{date:%H:%M}" if same else self.when(t, self.now)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("now", self.when(self.now)), ("latest", f"{self.when(self.latest)}, {', '.join(self.outputs)}")]
@@ -80,10 +92,14 @@ class NextSample(Record):
         """Say when to sample."""
         if not np.isfinite(self.latest):
             return "No allowed sample keeps the tolerances any more: sample as soon as the place is open."
-        alone = [f"{name} alone by {self.when(t)}" for name, t in self.alone.items() if np.isfinite(t)]
-        alone = alone if len(self.plan.plant.outputs.names) > 1 else []
+        alone = [
+            f"{name} alone by {self._beside(t)}"
+            for name, t in self.alone.items()
+            if np.isfinite(t) and (name,) != self.outputs
+        ]
         by = "at" if self.plan.problem.spacing > 1 else "by"
-        return "; ".join([f"Next draw {by} {self.when(self.latest)} ({', '.join(self.outputs)})", *alone]) + "."
+        first = f"Next draw {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
+        return "; ".join([first, *alone]) + "."
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""

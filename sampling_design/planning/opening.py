@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
+from itertools import pairwise
 from typing import TypeAlias
 
 from sampling_design._record import Plain, Record
@@ -145,6 +146,24 @@ class OpeningCalendar(Record):
             return False
         weekday = there.weekday()
         return is_open(self.open_hours(), weekday, minute) and (own is None or is_open(own, weekday, minute))
+
+    def closed(self, length: float, own: WeekHours | None = None) -> list[tuple[float, float]]:
+        """Stretches of so many minutes of clock after the start in which the place, or a sensor, is closed.
+
+        Holidays are not among them: a plan is about ordinary days.
+        """
+        day, late = 1440, self.first.hour * 60 + self.first.minute
+        spans = [span for hours in (self.open_hours(), own or {}) for each in hours.values() for span in each]
+        clocks = {0, *(minutes(clock) for span in spans for clock in span)}
+        days = range(int(length // day) + 2)
+        marks = sorted({min(max(float(k * day + clock - late), 0.0), length) for k in days for clock in clocks})
+        found: list[tuple[float, float]] = []
+        for start, stop in pairwise(marks):
+            if self.is_open(start, own):
+                continue
+            joined = bool(found) and found[-1][1] == start
+            found[-1:] = [(found[-1][0], stop)] if joined else [*found[-1:], (start, stop)]
+        return found
 
     def _rows(self) -> list[tuple[str, str]]:
         hours = [(day, ", ".join(f"{a} to {b}" for a, b in spans)) for day, spans in self.open_hours().items()]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import short
+from sampling_design._units import spoken
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
@@ -367,7 +367,7 @@ class _Planning:
             finer = finer_raster(self.problem, self.motion, self.oracle.rows)
             help_ = "Allow other hours or another sensor."
             if finer is not None:
-                help_ = f"The raster hides it: one of {short(finer)} {unit} shows it."
+                help_ = f"The raster hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
                 "Not even measuring at every allowed time shows all that `accuracy` asks for: "
                 f"{modes_of(self.motion, blindness)} never fades and stays hidden. {help_}",

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import SECONDS
+from sampling_design._units import SECONDS, spoken
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.cover import Cover
@@ -209,7 +209,7 @@ class Plan(Record):
         return data  # type: ignore[return-value]
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("samples", f"{self.samples} in {short(self.schedule.period)} {self.plant.time_unit}")]
+        rows = [("samples", f"{self.samples} in {spoken(self.schedule.period, self.plant.time_unit)}")]
         rows += [] if self.problem.counts else [("cost", f"{short(self.cost)} a period")]
         if self.bound.cost is not None:
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
@@ -231,9 +231,11 @@ class Plan(Record):
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""
         unit = "" if self.problem.counts else f" for {short(self.cost)}"
-        parts = [f"{g.name} within {short(v, 3)}{' ' + g.unit if g.unit else ''}" for v, g in
-                 zip(self.reached, self.goals, strict=True)]  # fmt: skip
-        text = f"{counted(self.samples, 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}{unit} "
+        parts = [
+            f"{g.name} within {short(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.spread}"
+            for v, g in zip(self.reached, self.goals, strict=True)
+        ]
+        text = f"{counted(self.samples, 'sample')} every {spoken(self.schedule.period, self.plant.time_unit)}{unit} "
         text += "keeps " if self.samples == 1 else "keep "
         text += ", ".join(parts) + "."
         if self.bound.cost is not None:

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, counted, finite_or_nones, short
+from sampling_design._record import Plain, Record, finite_or_nones, short
+from sampling_design._units import spoken
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
@@ -18,10 +19,13 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 LATES = 8
-"""Delays of one sample that are judged, at most, evenly spread up to the next sample."""
+"""Delays of one sample that are judged, at most, evenly spread up to the next sample, or up to the first of these."""
 
 MOST_LOST = 2
 """Samples in a row that are left out, at most."""
+
+LOST = ("none", "any one", "any two in a row")
+"""What may be lost, in words."""
 
 SAME = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
@@ -66,13 +70,12 @@ class PlanRobustness(Record):
         """Rows of a table."""
         worst = float(np.max(self.lost_ratio))
         missed = f"{short(worst, 4)} of the tolerance" if np.isfinite(worst) else "beyond all bounds"
-        late = (
-            f"{short(self.least_late)} {self.time_unit}"
-            if self.least_late
-            else f"less than {short(float(np.min(self.step)))} {self.time_unit}"
-        )
-        count = "none" if not self.lost else f"{self.lost} in a row"
-        return [("any one sample may be late by", late), ("may be lost", f"{count}; after one at worst {missed}")]
+        step = spoken(float(np.min(self.step)), self.time_unit)
+        late = spoken(self.least_late, self.time_unit) if self.least_late else f"less than {step}"
+        return [
+            ("any one sample may be late by", late),
+            ("may be lost", f"{LOST[self.lost]}; after one at worst {missed}"),
+        ]
 
     def _rows(self) -> list[tuple[str, str]]:
         return self.lines()
@@ -80,10 +83,12 @@ class PlanRobustness(Record):
     def explain(self) -> str:
         """Say what the plan bears."""
         late = self.least_late
-        least = f"Not every sample may be {short(float(np.min(self.step)))} {self.time_unit} late"
-        text = f"Any one sample may be {short(late)} {self.time_unit} late" if late else least
-        text += f" (judged in steps of {short(float(np.max(self.step)))})" if late else ""
-        lost = f"{counted(self.lost, 'sample')} in a row may be lost" if self.lost else "no sample may be lost"
+        least = f"Not every sample may be {spoken(float(np.min(self.step)), self.time_unit)} late"
+        text = f"Any one sample may be {spoken(late, self.time_unit)} late" if late else least
+        text += (
+            f" (judged in steps of {spoken(float(self.step[np.argmin(self.late)]), self.time_unit)})" if late else ""
+        )
+        lost = f"{LOST[self.lost]} may be lost" if self.lost else "no sample may be lost"
         worst = float(np.max(self.lost_ratio))
         after = f"the accuracy is then {100 * worst:.3g} % of the tolerance at worst" if np.isfinite(worst) else ""
         return f"{text}; {lost}{'; ' if after else ''}{after}."
@@ -168,17 +173,20 @@ def _late(plan: Plan, k: int) -> tuple[float, float, float]:
     room = round((following - float(times[k])) / problem.step) - 1
     if room < 1:
         return 0.0, problem.step, plan.ratio
-    stride = max(1, room // LATES) * problem.step
-    most = 0
-    for m in range(1, min(LATES, int(room * problem.step / stride + 1e-9)) + 1):
-        if _broken(plan, delayed(plan, k, m * stride)) > 1:
-            break
-        most = m
-    for m in range(most, 0, -1):
-        ratio = proven_ratio(plan, delayed(plan, k, m * stride))
-        if ratio <= 1:
-            return m * stride, stride, ratio
-    return 0.0, stride, plan.ratio
+    steps = max(1, room // LATES)
+    while True:
+        stride, most = steps * problem.step, 0
+        for m in range(1, min(LATES, room // steps) + 1):
+            if _broken(plan, delayed(plan, k, m * stride)) > 1:
+                break
+            most = m
+        for m in range(most, 0, -1):
+            ratio = proven_ratio(plan, delayed(plan, k, m * stride))
+            if ratio <= 1:
+                return m * stride, stride, ratio
+        if steps == 1:
+            return 0.0, stride, plan.ratio
+        steps = max(1, steps // LATES)
 
 
 def _broken(plan: Plan, sequence: SampleSequence) -> float:

@@ -63,7 +63,7 @@ def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str =
             time = f"<td>{entry.date:%H:%M}{note}</td>"
             lines.append(f"<tr>{first}{time}{cells}<td class='blank'></td><td class='blank'></td></tr>")
     goals = "; ".join(
-        f"{g.name} within {short(g.tolerance)}{' ' + g.unit if g.unit else ''} ({g.at})" for g in plan.goals
+        f"{g.name} within {short(g.tolerance)}{' ' + g.unit if g.unit else ''} ({g.when()})" for g in plan.goals
     )
     notes = "".join(f"<p class='note'>{escape(e.date)}: {escape(e.what)}.</p>" for e in dates.exceptions)
     title = f"{plan.plant.name or 'Plan'}: samples"

@@ -30,8 +30,8 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
         _goal(result, name, one)
     longest = max(result.plans, key=lambda p: p.schedule.period)
     for one in axes:
-        mark_days(longest, one)
         one.set_xlim(*whole(longest))
+        mark_days(longest, one)
     style.one_time_axis(axes)
     figure.suptitle(f"{result.first.plant.name or 'plans'}: {result.names[0]} and {result.names[1]}")
     return axes

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
-
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design._units import SECONDS
+from sampling_design.planning.opening import week_hours
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plotting import style
-
-Mask = npt.NDArray[np.bool_]
 
 
 def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
@@ -29,8 +25,8 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     for k, one in enumerate(axes[1:]):
         _goal(result, k, one)
     for one in axes:
-        mark_days(result, one)
         one.set_xlim(*whole(result))
+        mark_days(result, one)
     style.one_time_axis(axes)
     figure.suptitle(f"{result.plant.name or 'plan'}: {priced(result)} a period")
     return axes
@@ -53,7 +49,7 @@ def draw_sensors(result: Plan, ax: Axes) -> Axes:
     """One row for each sensor: when it may not be read, in grey, and when it is."""
     problem, names = result.problem, result.plant.outputs.names
     for j in range(len(names)):
-        style.shut(ax, j, [(a * problem.step, b * problem.step) for a, b in _spans(~problem.allowed[:, j])])
+        style.shut(ax, j, closed(result, j))
         at = np.flatnonzero(result.chosen[:, j]) * problem.step
         ax.plot(at, np.full(at.size, j), "o", color=style.MEASURED, markersize=6, zorder=3)
     for t in result.schedule.times:
@@ -90,22 +86,22 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
 
 def mark_days(result: Plan, ax: Axes) -> None:
     """Weekdays instead of numbers where the plan has a calendar."""
-    calendar, period = result.requirement.calendar, result.schedule.period
+    calendar = result.requirement.calendar
     if calendar is None:
         return
-    day = 86400 / SECONDS[result.plant.time_unit]
-    count = round(period / day)
-    if count < 1:
-        return
-    every = max(1, -(-count // 14))
-    marks = np.arange(0, count + 1, every) * day
-    ax.set_xticks(marks)
-    ax.set_xticklabels([f"{calendar.first + timedelta(days=int(k) * every):%a %d %b}" for k in range(marks.size)])
-    ax.tick_params(axis="x", labelsize="small")
+    style.dates(ax, result.plant.time_unit, calendar.start)
     ax.set_xlabel(f"local time, {calendar.zone}")
 
 
-def _spans(mask: Mask) -> list[tuple[int, int]]:
-    """Runs of steps that are true."""
-    marks = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [(int(a), int(b)) for a, b in zip(marks[::2], marks[1::2], strict=True)]
+def closed(result: Plan, j: int) -> list[tuple[float, float]]:
+    """When a sensor may not be read, by the clock: whatever the raster, the hours are those that were asked for."""
+    problem, requirement = result.problem, result.requirement
+    if not problem.allowed[:, j].any():
+        return [(0.0, problem.period)]
+    if requirement.calendar is None:
+        return []
+    terms = requirement.sensors.get(result.plant.outputs.names[j])
+    own = None if terms is None or terms.hours is None else week_hours("hours", terms.hours)
+    minute = 60 / SECONDS[result.plant.time_unit]
+    spans = requirement.calendar.closed(problem.period / minute, own)
+    return [(start * minute, stop * minute) for start, stop in spans]

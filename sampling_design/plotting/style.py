@@ -190,6 +190,7 @@ def dates(ax: matplotlib.axes.Axes, unit: str | None, origin: str | None) -> Non
 
     ax.xaxis.set_major_locator(MultipleLocator(every * day, offset=-shift * day))
     ax.xaxis.set_major_formatter(FuncFormatter(said))
-    if every >= 1 and count <= 4:
-        ax.xaxis.set_minor_locator(MultipleLocator(day / 4, offset=-shift * day))
+    between = day / 4 if every >= 1 and count <= 4 else day if every == 7 else 0.0
+    if between:
+        ax.xaxis.set_minor_locator(MultipleLocator(between, offset=-shift * day))
     ax.set_xlabel(f"date, from {zero:%Y-%m-%d}")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, finite_or_nones, short
+from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
@@ -102,15 +103,15 @@ class ScheduleLog(Record):
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.time_unit
         away = np.abs(self.deviations[self.match >= 0])
-        typical = short(np.median(away)) if away.size else "-"
+        typical = spoken(float(np.median(away)), unit) if away.size else "-"
         rows = [
             ("planned samples", str(len(self.planned))),
             ("actual samples", str(len(self.actual))),
             ("missed", f"{self.missed.size}" + (f" at {short(self.missed)} {unit}" if self.missed.size else "")),
             ("not planned", f"{self.extra.size}" + (f" at {short(self.extra)} {unit}" if self.extra.size else "")),
             ("lacking an output", str(int(self.lacking.sum()))),
-            ("largest deviation", f"{short(self.largest_deviation)} {unit}"),
-            ("median deviation", f"{typical} {unit}"),
+            ("largest deviation", spoken(self.largest_deviation, unit)),
+            ("median deviation", typical),
         ]
         if self.planned_sigma is not None and self.actual_sigma is not None:
             rows.append(("window", f"{short(self.planned_sigma.window)} {unit}"))
@@ -121,7 +122,7 @@ class ScheduleLog(Record):
     def explain(self) -> str:
         """Say what the deviations cost."""
         text = f"{self.missed.size} of {len(self.planned)} planned samples were missed, the others came within "
-        text += f"{short(self.largest_deviation)} {self.time_unit}. "
+        text += f"{spoken(self.largest_deviation, self.time_unit)}. "
         if self.decays:
             return text + "Every mode decays by itself, so that no window needs a sample and no sigma is compared."
         if self.planned_sigma is None or self.actual_sigma is None:

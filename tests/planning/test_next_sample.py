@@ -31,6 +31,12 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert found.latest >= due - 1e-9
     assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
     assert "Next draw by " in found.explain()
+    outputs, day = week.plant.outputs.names, 24.0
+    told = replace(found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5})
+    clock, before = told.date(day + 14), told.date(day - 5)
+    first = f"Next draw by {clock:%a} 14:00 ({', '.join(outputs)})"
+    assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
+    assert f"by {told.date(9 * day):%a %d %b} 00:00" in replace(told, latest=9 * day).explain()
     assert found.to_dict()["latest"]["date"].endswith("+01:00")
 
 

@@ -1,11 +1,13 @@
 """Requirements of plans: what is refused, what comes back from a file, and which times are allowed."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
-from sampling_design.planning.opening import OpeningCalendar
+from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, duration
 from sampling_design.planning.requirement_file import requirement_and_plant, write_plan_requirement
@@ -122,3 +124,14 @@ def test_a_file_comes_back_and_may_hold_its_plant(tmp_path):
     assert plant is not None
     assert plant.name == "oscillator"
     assert requirement.accuracy["position"].tolerance == 0.35
+
+
+def test_what_is_closed_is_all_that_is_not_open():
+    place = OpeningCalendar("2026-03-24T10:30", hours={"Mon-Fri": [("08:00", "12:00"), ("12:00", "17:00")]})
+    own = week_hours("hours", {"Tue": [("11:00", "13:15")], "Fri": [("16:00", "20:00")]})
+    for hours in (None, own):
+        spans = place.closed(10080.0, hours)
+        assert all(a < b < c < d for (a, b), (c, d) in itertools.pairwise(spans))
+        for minute in np.arange(0.0, 10080.0, 15.0).tolist():
+            assert any(a <= minute < b for a, b in spans) != place.is_open(minute, hours)
+    assert OpeningCalendar("2026-03-23").closed(10080.0) == []

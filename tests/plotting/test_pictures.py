@@ -1,5 +1,6 @@
 """Pictures: what they show is what the record says, and they are written whole or not at all."""
 
+import itertools
 import struct
 from dataclasses import replace
 
@@ -12,7 +13,11 @@ import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.certificates.compare.robustness import Losses, TimingTrial
 from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
+from sampling_design.plotting.plans import draw_sensors, mark_days, whole
 from sampling_design.recovery.readings import Told
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -252,8 +257,30 @@ def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 24.0, "raster": 3.0}
     calendar = {"start": "2026-03-02", "hours": hours}
     wish = sd.PlanRequirement({"x1": 2.0}, **terms, calendar=calendar)
-    plan = sd.plan(slow, wish, search_seconds=2.0).plot(Figure().subplots())
-    assert grey(plan) == [(0, 0.0, 6.0), (0, 12.0, 24.0)]
+    found = sd.plan(slow, wish, search_seconds=2.0)
+    assert grey(found.plot(Figure().subplots())) == [(0, 0.0, 6.0), (0, 12.0, 24.0)]
+    odd = sd.PlanRequirement({"x1": 2.0}, **terms, calendar={**calendar, "hours": {"Mon-Sun": [("07:00", "13:30")]}})
+    shown = draw_sensors(replace(found, requirement=odd), Figure().subplots())  # a raster of 3 h: open at 9 and at 12
+    assert grey(shown) == [(0, 0.0, 7.0), (0, 13.5, 24.0)]
+
+
+@pytest.mark.parametrize("days", [1, 2, 7, 14, 28, 56])
+def test_dates_below_a_plan_do_not_overlap(days):
+    wish = sd.PlanRequirement(
+        {"x1": 2.0}, period=f"{days} d", raster="12 h", w_bound=1e-4, sensors={"y1": {"noise_bound": 0.1}},
+        calendar={"start": "2026-10-12", "zone": "Europe/Berlin"},
+    )  # fmt: skip
+    problem = pose_plan(sd.Plant([[-0.02]], [[1.0]], time_unit="h"), wish)
+    chosen = np.arange(problem.steps)[:, None] == 0
+    plan = Plan(problem.plant, wish, problem.schedule(chosen), None, np.zeros(0), PlanBound((), None, None))
+    figure, (ax,) = style.new_figure(1)
+    draw_sensors(plan, ax)
+    ax.set_xlim(*whole(plan))
+    mark_days(plan, ax)
+    figure.draw_without_rendering()
+    boxes = [t.get_window_extent() for t in ax.get_xticklabels() if t.get_text() and t.get_visible()]
+    assert len(boxes) >= 3
+    assert all(a.x1 < b.x0 for a, b in itertools.pairwise(sorted(boxes, key=lambda b: b.x0)))
 
 
 def test_a_short_log_axis_has_plain_numbers():

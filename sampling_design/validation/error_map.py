@@ -9,28 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow, symmetrise
 from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.validation.scenario import Inputs, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
-
-if TYPE_CHECKING:
-    from sampling_design.validation.scenario import ScenarioBounds
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-
-
-class Inputs(NamedTuple):
-    """What drives the errors of r runs: e0 (r, n), w (r, T, q) constant over each cell, v (r, N, p)."""
-
-    e0: Array
-    w: Array
-    v: Array
 
 
 class Weighing(Protocol):

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from sampling_design._journal import Journal
 from sampling_design._workers import Workers, numbered
 from sampling_design.errors import FileFormatError
-from sampling_design.validation.error_map import ErrorMap, Inputs
+from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import Inputs, ScenarioBounds, draw_inputs
 
 Array = npt.NDArray[np.float64]
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
-from sampling_design.validation.error_map import ErrorRows, Inputs, discounted
+from sampling_design.validation.error_map import ErrorRows, discounted
+from sampling_design.validation.scenario import Inputs
 from sampling_design.validation.timeline import Timeline
 
 Array = npt.NDArray[np.float64]

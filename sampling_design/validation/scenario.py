@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,6 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.validation.error_map import Inputs
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +26,14 @@ KINDS = ("white", "steady", "held", "sine")
 
 UNMOVED = 1e-12
 """Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
+
+
+class Inputs(NamedTuple):
+    """What drives the errors of r runs: e0 (r, n), w (r, T, q) constant over each cell, v (r, N, p)."""
+
+    e0: Array
+    w: Array
+    v: Array
 
 
 @dataclass(frozen=True, eq=False)

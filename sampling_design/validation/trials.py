@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from sampling_design.estimators.online.estimator import Estimate, Estimator
 from sampling_design.plants.plant import Plant
-from sampling_design.validation.error_map import ErrorRows, Inputs
+from sampling_design.validation.error_map import ErrorRows
+from sampling_design.validation.scenario import Inputs
 from sampling_design.validation.timeline import Timeline, exact_flow
 
 Array = npt.NDArray[np.float64]

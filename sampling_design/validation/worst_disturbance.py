@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.validation.error_map import ErrorMap, Inputs, SolveWindow, discounted
+from sampling_design.validation.error_map import ErrorMap, SolveWindow, discounted
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import ScenarioBounds, most_along
+from sampling_design.validation.scenario import Inputs, ScenarioBounds, most_along
 
 Array = npt.NDArray[np.float64]
 

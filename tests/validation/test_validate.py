@@ -10,8 +10,8 @@ from sampling_design._files import to_json
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.validation import monte_carlo
-from sampling_design.validation.error_map import Inputs
 from sampling_design.validation.report import Finding, ValidationReport
+from sampling_design.validation.scenario import Inputs
 from sampling_design.validation.study import CHOSEN_HERE, SCENARIOS
 from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
 

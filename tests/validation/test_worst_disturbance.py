@@ -5,9 +5,9 @@ import pytest
 
 from sampling_design import MovingHorizonEstimator
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.validation.error_map import Inputs, build_error_map
+from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.promise import promise_of
-from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import Inputs, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.worst_disturbance import sensitivity, worst_energy, worst_push
 from tests.oracles.validation import promised

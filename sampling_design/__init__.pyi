@@ -50,7 +50,7 @@ from sampling_design.estimators.estimate_file import write_estimates as write_es
 from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import Estimate as Estimate
+from sampling_design.estimators.online.estimate import Estimate as Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord as EstimateRecord
 from sampling_design.estimators.online.estimator import GuaranteeWarning as GuaranteeWarning
 from sampling_design.estimators.online.estimator import Sample as Sample

@@ -24,7 +24,8 @@ from sampling_design.estimators.estimate_file import (
 )
 from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.envelope import EstimateEnvelope
-from sampling_design.estimators.online.estimator import Estimate, Progress
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import Progress
 from sampling_design.estimators.online.in_order import AHEAD
 from sampling_design.estimators.online.tally import Tally
 

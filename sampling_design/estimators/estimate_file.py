@@ -20,7 +20,8 @@ from sampling_design._door import door
 from sampling_design._files import Growing
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.estimator import Estimate, EstimateRecord
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.tally import Tally
 from sampling_design.estimators.records.measurement_table import date_of
 from sampling_design.estimators.records.measurements import cell_of

@@ -15,7 +15,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import Contradiction, Estimate, EstimateRecord, Taken
+from sampling_design.estimators.online.estimate import Contradiction, Estimate
+from sampling_design.estimators.online.estimator import EstimateRecord, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, SolveDetails

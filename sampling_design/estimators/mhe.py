@@ -17,7 +17,8 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import Contradiction, Taken
+from sampling_design.estimators.online.estimate import Contradiction
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State

@@ -18,7 +18,8 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
-from sampling_design.estimators.online.estimator import Estimate, Taken
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.plants.plant import Signals

@@ -12,7 +12,7 @@ from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.kalman import KalmanFilter
-from sampling_design.estimators.online.estimator import Estimate
+from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import State
 from sampling_design.plants.plant import Plant

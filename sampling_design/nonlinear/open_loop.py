@@ -13,7 +13,8 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.online.estimator import Estimate, Status, Taken
+from sampling_design.estimators.online.estimate import Estimate, Status
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 
 from sampling_design.estimators.online.curve import EstimateCurve
 from sampling_design.estimators.online.envelope import EstimateEnvelope
-from sampling_design.estimators.online.estimator import FAILURES, EstimateRecord
+from sampling_design.estimators.online.estimate import FAILURES
+from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.tube import Tube
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style

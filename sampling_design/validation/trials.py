@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.online.estimator import Estimate, Estimator
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import Estimator
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import Inputs

@@ -12,7 +12,7 @@ from sampling_design._files import to_json
 from sampling_design.cli import following
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators.online.estimator import with_proof
+from sampling_design.estimators.online.estimate import with_proof
 from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.measurement_table import MeasurementTable

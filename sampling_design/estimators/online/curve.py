@@ -10,7 +10,8 @@ from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Record, counted
-from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Estimator
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.estimators.records.measurements import Measurements
 

@@ -3,41 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
-from sampling_design._record import Gridded, Plain, Record, Table, Variable, finite_or_none, finite_or_nones, short
+from sampling_design._record import Gridded, Plain, Table, Variable, finite_or_nones
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.tube import Tube
+from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
+from sampling_design.estimators.online.tally import Tally
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.interval import Interval
 from sampling_design.recovery.readings import Told
-from sampling_design.recovery.rows import Wanted
-
-if TYPE_CHECKING:
-    from sampling_design.estimators.online.tally import Tally
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
-
-Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
-"""How an estimate came about.
-
-prior: given, not estimated. ok: the window problem was solved. predicted: open loop since the last solve.
-infeasible: no trajectory meets the constraints and the data; solver failed: no engine reached its
-tolerance (in both cases the state is the open-loop prediction). bounds disproved: solved, and the cost is
-larger than the assumed noise bounds allow.
-"""
-
-MOVED = "Moved into the middle of what the data prove."
-
-FAILURES: tuple[Status, ...] = ("infeasible", "solver failed", "bounds disproved")
 
 
 class GuaranteeWarning(UserWarning):
@@ -61,269 +44,12 @@ class Taken(NamedTuple):
     told: tuple[Told, ...] = ()
 
 
-class Contradiction(NamedTuple):
-    """The sample that the data would have to do without, for the bounds to hold.
-
-    Attributes
-    ----------
-    number : int
-        Of the sample since the prior, from 1.
-    t : float
-    output : str
-        Of its outputs the one.
-    factor : float
-        By which its noise bound would have to grow (infinity where that bound is 0).
-    alone : bool
-        Whether the rest agrees once it is left out; if not, `factor` is that of all bounds together.
-    """
-
-    number: int
-    t: float
-    output: str
-    factor: float
-    alone: bool = True
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; an infinite factor becomes None."""
-        return {**self._asdict(), "factor": finite_or_none(self.factor)}
-
-    def __str__(self) -> str:
-        sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"
-        if self.alone:
-            return f"{sample}: its v_bound would have to be {self.factor:.3g} times as large"
-        return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
-
-
-class ProvesIntervals(Protocol):
-    """What an interval is proven from."""
-
-    def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array] | None) -> Interval:
-        """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, radius times covariance)."""
-        ...
-
-    def tube(self, times: Array, x: Array) -> Tube:
-        """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
-        ...
-
-
 class HasStates(Protocol):
     """A plant of any kind."""
 
     @property
     def n_states(self) -> int:
         """How many."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Estimate(Record):
-    """The state at one time, with the ellipsoid that holds it and the interval of each entry that the data prove.
-
-        |x(t) - x|^2_Pi <= radius,    |x_i(t) - x_i| <= radii_i <= sqrt(radius (Pi^-1)_ii)
-
-    Attributes
-    ----------
-    t : float
-    x : (n,) array
-    covariance : (n, n) array
-        Pi^-1, the discounted Kalman covariance of the window; ahead of it, of the smaller one of two proven ellipsoids.
-    radius : float
-        Bound on |x(t) - x|^2_Pi; infinity where a bound on w, v or the initial error was not given, NaN where the
-        data contradict the bounds or the constraints.
-    status : str
-        See `Status`.
-    cost : float
-        Optimal cost of the window problem (NaN where none was solved).
-    certified : bool
-        The ellipsoid is proven, provided that w, v and the initial error keep their bounds.
-    on_schedule : bool
-        The certificate's a-priori claim covers this estimate: its own weights, cost and horizon, and no
-        sample off its schedule so far.
-    window_start : float
-        Where the window began.
-    engine : str
-        What solved the window problem.
-    note : str
-        Why a flag is down or a solve failed, in words.
-    contradiction : Contradiction or None
-        Where the data contradict the bounds: the sample that does, and by what factor.
-    proof : ProvesIntervals or None
-        The samples and bounds behind it, from which `interval` and `radii` are computed when they are asked for; None
-        where no bound on w or v was given.
-    """
-
-    t: float
-    x: Array
-    covariance: Array
-    radius: float = np.inf
-    status: Status = "ok"
-    cost: float = np.nan
-    certified: bool = False
-    on_schedule: bool = False
-    window_start: float = np.nan
-    engine: str = ""
-    note: str = ""
-    contradiction: Contradiction | None = None
-    proof: ProvesIntervals | None = field(default=None, repr=False)
-
-    def interval(self, of: Wanted = None) -> Interval:
-        """Return the values that the data and the bounds leave possible, for the states or for wanted rows.
-
-        Parameters
-        ----------
-        of : str, sequence of str, or (r, n) array, optional
-            Names of states or outputs, or rows; default all states.
-
-        Returns
-        -------
-        Interval
-            Never wider than the ellipsoid; with gains that prove it (`verify`).
-
-        Raises
-        ------
-        ArgumentError
-            If the estimator was given no bound on w or on v.
-        """
-        if self.proof is None:
-            raise ArgumentError(
-                "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
-            )
-        return self.proof.interval(self.t, of, (self.x, self.radius * self.covariance) if self.certified else None)
-
-    def centred(self) -> Estimate:
-        """Return this estimate moved into the middle of its interval: no other has a smaller largest error.
-
-            x_i = (lower_i + upper_i)/2,    |x_i(t) - x_i| <= radii_i = (upper_i - lower_i)/2
-
-        Returns
-        -------
-        Estimate
-            Its ellipsoid is one around the box of half-widths `radii`. Where the data leave a state unbounded it keeps
-            its place and its radius is infinite; where they contradict the bounds the status says so. The
-            certificate's a-priori claim is about the estimate that was not moved.
-
-        Raises
-        ------
-        ArgumentError
-            If the estimator was given no bound on w or on v.
-        """
-        found = self.interval()
-        if found.disproof is not None:
-            return replace(
-                self,
-                status="bounds disproved",
-                radius=np.nan,
-                certified=False,
-                on_schedule=False,
-                note=found.explain(),
-            )
-        known = np.isfinite(found.lower) & np.isfinite(found.upper)
-        if not known.all():
-            x = freeze(np.where(known, found.centre, self.x))
-            return replace(self, x=x, radius=np.inf, certified=False, on_schedule=False)
-        box = freeze(np.diag(found.radii**2) * len(found.radii))
-        return replace(self, x=found.centre, covariance=box, radius=1.0, certified=True, on_schedule=False, note=MOVED)
-
-    @cached_property
-    def Pi(self) -> Array:
-        """Information matrix, the inverse of `covariance`."""
-        factor = np.linalg.cholesky(self.covariance)
-        half = np.linalg.solve(factor, np.eye(self.x.size))
-        return freeze(half.T @ half)
-
-    @cached_property
-    def radii(self) -> Array:
-        """Distance from each entry to the far end of its interval; without a proof, half-widths of the ellipsoid.
-
-        NaN where the data contradict the bounds, also where only the interval proves it.
-        """
-        if self.proof is None or np.isnan(self.radius):
-            return self.ellipsoid_radii
-        return self.interval().radii_from(self.x)
-
-    @cached_property
-    def ellipsoid_radii(self) -> Array:
-        """Half-widths of the ellipsoid, one per state."""
-        return freeze(half_widths(np.asarray(self.radius), self.covariance.diagonal()))
-
-    @property
-    def failed(self) -> bool:
-        """Whether the solve failed or the data contradict the bounds."""
-        return self.status in FAILURES
-
-    def holds(self, truth: npt.ArrayLike) -> bool:
-        """Whether `truth` lies in the ellipsoid."""
-        return self.ratio(truth) <= 1.0
-
-    def ratio(self, truth: npt.ArrayLike) -> float:
-        """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds."""
-        half = np.linalg.solve(
-            np.linalg.cholesky(self.covariance), _checks.vector("truth", truth, self.x.size) - self.x
-        )
-        square = float(half @ half)
-        if np.isnan(self.radius):
-            return np.nan
-        return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("t", short(self.t)),
-            ("x", short(self.x)),
-            ("radii", short(self.radii)),
-            ("status", self.status),
-            ("certified", "yes" if self.certified else "no"),
-            ("on schedule", "yes" if self.on_schedule else "no"),
-            ("cost", short(self.cost)),
-            *([("note", self.note)] if self.note else []),
-        ]
-
-    def explain(self) -> str:
-        """Say what this estimate promises."""
-        text = f"At {short(self.t)} the state is {short(self.x)} ({self.status})."
-        if self.certified and np.isnan(self.radii).any():
-            text += f" {self.interval().explain()}"
-        elif np.isfinite(self.radii).any():
-            text += f" It is within {short(self.radii)} of the truth, state by state, if the given bounds hold."
-        else:
-            text += " No radius is proven."
-        return text + (f" {self.note}" if self.note else "")
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; NaN and infinity become None."""
-        return {
-            "t": self.t,
-            "x": self.x.tolist(),
-            "radii": finite_or_nones(self.radii),
-            "radius": finite_or_none(self.radius),
-            "status": self.status,
-            "cost": finite_or_none(self.cost),
-            "certified": self.certified,
-            "on_schedule": self.on_schedule,
-            "note": self.note,
-            "contradiction": None if self.contradiction is None else self.contradiction.to_dict(),
-        }
-
-
-def estimate_of(**entries: object) -> Estimate:
-    """Return the estimate of entries that are right as they are; those not given have their defaults."""
-    found = object.__new__(Estimate)
-    found.__dict__.update(entries)  # what is missing is the class's own
-    return found
-
-
-def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
-    """Return an estimate with what its interval is proven from."""
-    found = object.__new__(Estimate)
-    found.__dict__.update(estimate.__dict__, proof=proof)
-    found.__dict__.pop("radii", None)
-    return found
-
-
-def half_widths(radius: Array, variance: Array) -> Array:
-    """Return sqrt(radius variance): 0 where the variance is 0 and there is a radius, NaN where there is none."""
-    size, spread = np.sqrt(radius), np.sqrt(np.maximum(variance, 0.0))
-    if np.isfinite(size).all():
-        return np.asarray(size * spread)
-    return np.multiply(size, spread, where=(spread > 0) | np.isnan(radius), out=np.zeros(spread.shape))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -452,8 +178,6 @@ class EstimateRecord(Table, Gridded):
 
     @property
     def _tally(self) -> Tally:
-        from sampling_design.estimators.online.tally import Tally
-
         found = Tally(self.plant.time_unit)
         contradictions = self.contradictions or (None,) * len(self)
         flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from sampling_design._checks import freeze
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.estimator import Estimate, Taken
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import Taken
 
 Array = npt.NDArray[np.float64]
 

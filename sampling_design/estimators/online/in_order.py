@@ -13,7 +13,8 @@ from sampling_design import _checks
 from sampling_design._door import doors
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.estimators.online.estimator import Estimate, EstimateRecord, Progress, Sample, Taken
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import EstimateRecord, Progress, Sample, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.records.measurement_table import Measured
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements

@@ -15,14 +15,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.estimator import (
-    Contradiction,
-    Estimate,
-    Status,
-    Taken,
-    estimate_of,
-    with_proof,
-)
+from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
+from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator

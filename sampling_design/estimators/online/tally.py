@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from sampling_design._record import short
-from sampling_design.estimators.online.estimator import FAILURES, Contradiction, Estimate, Status
+from sampling_design.estimators.online.estimate import FAILURES, Contradiction, Estimate, Status
 
 
 @dataclass

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import symmetrise
-from sampling_design.estimators.online.estimator import Status
+from sampling_design.estimators.online.estimate import Status
 
 Array = npt.NDArray[np.float64]
 

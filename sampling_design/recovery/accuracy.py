@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -25,14 +25,12 @@ from sampling_design.recovery.profile import AccuracyProfile, GapProof
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch, RowSearch
+from sampling_design.recovery.shadow import Shadow, shadow
 from sampling_design.recovery.start import InitialError
 from sampling_design.recovery.strongest import left_open, strongest_witness
 from sampling_design.recovery.unknown import Known
 from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-if TYPE_CHECKING:
-    from sampling_design.recovery.shadow import Shadow
 
 Array = npt.NDArray[np.float64]
 
@@ -114,8 +112,6 @@ class Accuracy(Gridded):
 
     def shadow(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
         """Return the exact set of what data may leave possible of two rows at one time (`recovery.shadow`)."""
-        from sampling_design.recovery.shadow import shadow
-
         return shadow(self, first, second, t, directions)
 
     def verify(self, rigorous: bool = False) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,15 +14,15 @@ from sampling_design._door import door
 from sampling_design._linalg import discounted_flow
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.finite import DIFFUSE
+from sampling_design.recovery.profile import GapProof
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.riccati import CovarianceMap, strong, updated
-from sampling_design.recovery.rows import wanted_rows
+from sampling_design.recovery.rows import WantedRows, wanted_rows
 from sampling_design.recovery.search import ChainSearch
 from sampling_design.recovery.start import InitialSet
-from sampling_design.recovery.witness import attains, physical
+from sampling_design.recovery.witness import AccuracyWitness, attains, physical
 
 Array = npt.NDArray[np.float64]
 
@@ -33,6 +33,30 @@ SHARES = np.geomspace(1e-2, 0.9, 9)
 """Shares of a sample in an ellipsoid that are tried."""
 
 WALK = 1e-12
+
+
+class Judged(Protocol):
+    """Rows whose accuracy is known: what a shadow asks of it."""
+
+    @property
+    def question(self) -> Question:
+        """Plant, schedule and bounds."""
+
+    @property
+    def rows(self) -> WantedRows:
+        """The rows."""
+
+    @property
+    def worst(self) -> Array:
+        """The worst time of each, (r,)."""
+
+    @property
+    def proof(self) -> tuple[GapProof, ...]:
+        """Gains: how far back they look."""
+
+    @property
+    def witnesses(self) -> tuple[AccuracyWitness | None, ...]:
+        """Motions: how far back they go."""
 
 
 class ShadowAreas(NamedTuple):
@@ -102,13 +126,13 @@ class Shadow(Record):
 
 
 @door
-def shadow(found: Accuracy, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
+def shadow(found: Judged, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
     """Return the shadow of { x : c'x <= rho(c; t) for all c } on two states or outputs.
 
     Parameters
     ----------
     found : Accuracy
-        Its plant, schedule and bounds are used.
+        Its question is asked anew, for other rows.
     first, second : str
         Names of states or outputs.
     t : float, optional
@@ -137,11 +161,11 @@ def shadow(found: Accuracy, first: str, second: str, t: float | None = None, dir
     Milanese and Tempo (1985); Schweppe, Recursive state estimation: unknown but bounded errors and system inputs
     (1968).
     """
-    rows = wanted_rows(found.plant, [first, second])
+    question = found.question
+    rows = wanted_rows(question.plant, [first, second])
     if np.linalg.matrix_rank(rows.matrix) < 2:
         raise ArgumentError(f"`second` must be another row than `first`, got {first!r} and {second!r}.")
     count = _checks.whole("directions", directions, 4)
-    question = found.question
     known = question.known()
     if any(known.touches(row) for row in rows.matrix):
         raise ArgumentError(f"`first` and `second` must be known, got {first!r} and {second!r}.")
@@ -167,14 +191,14 @@ def shadow(found: Accuracy, first: str, second: str, t: float | None = None, dir
         (first, second),
         (rows.units[0], rows.units[1]),
         at,
-        found.plant.time_unit,
+        question.plant.time_unit,
         freeze(_polar(np.vstack([planes, np.negative(planes)]))),
         freeze(_hull(both / sizes) * sizes),
         freeze(shape),
     )
 
 
-def _time(found: Accuracy, first: str, t: float | None) -> float:
+def _time(found: Judged, first: str, t: float | None) -> float:
     question = found.question
     if t is None:
         place = found.rows.names.index(first) if first in found.rows.names else 0

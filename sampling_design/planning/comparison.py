@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import spoken, time_factor
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import LOST
 
 
@@ -41,8 +41,8 @@ class PlanComparison(Record):
     names : (str, str)
     """
 
-    first: Plan
-    second: Plan
+    first: PlanFigures
+    second: PlanFigures
     names: tuple[str, str] = ("first", "second")
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class PlanComparison(Record):
             )
 
     @property
-    def plans(self) -> tuple[Plan, Plan]:
+    def plans(self) -> tuple[PlanFigures, PlanFigures]:
         """Both."""
         return self.first, self.second
 
@@ -64,14 +64,14 @@ class PlanComparison(Record):
         both = [name for name in reached[0] if name in reached[1]]
         return [SharedGoal(name, reached[0][name][0].unit, reached[0][name][1], reached[1][name][1]) for name in both]
 
-    def a_day(self, plan: Plan, value: float) -> float:
+    def a_day(self, plan: PlanFigures, value: float) -> float:
         """An amount per period as one per day, so that periods may differ."""
         return value / (plan.schedule.period * time_factor(plan.plant.time_unit, "d"))
 
     def lines(self) -> list[ComparedLine]:
         """Label and what each plan says of it."""
 
-        def both(label: str, say: Callable[[Plan], str]) -> ComparedLine:
+        def both(label: str, say: Callable[[PlanFigures], str]) -> ComparedLine:
             return ComparedLine(label, say(self.first), say(self.second))
 
         unit = self.first.plant.time_unit
@@ -115,7 +115,7 @@ class PlanComparison(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
 
-        def plain(p: Plan) -> dict[str, Plain]:
+        def plain(p: PlanFigures) -> dict[str, Plain]:
             return {
                 "samples": p.samples,
                 "period": p.schedule.period,
@@ -129,7 +129,7 @@ class PlanComparison(Record):
         return {name: plain(p) for name, p in zip(self.names, self.plans, strict=True)}
 
 
-def _bears(plan: Plan, what: str, unit: str) -> str:
+def _bears(plan: PlanFigures, what: str, unit: str) -> str:
     if plan.robustness is None:
         return "-"
     if what == "lost":
@@ -137,5 +137,5 @@ def _bears(plan: Plan, what: str, unit: str) -> str:
     return spoken(plan.robustness.least_late, unit)
 
 
-def _rate(plan: Plan) -> str:
+def _rate(plan: PlanFigures) -> str:
     return "-" if plan.certificate is None else f"{short(plan.certificate.eta)} 1/{plan.plant.time_unit}"

@@ -19,13 +19,13 @@ from sampling_design.errors import CertificateError, InfeasibleRequirementError,
 from sampling_design.planning.blind import finer_raster, modes_of
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover, cheapest
+from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
-from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.search import PlanSearch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import Accuracy, accuracy

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import SECONDS, spoken
-from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design._record import Plain, counted, short
+from sampling_design._units import spoken
 from sampling_design.errors import NotDetectableError
+from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.cover import Cover
-from sampling_design.planning.evidence import PlanBound, attack_to_dict, holds, proof_to_dict
+from sampling_design.planning.disturbed import bears
+from sampling_design.planning.evidence import attack_to_dict, holds, proof_to_dict
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.motion import motion_of
-from sampling_design.planning.oracle import Oracle
-from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
-from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.spread import RasterFilter
-from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.plants.plant import first_difference
 from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.deviation import StandardDeviation, standard_deviation
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-if TYPE_CHECKING:
-    from sampling_design.planning.comparison import PlanComparison
-    from sampling_design.planning.robustness import PlanRobustness
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -39,7 +33,7 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(Record):
+class Plan(PlanFigures):
     """A periodic plan on the raster, with what it guarantees and how far from the best it can be.
 
     Attributes
@@ -63,86 +57,6 @@ class Plan(Record):
         How late samples may be and how many may be lost before a tolerance breaks.
     """
 
-    plant: Plant
-    requirement: PlanRequirement
-    schedule: PeriodicSchedule
-    accuracy: Accuracy | None
-    reached: Array
-    bound: PlanBound
-    status: str = "complete"
-    certificate: Certificate | None = None
-    robustness: PlanRobustness | None = None
-    deviation: StandardDeviation | None = None
-
-    @cached_property
-    def problem(self) -> PlanProblem:
-        """The numbers of the requirement, posed anew."""
-        return pose_plan(self.plant, self.requirement)
-
-    @property
-    def goals(self) -> tuple[Goal, ...]:
-        """The goals as rows."""
-        return self.problem.goals
-
-    @cached_property
-    def chosen(self) -> Mask:
-        """What is measured at each step of the raster (M, p)."""
-        return self.problem.chosen(self.schedule)
-
-    @cached_property
-    def oracle(self) -> Oracle:
-        """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
-        oracle = Oracle(self.problem, motion_of(self.problem))
-        oracle.judge(self.chosen)
-        return oracle
-
-    @property
-    def samples(self) -> int:
-        """Samples in a period."""
-        return len(self.schedule)
-
-    def minutes(self, t: float) -> float:
-        """Minutes of a time since the start of the period."""
-        return t * SECONDS[self.plant.time_unit] / 60
-
-    @property
-    def cost(self) -> float:
-        """Price of a period; the number of samples where nothing has a price."""
-        return self.problem.cost(self.chosen)
-
-    def curve(self, k: int) -> tuple[Array, Array]:
-        """Edges of panels over the period, and what is proven of a goal on each: a bound, or a standard deviation."""
-        goal = self.goals[k]
-        place = [g for g, other in enumerate(self.goals) if other.spread == goal.spread].index(k)
-        if self.deviation is not None and goal.spread:
-            times, values = self.deviation.times, self.deviation.profile[place]
-            keep = np.flatnonzero(np.diff(times) > 0)
-            return np.append(times[keep], times[-1]), np.maximum(values[keep], values[keep + 1])
-        assert self.accuracy is not None
-        return self.accuracy.profile.edges, self.accuracy.profile.upper[place]
-
-    @property
-    def ratio(self) -> float:
-        """The largest ratio of a goal's accuracy to its tolerance."""
-        return float(np.max([r / g.tolerance for r, g in zip(self.reached, self.goals, strict=True)], initial=0.0))
-
-    @property
-    def keeps(self) -> bool:
-        """Whether every tolerance is kept, proven."""
-        return self.ratio <= 1
-
-    @property
-    def gap(self) -> float:
-        """The share of its accuracy that a plan of this cost could at most gain; 1 where nothing is proven."""
-        proof = self.bound.ratio
-        return 1.0 if proof is None or not self.goals else max(0.0, 1 - proof.level / self.ratio)
-
-    @property
-    def cost_gap(self) -> float | None:
-        """The share of its cost that another plan could at most save; None where no such bound was asked for."""
-        proof = self.bound.cost
-        return None if proof is None else max(0.0, 1 - proof.value / self.cost)
-
     def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
         """Return this plan and another one side by side: accuracy, cost, samples, robustness.
 
@@ -151,8 +65,6 @@ class Plan(Record):
         ArgumentError
             If it is no plan for the same states with a goal in common.
         """
-        from sampling_design.planning.comparison import PlanComparison
-
         return PlanComparison(self, other, names)
 
     def verify(self) -> bool:
@@ -179,8 +91,6 @@ class Plan(Record):
 
     def _extras_hold(self) -> bool:
         """Whether certificate and robustness are of this plan, and proven anew."""
-        from sampling_design.planning.robustness import bears
-
         if self.certificate is not None:
             mine = self.certificate.plant is self.plant or not first_difference(self.plant, self.certificate.plant)
             if not mine or not same_samples(self.certificate.schedule, self.schedule):

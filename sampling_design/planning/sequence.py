@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.adversary import RasterWindow
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.oracle import LOOKS, Oracle
-from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.recovery.between import open_row
@@ -29,7 +29,7 @@ SHARPER = 40
 """Offsets of a gap that are solved, at most."""
 
 
-def looks_back(plan: Plan) -> int:
+def looks_back(plan: PlanFigures) -> int:
     """Samples that the plan's proof looks back."""
     parts = [1]
     if plan.accuracy is not None:
@@ -39,7 +39,7 @@ def looks_back(plan: Plan) -> int:
     return max(parts)
 
 
-def worst_ratio(plan: Plan, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
+def worst_ratio(plan: PlanFigures, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
     """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the raster.
 
     Stops once a gap is worse than `above`, or begins at or after `until`.
@@ -81,7 +81,7 @@ def _looks(oracle: Oracle, g: int, knot: int, length: int) -> list[int]:
     return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
 
 
-def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
+def proven_ratio(plan: PlanFigures, sequence: SampleSequence) -> float:
     """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1.
 
     Of standard deviations, by the filter run through the sequence, by as much more as it ends with.
@@ -93,7 +93,7 @@ def proven_ratio(plan: Plan, sequence: SampleSequence) -> float:
     return spread if plan.accuracy is None or spread > 1 else max(spread, _proven_bounds(plan, sequence))
 
 
-def _proven_bounds(plan: Plan, sequence: SampleSequence) -> float:
+def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     """The same of the goals that are guaranteed."""
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
@@ -164,7 +164,7 @@ def _beyond(search: ChainSearch, k: int, units: Array, reach: Array) -> float:
     return max(float(search.gains(k, row).value / most) for row, most in zip(mu, reach, strict=True))
 
 
-def plan_chain(plan: Plan) -> SampleChain:
+def plan_chain(plan: PlanFigures) -> SampleChain:
     """The plan's samples with the filter whose gains bound the error once and for all.
 
     Raises

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread import PERIODS, SETTLED, WIDE, own
 
@@ -53,7 +53,7 @@ class SampleSequence:
     """How much later than in the plan the samples at the end are, since the clocks were changed."""
 
 
-def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
+def planned(plan: PlanFigures, start: float, stop: float) -> tuple[Array, Mask]:
     """The plan's samples in [start, stop)."""
     schedule, period = plan.schedule, plan.schedule.period
     periods = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
@@ -63,7 +63,7 @@ def planned(plan: Plan, start: float, stop: float) -> tuple[Array, Mask]:
     return times[keep], seen[keep]
 
 
-def asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
+def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
     """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
     if goal.at != "given times":
         return []
@@ -80,7 +80,7 @@ def asked(plan: Plan, sequence: SampleSequence, k: int, goal: Goal) -> list[floa
 class SpreadSequence:
     """The filter of one plan's standard deviations, through samples that are not all the plan's."""
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: PlanFigures):
         self.plan = plan
         motion = plan.oracle.motion
         self.A, self.noise, self.S = motion.A, motion.N @ motion.N.T, motion.S
@@ -184,6 +184,6 @@ class SpreadSequence:
 
 
 @lru_cache(maxsize=4)
-def spread_of(plan: Plan) -> SpreadSequence:
+def spread_of(plan: PlanFigures) -> SpreadSequence:
     """The filter of a plan, made once."""
     return SpreadSequence(plan)

@@ -8,9 +8,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import FileFormatError
+from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import plan_certificate
-from sampling_design.planning.robustness import plan_robustness
 from tests.oracles import planning as oracle
 
 

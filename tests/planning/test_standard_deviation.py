@@ -10,13 +10,13 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
 from sampling_design.planning import spread_sequence
+from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import load_plan, save_plan
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.plan import accuracy_of, proven_plan
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.robustness import plan_robustness
 from sampling_design.planning.spread import RasterFilter
 from tests.oracles import planning as oracle
 

@@ -1,0 +1,120 @@
+"""Late samples and lost ones: the accuracy of the disturbed schedule, proven, and so what a plan bears."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import freeze
+from sampling_design.errors import NotDetectableError
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.robustness import PlanRobustness
+from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+LATES = 8
+"""Delays of one sample that are judged, at most, evenly spread up to the next sample, or up to the first of these."""
+
+MOST_LOST = 2
+"""Samples in a row that are left out, at most."""
+
+SAME = 1e-4
+"""Figures worked out anew may be larger by this share: solvers of other machines."""
+
+
+def plan_robustness(plan: PlanFigures) -> PlanRobustness | None:
+    """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does."""
+    if not plan.keeps:
+        return None
+    N = plan.samples
+    try:
+        late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
+        single = [_judged(plan, without(plan, k, 1)) for k in range(N)]
+        lost = 1 if max(single) <= 1 else 0
+        while lost and lost < MOST_LOST and all(_judged(plan, without(plan, k, lost + 1)) <= 1 for k in range(N)):
+            lost += 1
+    except NotDetectableError:
+        return None
+    arrays = [freeze(np.array(each, dtype=float)) for each in (late, step, late_ratio, single)]
+    return PlanRobustness(
+        plan.plant.time_unit, freeze(np.array(plan.schedule.times)), arrays[0], arrays[1], arrays[2], lost, arrays[3]
+    )
+
+
+def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
+    """Whether a plan bears what a record says, proven anew."""
+    if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
+        return False
+    for k in range(plan.samples):
+        if found.late[k] and proven_ratio(plan, delayed(plan, k, float(found.late[k]))) > 1:
+            return False
+        if found.lost_ratio[k] <= 1 and proven_ratio(plan, without(plan, k, 1)) > found.lost_ratio[k] * (1 + SAME):
+            return False
+    if found.lost and not np.all(found.lost_ratio <= 1):
+        return False
+    longer = range(2, found.lost + 1)
+    return all(proven_ratio(plan, without(plan, k, count)) <= 1 for count in longer for k in range(plan.samples))
+
+
+def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:
+    """The plan with sample k so late (before the next one)."""
+    before, after = _around(plan, k, 1)
+    t, mask = float(plan.schedule.times[k]) + late, plan.chosen[plan.chosen.any(axis=1)][k]
+    times = np.concatenate([before[0], [t], after[0]])
+    return SampleSequence(times, np.concatenate([before[1], mask[None], after[1]]), before[0].size)
+
+
+def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
+    """The plan without so many samples from sample k on."""
+    before, after = _around(plan, k, count)
+    times = np.concatenate([before[0], after[0]])
+    return SampleSequence(times, np.concatenate([before[1], after[1]]), before[0].size)
+
+
+def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:
+    """The plan's samples before sample k, and those after so many from it on."""
+    schedule, N = plan.schedule, plan.samples
+    tiny = 1e-6 * plan.problem.step
+    mean = schedule.period / N
+    span = (looks_back(plan) + N + 2) * mean + schedule.period
+    first = float(schedule.times[k])
+    back = float(schedule.times[(k + count) % N]) + (k + count) // N * schedule.period
+    return planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)
+
+
+def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:
+    """How late a sample may be, the distance of the delays tried, and the accuracy over tolerance there."""
+    problem, times = plan.problem, plan.schedule.times
+    following = float(times[k + 1]) if k + 1 < plan.samples else float(times[0]) + plan.schedule.period
+    room = round((following - float(times[k])) / problem.step) - 1
+    if room < 1:
+        return 0.0, problem.step, plan.ratio
+    steps = max(1, room // LATES)
+    while True:
+        stride, most = steps * problem.step, 0
+        for m in range(1, min(LATES, room // steps) + 1):
+            if _broken(plan, delayed(plan, k, m * stride)) > 1:
+                break
+            most = m
+        for m in range(most, 0, -1):
+            ratio = proven_ratio(plan, delayed(plan, k, m * stride))
+            if ratio <= 1:
+                return m * stride, stride, ratio
+        if steps == 1:
+            return 0.0, stride, plan.ratio
+        steps = max(1, steps // LATES)
+
+
+def _broken(plan: PlanFigures, sequence: SampleSequence) -> float:
+    """What a motion on the raster makes of a sequence."""
+    return worst_ratio(plan, sequence, 1.0, float(sequence.times[-1]) - plan.schedule.period)
+
+
+def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
+    """Accuracy over tolerance: proven up to 1, else as a motion on the raster attains it."""
+    until = float(sequence.times[-1]) - plan.schedule.period
+    attained = worst_ratio(plan, sequence, np.inf, until)
+    return attained if attained > 1 else proven_ratio(plan, sequence)

@@ -1,0 +1,111 @@
+"""What a plan is and reaches: its samples, its proofs, and the figures that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Record
+from sampling_design._units import SECONDS
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
+from sampling_design.planning.requirement import PlanRequirement
+from sampling_design.planning.robustness import PlanRobustness
+from sampling_design.plants.plant import Plant
+from sampling_design.recovery.accuracy import Accuracy
+from sampling_design.recovery.deviation import StandardDeviation
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanFigures(Record):
+    """The entries of a `Plan`, which says what they mean, and what follows from them."""
+
+    plant: Plant
+    requirement: PlanRequirement
+    schedule: PeriodicSchedule
+    accuracy: Accuracy | None
+    reached: Array
+    bound: PlanBound
+    status: str = "complete"
+    certificate: Certificate | None = None
+    robustness: PlanRobustness | None = None
+    deviation: StandardDeviation | None = None
+
+    @cached_property
+    def problem(self) -> PlanProblem:
+        """The numbers of the requirement, posed anew."""
+        return pose_plan(self.plant, self.requirement)
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals as rows."""
+        return self.problem.goals
+
+    @cached_property
+    def chosen(self) -> Mask:
+        """What is measured at each step of the raster (M, p)."""
+        return self.problem.chosen(self.schedule)
+
+    @cached_property
+    def oracle(self) -> Oracle:
+        """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
+        oracle = Oracle(self.problem, motion_of(self.problem))
+        oracle.judge(self.chosen)
+        return oracle
+
+    @property
+    def samples(self) -> int:
+        """Samples in a period."""
+        return len(self.schedule)
+
+    def minutes(self, t: float) -> float:
+        """Minutes of a time since the start of the period."""
+        return t * SECONDS[self.plant.time_unit] / 60
+
+    @property
+    def cost(self) -> float:
+        """Price of a period; the number of samples where nothing has a price."""
+        return self.problem.cost(self.chosen)
+
+    def curve(self, k: int) -> tuple[Array, Array]:
+        """Edges of panels over the period, and what is proven of a goal on each: a bound, or a standard deviation."""
+        goal = self.goals[k]
+        place = [g for g, other in enumerate(self.goals) if other.spread == goal.spread].index(k)
+        if self.deviation is not None and goal.spread:
+            times, values = self.deviation.times, self.deviation.profile[place]
+            keep = np.flatnonzero(np.diff(times) > 0)
+            return np.append(times[keep], times[-1]), np.maximum(values[keep], values[keep + 1])
+        assert self.accuracy is not None
+        return self.accuracy.profile.edges, self.accuracy.profile.upper[place]
+
+    @property
+    def ratio(self) -> float:
+        """The largest ratio of a goal's accuracy to its tolerance."""
+        return float(np.max([r / g.tolerance for r, g in zip(self.reached, self.goals, strict=True)], initial=0.0))
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every tolerance is kept, proven."""
+        return self.ratio <= 1
+
+    @property
+    def gap(self) -> float:
+        """The share of its accuracy that a plan of this cost could at most gain; 1 where nothing is proven."""
+        proof = self.bound.ratio
+        return 1.0 if proof is None or not self.goals else max(0.0, 1 - proof.level / self.ratio)
+
+    @property
+    def cost_gap(self) -> float | None:
+        """The share of its cost that another plan could at most save; None where no such bound was asked for."""
+        proof = self.bound.cost
+        return None if proof is None else max(0.0, 1 - proof.value / self.cost)

@@ -89,8 +89,8 @@ from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.plants.sparse import SparsePlant as SparsePlant
 from sampling_design.plants.sparse import split_sparse as split_sparse
-from sampling_design.plants.uncertain import UncertainParameter as UncertainParameter
 from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter as UncertainParameter
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval

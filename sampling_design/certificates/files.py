@@ -23,7 +23,7 @@ from sampling_design.errors import ArgumentError, CertificateError, FileFormatEr
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
-from sampling_design.plants.uncertain_files import uncertain_from_dict
+from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -115,7 +115,7 @@ def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertifica
         plant,
         GapRange(found.shortest, found.longest),
         **_values(data),
-        model=None if isinstance(found.model, Region) else uncertain_from_dict(plant, data["model"]),
+        model=None if isinstance(found.model, Region) else UncertainPlant.from_model(plant, data["model"]),
         model_data=data["model"],
         nodes=found.nodes,
         P=found.P,

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant
 
 if TYPE_CHECKING:
     from casadi import SX
-
-Array = npt.NDArray[np.float64]
 
 
 @door
@@ -110,27 +105,4 @@ def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     >>> plant.f([1.0, 2.0]).tolist()
     [2.0, -1.0]
     """
-
-    def dynamics(x: SX, u: SX, w: SX) -> SX:
-        return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)
-
-    def measurement(x: SX, u: SX, v: SX) -> SX:
-        return _times(plant.C, x) + _times(plant.D, u) + (v if noises else 0.0)
-
-    sizes = {"states": plant.n_states, "inputs": plant.n_inputs, "disturbances": plant.n_disturbances}
-    sizes |= {"outputs": plant.n_outputs, "noises": plant.n_outputs if noises else 0}
-    signals = {key: getattr(plant, key) for key in ("states", "inputs", "disturbances", "outputs")}
-    if noises:
-        signals["noises"] = Signals(
-            _checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
-        )
-    return NonlinearPlant(
-        dynamics, measurement, sizes, time_unit=plant.time_unit, name=plant.name, source=plant.source, signals=signals
-    )
-
-
-def _times(matrix: Array, symbol: SX) -> SX:
-    """Return a numerical matrix times a casadi column, zeros left out."""
-    ca = casadi()
-    found: SX = ca.mtimes(ca.sparsify(ca.DM(matrix)), symbol) if matrix.shape[1] else ca.SX.zeros(matrix.shape[0])
-    return found
+    return NonlinearPlant.of_linear(plant, noises)

@@ -17,7 +17,8 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.evidence import Claim
-from sampling_design.nonlinear.model import NonlinearPlant, own_box
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.region import own_box
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.tightest import TightestPairs, Trajectory
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights

@@ -1,13 +1,23 @@
-"""The functions of a plant as casadi knows them, and how they come back from a file that was pickled."""
+"""The functions of a plant as casadi knows them: a linear one's, and how pickled ones come back."""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.plants.plant import Plant, Signals
+
 if TYPE_CHECKING:
     from casadi import SX, Function
+
+Array = npt.NDArray[np.float64]
 
 
 class PlantFunctions(NamedTuple):
@@ -17,6 +27,15 @@ class PlantFunctions(NamedTuple):
     shown: Function
     limits: Function
     varies: bool
+
+
+class LinearModel(NamedTuple):
+    """f, h, sizes and signals of a linear plant."""
+
+    dynamics: Callable[[SX, SX, SX], SX]
+    measurement: Callable[[SX, SX, SX], SX]
+    sizes: dict[str, int]
+    signals: dict[str, Signals]
 
 
 @dataclass(frozen=True)
@@ -49,3 +68,29 @@ def takes_time(function: object) -> bool:
         return False
     places = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     return sum(p.kind in places and p.default is inspect.Parameter.empty for p in parameters) == 4
+
+
+def linear_model(plant: Plant, noises: bool) -> LinearModel:
+    """Return f = A x + B u + G w and h = C x + D u + v of a linear plant; without noises, v is left out."""
+
+    def dynamics(x: SX, u: SX, w: SX) -> SX:
+        return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)
+
+    def measurement(x: SX, u: SX, v: SX) -> SX:
+        return _times(plant.C, x) + _times(plant.D, u) + (v if noises else 0.0)
+
+    sizes = {"states": plant.n_states, "inputs": plant.n_inputs, "disturbances": plant.n_disturbances}
+    sizes |= {"outputs": plant.n_outputs, "noises": plant.n_outputs if noises else 0}
+    signals = {key: getattr(plant, key) for key in ("states", "inputs", "disturbances", "outputs")}
+    if noises:
+        signals["noises"] = Signals(
+            _checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
+        )
+    return LinearModel(dynamics, measurement, sizes, signals)
+
+
+def _times(matrix: Array, symbol: SX) -> SX:
+    """Return a numerical matrix times a casadi column, zeros left out."""
+    ca = casadi()
+    found: SX = ca.mtimes(ca.sparsify(ca.DM(matrix)), symbol) if matrix.shape[1] else ca.SX.zeros(matrix.shape[0])
+    return found

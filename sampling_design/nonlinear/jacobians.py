@@ -14,6 +14,7 @@ from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.slopes import enclosed
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn
 from sampling_design.plants.inclusion import Hull, Members
@@ -21,8 +22,6 @@ from sampling_design.plants.plant import Plant
 
 if TYPE_CHECKING:
     from casadi import SX
-
-    from sampling_design.nonlinear.model import NonlinearPlant
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +45,7 @@ class Symbols(NamedTuple):
     h: SX
 
 
-def symbols_of(plant: NonlinearPlant) -> Symbols:
+def symbols_of(plant: PlantEquations) -> Symbols:
     """Return the plant's functions without noise.
 
     Raises
@@ -66,7 +65,7 @@ def symbols_of(plant: NonlinearPlant) -> Symbols:
     return Symbols(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
 
 
-def model_of(plant: NonlinearPlant) -> dict[str, Plain]:
+def model_of(plant: PlantEquations) -> dict[str, Plain]:
     """Return the plant as certificate files hold it."""
     ca, s = casadi(), symbols_of(plant)
     f, h = ca.Function("dynamics", [s.x, s.u, s.w], [s.f]), ca.Function("measurement", [s.x, s.u], [s.h])
@@ -78,7 +77,7 @@ def model_of(plant: NonlinearPlant) -> dict[str, Plain]:
     return {"kind": "nonlinear", **programs, **plant.region.to_dict(), **boxes}
 
 
-def points_of(plant: NonlinearPlant, rng: np.random.Generator, count: int = POINTS) -> tuple[Array, Array, Array]:
+def points_of(plant: PlantEquations, rng: np.random.Generator, count: int = POINTS) -> tuple[Array, Array, Array]:
     """x, u and w at points of the region and the boxes."""
     region, n, m = plant.region, plant.n_states, plant.n_inputs
     names, boxes = ("states", "inputs", "disturbances"), boxes_of(plant)
@@ -89,7 +88,7 @@ def points_of(plant: NonlinearPlant, rng: np.random.Generator, count: int = POIN
     return z[:, :n], z[:, n : n + m], z[:, n + m :]
 
 
-def jacobians_at(plant: NonlinearPlant, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
+def jacobians_at(plant: PlantEquations, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
     """(A, G) side by side (K, n, n + q) and C (K, p, n) at K points; those that are not finite are left out."""
     ca, s = casadi(), symbols_of(plant)
     both = ca.Function("both", [s.x, s.u, s.w], [
@@ -102,7 +101,7 @@ def jacobians_at(plant: NonlinearPlant, x: Array, u: Array, w: Array) -> tuple[A
     return stack[0][fine], stack[1][fine]
 
 
-def members_of(plant: NonlinearPlant, rng: np.random.Generator) -> Members:
+def members_of(plant: PlantEquations, rng: np.random.Generator) -> Members:
     """Jacobians at points of the region, equal ones once.
 
     Raises
@@ -118,7 +117,7 @@ def members_of(plant: NonlinearPlant, rng: np.random.Generator) -> Members:
     return Members(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
 
 
-def hull_of(plant: NonlinearPlant, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+def hull_of(plant: PlantEquations, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
     """Return what interval arithmetic says over cells of the region, halved where it helps; None if not finite."""
     low, high = (np.concatenate([np.ravel(bounds[k]) for bounds in boxes_of(plant)])[None] for k in (0, 1))
     centre = plant.centre
@@ -155,7 +154,7 @@ def with_entries(middle: Array, moves: Array, radii: Array) -> Array:
     return np.concatenate([moves, np.array(own).reshape(len(own), *radii.shape)])
 
 
-def boxes_of(plant: NonlinearPlant) -> list[tuple[Array, Array]]:
+def boxes_of(plant: PlantEquations) -> list[tuple[Array, Array]]:
     """Least and largest x, u and w."""
     return [(plant.region.lower, plant.region.upper), plant.bounds["inputs"], plant.bounds["disturbances"]]
 
@@ -168,7 +167,7 @@ def distinct(stack: Array) -> Array:
     return stack[np.sort(first)]
 
 
-def linearisations_of(plant: NonlinearPlant, rng: np.random.Generator) -> list[tuple[str, Plant]]:
+def linearisations_of(plant: PlantEquations, rng: np.random.Generator) -> list[tuple[str, Plant]]:
     """Linear plants at points of the region."""
     x, u, _ = points_of(plant, rng, SUSPECTS)
     found = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
+Box = tuple[Array, Array]
 
 FAR = 10.0
 """Scales beyond zero up to which an unbounded entry is looked at: sampling only, proofs take it as unbounded."""
@@ -105,6 +107,36 @@ def _frozen(value: Array) -> Array:
     value = np.array(value)
     value.flags.writeable = False
     return value
+
+
+def _side(key: str, value: object, size: int) -> Array:
+    side = _checks.floats(f"bounds[{key!r}]", value)
+    if side.shape not in ((), (size,)):
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
+    return np.broadcast_to(side, (size,)).copy()
+
+
+def own_box(key: str, box: object, size: int) -> Box:
+    """Return (lower, upper) as frozen vectors; infinite where there is no bound.
+
+    Raises
+    ------
+    ArgumentError
+        If lengths differ, a bound is NaN, or lower exceeds upper.
+    """
+    if box is None:
+        box = (np.full(size, -np.inf), np.full(size, np.inf))
+    lower, upper = (_side(key, side, size) for side in _pair(key, box))
+    if np.any(np.isnan(lower)) or np.any(np.isnan(upper)) or np.any(lower > upper):
+        raise ArgumentError(f"`bounds[{key!r}]` must be (lower, upper) with lower <= upper.")
+    lower.flags.writeable = upper.flags.writeable = False
+    return lower, upper
+
+
+def _pair(key: str, box: object) -> Sequence[object]:
+    if not isinstance(box, (Sequence, np.ndarray)) or isinstance(box, str) or len(box) != 2:
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {_checks.described(box)}.")
+    return box  # type: ignore[return-value]
 
 
 def drawn(lower: Array, upper: Array, scales: Array, count: int, rng: np.random.Generator) -> Array:

@@ -17,6 +17,16 @@ from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.inclusion import Columns, LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.uncertain_files import (
+    UncertainParts,
+    parts_of_model,
+    parts_of_tree,
+    read_tree,
+    told_of,
+    tree_of,
+    write_tree,
+)
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
@@ -26,84 +36,6 @@ MOST_LISTED = 8
 """Parameters that move A or G up to which a certificate's program knows corners; beyond it multipliers."""
 DRAWN = 1024
 """Corners that are drawn where there are more."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class UncertainParameter(Record):
-    """A number that is only known to lie in a range, and how it enters a plant.
-
-    Parameters
-    ----------
-    name : str
-    low, high : float
-        low <= high.
-    A : (n, n) array, C : (p, n) array, G : (n, q) array, optional
-        What a change of the parameter by 1 adds to the matrices of the plant; None: nothing.
-    nominal : float, optional
-        The value that the plant's own matrices stand for; default the middle of the range.
-
-    Raises
-    ------
-    ArgumentError
-        If the range is empty, the nominal value lies outside, or the parameter moves nothing.
-    """
-
-    name: str
-    low: float
-    high: float
-    A: Array | None = None
-    C: Array | None = None
-    G: Array | None = None
-    nominal: float = field(default=None, kw_only=True)  # type: ignore[assignment]
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            name: str,
-            low: float,
-            high: float,
-            A: npt.ArrayLike | None = None,
-            C: npt.ArrayLike | None = None,
-            G: npt.ArrayLike | None = None,
-            *,
-            nominal: float | None = None,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise ArgumentError(f"`name` of a parameter must be a text, got {_checks.described(self.name)}.")
-        low, high = _checks.number("low", self.low), _checks.number("high", self.high)
-        if low > high:
-            raise ArgumentError(f"`high` of {self.name} must be at least `low` = {low!r}, got {high!r}. Swapped?")
-        middle = low / 2 + high / 2 if self.nominal is None else _checks.number("nominal", self.nominal)
-        if not low <= middle <= high:
-            raise ArgumentError(f"`nominal` of {self.name} must lie in [{low!r}, {high!r}], got {middle!r}.")
-        given = {key: value for key in _MOVED if (value := getattr(self, key)) is not None}
-        moved = {key: _checks.matrix(key, value) for key, value in given.items()}
-        owned: dict[str, object] = {"low": low, "high": high, "nominal": middle, **moved}
-        if not any(M.any() for M in moved.values()):
-            raise ArgumentError(f"parameter {self.name!r} must move an entry of A, C or G.")
-        for key, item in owned.items():
-            object.__setattr__(self, key, item)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data as in a file."""
-        data: dict[str, Plain] = {"name": self.name, "low": self.low, "nominal": self.nominal, "high": self.high}
-        return data | {key: M.tolist() for key in _MOVED if (M := getattr(self, key)) is not None}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        moved = ", ".join(key for key in _MOVED if getattr(self, key) is not None)
-        return [
-            ("name", self.name),
-            ("range", short([self.low, self.high])),
-            ("nominal", short(self.nominal)),
-            ("moves", moved),
-        ]
-
-    def explain(self) -> str:
-        """Say what is known of the number."""
-        return f"{self.name} lies between {short(self.low)} and {short(self.high)}."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -376,16 +308,59 @@ class UncertainPlant(LinearInclusion, Record):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> UncertainPlant:
-        """Return the plant in a .toml or .json file; see `read_uncertain_plant`."""
-        from sampling_design.plants.uncertain_files import read_uncertain_plant
+        """Return the plant in a .toml or .json file.
 
-        return read_uncertain_plant(path)
+        Parameters
+        ----------
+        path : path
+            A plant file whose entries may be ranges, `[-1.21, -0.81]` or `"-1 +- 0.2"`, with `[[parameters]]` that move
+            several entries together, or with `[[vertices]]`.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is missing, cut off, has an unknown key, or does not describe such a plant.
+
+        Notes
+        -----
+        *Numerical aspects.* The ends of "middle +- half" are rounded to doubles once; ranges are read exactly.
+        """
+        return cls.from_tree(read_tree(path), os.fspath(path))
+
+    @classmethod
+    def from_tree(cls, data: Mapping[str, object], where: str = "uncertain plant") -> UncertainPlant:
+        """Return the plant in a tree of the file format.
+
+        Raises
+        ------
+        FileFormatError
+            If the data do not describe one.
+        """
+        with told_of(where):
+            return cls._of(parts_of_tree(data, where))
+
+    @classmethod
+    def from_model(cls, plant: Plant, model: Mapping[str, object]) -> UncertainPlant:
+        """Return the plant of a certificate file: its plant and its model, as they were judged by the grammar."""
+        return cls._of(parts_of_model(plant, model))
+
+    @classmethod
+    def _of(cls, parts: UncertainParts) -> UncertainPlant:
+        return cls(parts.nominal, parts.parameters, vertices=parts.vertices, varying=parts.varying)
+
+    def to_tree(self) -> dict[str, Plain]:
+        """Plain data of the file format: exactly the numbers of the record."""
+        return tree_of(UncertainParts(self.nominal, self.parameters, self.vertices, self.varying))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the plant to a .toml or .json file, whole or not at all; return the path."""
-        from sampling_design.plants.uncertain_files import write_uncertain_plant
+        """Write the plant to a .toml or .json file, whole or not at all; return the path.
 
-        return write_uncertain_plant(self, path)
+        Raises
+        ------
+        FileFormatError
+            If the suffix is another or the file cannot be written.
+        """
+        return write_tree(self.to_tree(), path)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data: the nominal plant and the model."""

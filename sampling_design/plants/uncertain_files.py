@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _files
-from sampling_design._door import door
 from sampling_design._record import Plain
 from sampling_design.checkers.parts import PLANT_TREE
 from sampling_design.checkers.strict import (
@@ -32,13 +32,22 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 Array = npt.NDArray[np.float64]
 Ends: TypeAlias = tuple[float, float]
 FORMAT = "sampling-design/uncertain-plant/1"
 _DECIMAL = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"  # possessive: long texts are read once
 _AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
+
+
+class UncertainParts(NamedTuple):
+    """What a file says: the nominal plant, and how others differ from it."""
+
+    nominal: Plant
+    parameters: Sequence[UncertainParameter]
+    vertices: Sequence[Plant]
+    varying: bool
 
 
 def ends(value: object, place: str) -> Ends:
@@ -90,47 +99,32 @@ _TREE = table(
 )
 
 
-@door
-def read_uncertain_plant(path: str | os.PathLike[str]) -> UncertainPlant:
-    """Read an uncertain plant from a .toml or .json file.
-
-    Parameters
-    ----------
-    path : path
-        A plant file whose entries may be ranges, `[-1.21, -0.81]` or `"-1 +- 0.2"`, with `[[parameters]]` that move
-        several entries together, or with `[[vertices]]`.
-
-    Returns
-    -------
-    UncertainPlant
+def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
+    """Return the tree in a .toml or .json file.
 
     Raises
     ------
     FileFormatError
-        If the file is missing, cut off, has an unknown key, or does not describe such a plant.
-
-    Notes
-    -----
-    *Numerical aspects.* The ends of "middle +- half" are rounded to doubles once; ranges are read exactly.
+        If the file is missing or cut off, or its suffix is another.
     """
     where = os.fspath(path)
     read = {".toml": _files.from_toml, ".json": _files.from_json}.get(Path(where).suffix.lower())
     if read is None:
         raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
-    return uncertain_from_tree(read(_files.read_text(where), where), where)
+    return read(_files.read_text(where), where)
 
 
-def uncertain_from_tree(data: Mapping[str, object], where: str = "uncertain plant") -> UncertainPlant:
-    """Return the uncertain plant in a tree of the file format.
+@contextmanager
+def told_of(where: str) -> Iterator[None]:
+    """Refusals inside name the file.
 
     Raises
     ------
     FileFormatError
-        If the data do not describe one.
+        Instead of what a grammar or a record says.
     """
     try:
-        found = _TREE(data, "")
-        return _built(found, data, where)
+        yield
     except (BadFile, ArgumentError) as error:
         if isinstance(error, FileFormatError):
             raise
@@ -138,8 +132,9 @@ def uncertain_from_tree(data: Mapping[str, object], where: str = "uncertain plan
         raise FileFormatError(sentence, where) from None
 
 
-def _built(found: Mapping[str, object], data: Mapping[str, object], where: str) -> UncertainPlant:
-    """The plant at the middles, and its parameters."""
+def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
+    """What a tree of the file format says: the plant at the middles, and its parameters."""
+    found = _TREE(data, "")
     matrices = found["matrices"]
     assert isinstance(matrices, dict)
     middles, parameters = dict(matrices), []
@@ -168,7 +163,7 @@ def _built(found: Mapping[str, object], data: Mapping[str, object], where: str) 
     corners = found.get("vertices", [])
     assert isinstance(corners, list)
     vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
-    return UncertainPlant(nominal, parameters, vertices=vertices, varying=bool(found.get("varying", False)))
+    return UncertainParts(nominal, parameters, vertices, bool(found.get("varying", False)))
 
 
 def _parameter(
@@ -178,18 +173,8 @@ def _parameter(
     return UncertainParameter(name, low, high, *parts, nominal=nominal)
 
 
-@door
-def write_uncertain_plant(plant: UncertainPlant, path: str | os.PathLike[str]) -> Path:
-    """Write an uncertain plant to a .toml or .json file, whole or not at all; return the path.
-
-    Parameters
-    ----------
-    plant : UncertainPlant
-    path : path
-
-    Returns
-    -------
-    Path
+def write_tree(tree: Mapping[str, Plain], path: str | os.PathLike[str]) -> Path:
+    """Write a tree to a .toml or .json file, whole or not at all; return the path.
 
     Raises
     ------
@@ -197,7 +182,6 @@ def write_uncertain_plant(plant: UncertainPlant, path: str | os.PathLike[str]) -
         If the suffix is another or the file cannot be written.
     """
     where = os.fspath(path)
-    tree = uncertain_to_tree(plant)
     suffix = Path(where).suffix.lower()
     if suffix not in (".toml", ".json"):
         raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
@@ -208,7 +192,7 @@ def write_uncertain_plant(plant: UncertainPlant, path: str | os.PathLike[str]) -
     return _files.write_text(where, tomli_w.dumps(tree))
 
 
-def uncertain_to_tree(plant: UncertainPlant) -> dict[str, Plain]:
+def tree_of(plant: UncertainParts) -> dict[str, Plain]:
     """Plain data of the file format: exactly the numbers of the record."""
     tree = dict(plant.nominal.to_dict()) | {"format": FORMAT, "varying": bool(plant.varying)}
     if plant.vertices:
@@ -226,16 +210,16 @@ def uncertain_to_tree(plant: UncertainPlant) -> dict[str, Plain]:
     return tree | {"parameters": listed}
 
 
-def uncertain_from_dict(plant: Plant, model: Mapping[str, object]) -> UncertainPlant:
-    """Return the uncertain plant of a certificate file: its plant and its model, as they were judged by the grammar."""
+def parts_of_model(plant: Plant, model: Mapping[str, object]) -> UncertainParts:
+    """What a certificate file says: its plant and its model, as they were judged by the grammar."""
     varying = bool(model["varying"])
     if model["kind"] == "vertices":
         stacks = [np.array(model[key], dtype=np.float64) for key in ("A", "C", "G")]
         vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
-        return UncertainPlant(plant, vertices=vertices, varying=varying)
+        return UncertainParts(plant, (), vertices, varying)
     parameters, listed = [], model["parameters"]
     assert isinstance(listed, list)
     for each in listed:
         moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
         parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))
-    return UncertainPlant(plant, parameters, varying=varying)
+    return UncertainParts(plant, parameters, (), varying)

@@ -23,7 +23,8 @@ from sampling_design.certificates.inclusion.inclusion_certificate import Inclusi
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 from tests.oracles import inclusions
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")

@@ -10,7 +10,8 @@ from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import FileFormatError
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 NOWHERE = {"low": [], "high": []}
 SINE = {"code": [["x", 0], ["sin", 0], ["w", 0], ["add", 1, 2]], "outputs": [3]}

@@ -21,7 +21,8 @@ from sampling_design.checkers import check
 from sampling_design.checkers.grammar import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 from sampling_design.recovery.interval import Interval, interval
 from sampling_design.recovery.readings import Below, Mean
 from sampling_design.schedules.family_files import family_from_dict

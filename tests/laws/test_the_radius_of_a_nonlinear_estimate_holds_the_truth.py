@@ -19,7 +19,8 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import pendulum
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.simulation import simulate
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 W, V, FIRST = 0.05, 0.02, 0.4
 PLANT = pendulum().with_bounds(disturbances=(-W, W), noises=(-V, V))

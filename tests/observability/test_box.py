@@ -22,7 +22,8 @@ from sampling_design.observability.box.branching import halved
 from sampling_design.observability.box.expansion import BoxCells, exponentials
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.count import zero_count_over_box
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 from sampling_design.recovery.accuracy_over_box import accuracy_over_box
 from tests.oracles.observability import exponential_50_digits
 from tests.rescale import Units

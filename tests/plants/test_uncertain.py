@@ -8,14 +8,9 @@ import pytest
 from sampling_design import Plant
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
-from sampling_design.plants.uncertain_files import (
-    ends,
-    read_uncertain_plant,
-    uncertain_from_tree,
-    uncertain_to_tree,
-    write_uncertain_plant,
-)
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_files import ends
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
 STIFFNESS = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
@@ -40,7 +35,7 @@ C = [[1.0, 0.0]]
 def test_a_file_with_ranges_is_read_as_it_stands(tmp_path):
     path = tmp_path / "plant.toml"
     path.write_text(TOML)
-    plant = read_uncertain_plant(path)
+    plant = UncertainPlant.read(path)
     assert [each.name for each in plant.parameters] == ["A[1, 0]", "A[1, 1]", "gain"]
     assert plant.low.tolist() == [-1.25, -0.5, 0.5]
     assert plant.high.tolist() == [-0.75, 0.0, 2.0]
@@ -61,11 +56,11 @@ def test_a_file_with_ranges_is_read_as_it_stands(tmp_path):
 )
 def test_files_round_trip_exactly(plant, suffix, tmp_path):
     path = plant.save(tmp_path / f"plant.{suffix}")
-    assert uncertain_to_tree(UncertainPlant.read(path)) == uncertain_to_tree(plant)
+    assert UncertainPlant.read(path).to_tree() == plant.to_tree()
 
 
 def changed(**keys):
-    tree = uncertain_to_tree(UncertainPlant(OSCILLATOR, [STIFFNESS]))
+    tree = UncertainPlant(OSCILLATOR, [STIFFNESS]).to_tree()
     return {**json.loads(json.dumps(tree)), **keys}
 
 
@@ -90,14 +85,14 @@ def changed(**keys):
 )
 def test_everything_else_is_refused_in_one_sentence(tree, match):
     with pytest.raises(FileFormatError, match=match):
-        uncertain_from_tree(tree)
+        UncertainPlant.from_tree(tree)
 
 
 def test_other_suffixes_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"must be \.toml or \.json for an uncertain plant"):
-        read_uncertain_plant(tmp_path / "plant.mat")
+        UncertainPlant.read(tmp_path / "plant.mat")
     with pytest.raises(FileFormatError, match=r"must be \.toml or \.json for an uncertain plant"):
-        write_uncertain_plant(UncertainPlant(OSCILLATOR, [STIFFNESS]), tmp_path / "plant.npz")
+        UncertainPlant(OSCILLATOR, [STIFFNESS]).save(tmp_path / "plant.npz")
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,8 @@ from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.weights import cost_from_deviations
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_parameter import UncertainParameter
 
 from .nonlinear_rival import stepped
 from .table import Table, duration, named

@@ -1,0 +1,358 @@
+"""The equations x' = f(x, u, w), y = h(x, u, v) of a nonlinear plant, their values and their linearisation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Sized
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Record, counted
+from sampling_design._units import check_time_unit
+from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
+from sampling_design.nonlinear.region import StateRegion, own_box
+from sampling_design.plants.plant import Plant, Signals
+
+if TYPE_CHECKING:
+    from casadi import SX, Function
+
+Array = npt.NDArray[np.float64]
+_VECTORS = ("states", "inputs", "disturbances", "outputs", "noises")
+_PREFIX = {"states": "x", "inputs": "u", "disturbances": "w", "outputs": "y", "noises": "v"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlantEquations(Record):
+    """The entries of a `NonlinearPlant`, which says what they mean; their values and derivatives."""
+
+    dynamics: Callable[..., SX | Sequence[SX]]
+    measurement: Callable[..., SX | Sequence[SX]]
+    sizes: Mapping[str, int]
+    time_unit: str = field(default="s", kw_only=True)
+    name: str = field(default="", kw_only=True)
+    source: str = field(default="", kw_only=True)
+    signals: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    bounds: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    region: StateRegion = field(default=None, kw_only=True)  # type: ignore[assignment]
+    limits: Callable[..., SX | Sequence[SX]] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_time_unit(self.time_unit)
+        for key in ("sizes", "signals", "bounds"):
+            if not isinstance(getattr(self, key), Mapping):
+                raise ArgumentError(
+                    f"`{key}` must be a table of names and values, got {_checks.described(getattr(self, key))}."
+                )
+        _checks.known_keys("`sizes`", self.sizes, _VECTORS)
+        _checks.known_keys("`signals`", self.signals, _VECTORS)
+        _checks.known_keys("`bounds`", self.bounds, _VECTORS)
+        for key in ("states", "outputs"):
+            if key not in self.sizes:
+                raise ArgumentError(f"`sizes` must give the number of {key}.")
+        sizes = {"inputs": 0, "disturbances": 0, "noises": self.sizes["outputs"], **self.sizes}
+        sizes = {
+            key: _checks.whole(f"sizes[{key!r}]", sizes[key], int(key in ("states", "outputs"))) for key in _VECTORS
+        }
+        signals = {key: _own_signals(key, self.signals.get(key), sizes[key]) for key in _VECTORS}
+        bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
+        for key, value in {"sizes": sizes, "signals": signals, "bounds": bounds}.items():
+            object.__setattr__(self, key, value)
+        region = StateRegion(*bounds["states"]) if self.region is None else self.region
+        if not isinstance(region, StateRegion) or region.lower.size != sizes["states"]:
+            shown = _checks.described(region)
+            raise ArgumentError(f"`region` must be a StateRegion of {sizes['states']} states, got {shown}.")
+        object.__setattr__(self, "region", region)
+        self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
+
+    @cached_property
+    def _functions(self) -> PlantFunctions:
+        ca = casadi()
+        t = ca.SX.sym("t")
+        x, u, w, v = (
+            ca.SX.sym(k, self.sizes[s])
+            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
+        )
+        built = []
+        for label, function, arguments, size in (
+            ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
+            ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
+            ("limits", self.limits or _no_limits, (x, u), None),
+        ):
+            if not callable(function):
+                raise ArgumentError(f"`{label}` must be a function, got {_checks.described(function)}.")
+            timed = size is not None and takes_time(function)
+            try:
+                value = function(*arguments, t) if timed else function(*arguments)
+                column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+            except Exception as error:  # whatever the function of a user raises
+                raise ArgumentError(
+                    f"`{label}` fails for symbols: {type(error).__name__} ({' '.join(str(error).split()):.120})."
+                ) from error
+            count = column.shape[0] * column.shape[1]
+            if size is not None and column.shape != (size, 1):
+                raise ArgumentError(f"`{label}` must return {size} entries, got {count}.")
+            if size is None:
+                built.append(ca.Function(label, [x, u], [ca.reshape(column, count, 1)]))
+            else:
+                built.append(ca.Function(label, [*arguments, t], [column]))
+        varies = takes_time(self.dynamics) or takes_time(self.measurement)
+        return PlantFunctions(built[0], built[1], built[2], varies)
+
+    @property
+    def varies(self) -> bool:
+        """Whether f or h depend on time."""
+        return self._functions.varies
+
+    @property
+    def rate_casadi(self) -> Function:
+        """f as a casadi Function of (x, u, w, t)."""
+        return self._functions.rate
+
+    @property
+    def shown_casadi(self) -> Function:
+        """h as a casadi Function of (x, u, v, t)."""
+        return self._functions.shown
+
+    @property
+    def limits_casadi(self) -> Function:
+        """g as a casadi Function of (x, u); no entries where there is none."""
+        return self._functions.limits
+
+    @cached_property
+    def f_casadi(self) -> Function:
+        """f as a casadi Function of (x, u, w).
+
+        Raises
+        ------
+        ArgumentError
+            If the plant varies in time.
+        """
+        return self._without_time(self.rate_casadi, "disturbances")
+
+    @cached_property
+    def h_casadi(self) -> Function:
+        """h as a casadi Function of (x, u, v).
+
+        Raises
+        ------
+        ArgumentError
+            If the plant varies in time.
+        """
+        return self._without_time(self.shown_casadi, "noises")
+
+    def _without_time(self, function: Function, last: str) -> Function:
+        if self.varies:
+            raise ArgumentError(f"`plant` must not vary in time here: `{function.name()}` depends on t.")
+        ca = casadi()
+        arguments = [ca.SX.sym(k, self.sizes[s]) for k, s in zip("xuz", ("states", "inputs", last), strict=True)]
+        found: Function = ca.Function(function.name(), arguments, [function(*arguments, 0)])
+        return found
+
+    def __getstate__(self) -> dict[str, object]:
+        """The plant as data: functions as casadi's own, which can be pickled."""
+        kept = {key: value for key, value in self.__dict__.items() if key in self.__dataclass_fields__}
+        made = self._functions
+        kept["dynamics"] = TimedFunction(made.rate) if made.varies else PlainFunction(made.rate)
+        kept["measurement"] = TimedFunction(made.shown) if made.varies else PlainFunction(made.shown)
+        kept["limits"] = None if self.limits is None else made.limits
+        return kept
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        for key, value in state.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return self.sizes["states"]
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return self.sizes["inputs"]
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return self.sizes["outputs"]
+
+    @property
+    def n_disturbances(self) -> int:
+        """Number of disturbances."""
+        return self.sizes["disturbances"]
+
+    @property
+    def n_noises(self) -> int:
+        """Number of noises."""
+        return self.sizes["noises"]
+
+    @property
+    def states(self) -> Signals:
+        """Names, units and scales of the states."""
+        found: Signals = self.signals["states"]
+        return found
+
+    @property
+    def outputs(self) -> Signals:
+        """Names, units and scales of the outputs."""
+        found: Signals = self.signals["outputs"]
+        return found
+
+    @property
+    def inputs(self) -> Signals:
+        """Names, units and scales of the inputs."""
+        found: Signals = self.signals["inputs"]
+        return found
+
+    @property
+    def disturbances(self) -> Signals:
+        """Names, units and scales of the disturbances."""
+        found: Signals = self.signals["disturbances"]
+        return found
+
+    def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
+        """Return x' = f(x, u, w, t), shape (n,); w defaults to zero."""
+        return self._evaluate(self.rate_casadi, "disturbances", x, u, w, t)
+
+    def h(self, x: npt.ArrayLike, u: npt.ArrayLike = (), v: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
+        """Return y = h(x, u, v, t), shape (p,); v defaults to zero."""
+        return self._evaluate(self.shown_casadi, "noises", x, u, v, t)
+
+    def _evaluate(self, function: Function, last: str, x: object, u: object, z: object, t: float) -> Array:
+        x = _checks.vector("x", x, self.sizes["states"])
+        u = _checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
+        z = _checks.vector(
+            "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
+        )
+        value = np.array(function(x, u, z, _checks.number("t", t))).ravel()
+        if not np.all(np.isfinite(value)):
+            raise ArgumentError(
+                f"`{function.name()}` returns {value.tolist()} at x = {x.tolist()}: the model is not finite there."
+            )
+        return value
+
+    def linearise(self, x: npt.ArrayLike, u: npt.ArrayLike = (), t: float = 0.0) -> Plant:
+        """Return the linear plant of small deviations from (x, u) at t, with w = 0 and v = 0.
+
+            A = df/dx, B = df/du, G = df/dw, C = dh/dx, D = dh/du
+
+        Raises
+        ------
+        ArgumentError
+            If x or u has the wrong length, or the derivatives are not finite there.
+        """
+        ca = casadi()
+        n, m = self.sizes["states"], self.sizes["inputs"]
+        point = _checks.vector("x", x, n)
+        control = _checks.vector("u", _given(u, m), m)
+        xs, us, ws, vs = (
+            ca.SX.sym(k, self.sizes[s])
+            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
+        )
+        when = _checks.number("t", t)
+        fx, hx = self.rate_casadi(xs, us, ws, when), self.shown_casadi(xs, us, vs, when)
+        wanted = [
+            ca.jacobian(fx, xs),
+            ca.jacobian(fx, us),
+            ca.jacobian(fx, ws),
+            ca.jacobian(hx, xs),
+            ca.jacobian(hx, us),
+        ]
+        values = ca.Function("derivatives", [xs, us, ws, vs], wanted)(point, control, 0, 0)
+        A, B, G, C, D = (np.array(value) for value in values)
+        kept = {key: self.signals[key] for key in ("states", "inputs", "disturbances", "outputs")}
+        return Plant(
+            A, C, B.reshape(n, m), D.reshape(C.shape[0], m), G.reshape(n, self.sizes["disturbances"]),
+            time_unit=self.time_unit, name=f"{self.name} (linearised)".strip(), source=self.source, **kept,
+        )  # fmt: skip
+
+    def equilibrium(self, guess: npt.ArrayLike, u: npt.ArrayLike = ()) -> Array:
+        """Return x with f(x, u, 0) = 0 near `guess`, by Newton's method in scaled states.
+
+        Raises
+        ------
+        SolverError
+            If the iteration does not converge.
+        """
+        scale = self.signals["states"].scales
+        z = _checks.vector("guess", guess, self.sizes["states"]) / scale
+        for _ in range(_NEWTON_STEPS):
+            residual = self.f(z * scale, u) / scale
+            step = np.linalg.solve(self.linearise(z * scale, u).A * scale / scale[:, None], residual)
+            z = z - step
+            if np.max(np.abs(step)) <= _NEWTON_TOLERANCE * max(1.0, float(np.max(np.abs(z)))):
+                return np.asarray(z * scale)
+        raise SolverError("no equilibrium found near `guess`: Newton's method does not converge.", status="diverged")
+
+    def in_region(
+        self,
+        lower: npt.ArrayLike,
+        upper: npt.ArrayLike,
+        rows: npt.ArrayLike | None = None,
+        offsets: npt.ArrayLike | None = None,
+        about: npt.ArrayLike | None = None,
+    ) -> Self:
+        """Return the same plant with the states lower <= x <= upper, rows x <= offsets as the region of certificates.
+
+        `about` is the state at which certificates linearise, by default the middle of the box.
+
+        Raises
+        ------
+        ArgumentError
+            If sizes differ or the box is empty.
+        """
+        return replace(self, region=StateRegion(lower, upper, rows, offsets, about))
+
+    @cached_property
+    def centre(self) -> Plant:
+        """The linearisation about a state of the region."""
+        found = self.linearise(self.region.about, StateRegion(*self.bounds["inputs"]).middle)
+        return replace(found, name=self.name)
+
+    def with_bounds(self, **boxes: object) -> Self:
+        """Return the same plant with other boxes, for example `with_bounds(states=(0.0, np.inf), noises=None)`.
+
+        Raises
+        ------
+        ArgumentError
+            If a name is none of the five vectors, or a box is empty.
+        """
+        _checks.known_keys("`with_bounds`", boxes, _VECTORS)
+        return replace(self, bounds={**self.bounds, **boxes})
+
+    def _rows(self) -> list[tuple[str, str]]:
+        groups = [(key, ", ".join(self.signals[key].names) or "-") for key in _VECTORS]
+        return [("name", self.name or "-"), *groups, ("time unit", self.time_unit)]
+
+    def explain(self) -> str:
+        """Say what the plant is, in words."""
+        n, p, q = (counted(self.sizes[f"{what}s"], what) for what in ("state", "output", "disturbance"))
+        return f"{self.name or 'A nonlinear plant'} with {n}, {p} and {q}; time in {self.time_unit}."
+
+
+def _no_limits(*arguments: SX) -> list[SX]:
+    """No g at all."""
+    return []
+
+
+_NEWTON_STEPS = 100
+_NEWTON_TOLERANCE = 1e-13
+
+
+def _given(u: object, size: int) -> object:
+    """The input as it was given; nothing at all stands for zero."""
+    return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
+
+
+def _own_signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Signals:
+    if isinstance(value, Signals):
+        if len(value) != size:
+            raise ArgumentError(f"`signals[{key!r}]` must have {size} entries, got {len(value)}.")
+        return value
+    return Signals(_checks.names(f"signals[{key!r}]", value, size, _PREFIX[key]))

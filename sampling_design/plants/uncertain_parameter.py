@@ -1,0 +1,94 @@
+"""A number that is only known to lie in a range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+_MOVED = ("A", "C", "G")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class UncertainParameter(Record):
+    """A number that is only known to lie in a range, and how it enters a plant.
+
+    Parameters
+    ----------
+    name : str
+    low, high : float
+        low <= high.
+    A : (n, n) array, C : (p, n) array, G : (n, q) array, optional
+        What a change of the parameter by 1 adds to the matrices of the plant; None: nothing.
+    nominal : float, optional
+        The value that the plant's own matrices stand for; default the middle of the range.
+
+    Raises
+    ------
+    ArgumentError
+        If the range is empty, the nominal value lies outside, or the parameter moves nothing.
+    """
+
+    name: str
+    low: float
+    high: float
+    A: Array | None = None
+    C: Array | None = None
+    G: Array | None = None
+    nominal: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            name: str,
+            low: float,
+            high: float,
+            A: npt.ArrayLike | None = None,
+            C: npt.ArrayLike | None = None,
+            G: npt.ArrayLike | None = None,
+            *,
+            nominal: float | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ArgumentError(f"`name` of a parameter must be a text, got {_checks.described(self.name)}.")
+        low, high = _checks.number("low", self.low), _checks.number("high", self.high)
+        if low > high:
+            raise ArgumentError(f"`high` of {self.name} must be at least `low` = {low!r}, got {high!r}. Swapped?")
+        middle = low / 2 + high / 2 if self.nominal is None else _checks.number("nominal", self.nominal)
+        if not low <= middle <= high:
+            raise ArgumentError(f"`nominal` of {self.name} must lie in [{low!r}, {high!r}], got {middle!r}.")
+        given = {key: value for key in _MOVED if (value := getattr(self, key)) is not None}
+        moved = {key: _checks.matrix(key, value) for key, value in given.items()}
+        owned: dict[str, object] = {"low": low, "high": high, "nominal": middle, **moved}
+        if not any(M.any() for M in moved.values()):
+            raise ArgumentError(f"parameter {self.name!r} must move an entry of A, C or G.")
+        for key, item in owned.items():
+            object.__setattr__(self, key, item)
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data as in a file."""
+        data: dict[str, Plain] = {"name": self.name, "low": self.low, "nominal": self.nominal, "high": self.high}
+        return data | {key: M.tolist() for key in _MOVED if (M := getattr(self, key)) is not None}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        moved = ", ".join(key for key in _MOVED if getattr(self, key) is not None)
+        return [
+            ("name", self.name),
+            ("range", short([self.low, self.high])),
+            ("nominal", short(self.nominal)),
+            ("moves", moved),
+        ]
+
+    def explain(self) -> str:
+        """Say what is known of the number."""
+        return f"{self.name} lies between {short(self.low)} and {short(self.high)}."

@@ -134,14 +134,56 @@ def arrows() -> dict[str, set[str]]:
     return {here: others - {here} for here, others in found.items()}
 
 
-def test_no_room_or_sub_room_stands_in_a_circle():
-    below, stands = arrows(), set()
-    while True:
-        free = {room for room, others in below.items() if room not in stands and others & set(below) <= stands}
-        if not free:
-            break
+def file_of(module: str) -> str:
+    """The file that a module is, or the folder's own; "" for none of the house."""
+    if not module.startswith("sampling_design."):
+        return ""
+    path = PACKAGE.joinpath(*module.split(".")[1:])
+    found = next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
+    return "" if found is None else str(found.relative_to(PACKAGE))
+
+
+def every_import(path: Path) -> set[str]:
+    """Files of the house that a file imports anywhere: at its top, inside functions, for the type checker alone."""
+    package = ["sampling_design", *path.relative_to(PACKAGE).parent.parts]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {file_of(alias.name) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            own = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*own, *([node.module] if node.module else [])])
+            found |= {file_of(f"{base}.{alias.name}") or file_of(base) for alias in node.names}
+    return found - {"", str(path.relative_to(PACKAGE))}
+
+
+def in_a_circle(below: dict[str, set[str]]) -> list[str]:
+    """What is left once everything that stands on what stands is taken away."""
+    stands: set[str] = set()
+    while free := {one for one, others in below.items() if one not in stands and others & set(below) <= stands}:
         stands |= free
-    assert sorted(set(below) - stands) == []
+    return sorted(set(below) - stands)
+
+
+def test_no_room_or_sub_room_stands_in_a_circle():
+    assert in_a_circle(arrows()) == []
+
+
+def test_no_file_stands_in_a_circle():
+    assert in_a_circle({str(path.relative_to(PACKAGE)): every_import(path) for path in sources()}) == []
+
+
+def test_circles_are_found_wherever_the_import_stands(tmp_path, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.PACKAGE", tmp_path)
+    room = tmp_path / "room"
+    room.mkdir()
+    (room / "low.py").write_text("if TYPE_CHECKING:\n    from sampling_design.room.high import High\n")
+    (room / "high.py").write_text("def f():\n    from sampling_design.room import low\n")
+    (room / "near.py").write_text("from .low import f\nimport numpy\n")
+    below = {path.name: {Path(other).name for other in every_import(path)} for path in room.iterdir()}
+    assert below == {"low.py": {"high.py"}, "high.py": {"low.py"}, "near.py": {"low.py"}}
+    assert in_a_circle(below) == ["high.py", "low.py", "near.py"]
+    assert in_a_circle(below | {"low.py": set()}) == []
 
 
 def test_every_room_and_sub_room_has_a_readme_of_5_to_40_lines():

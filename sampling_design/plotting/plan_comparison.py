@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sampling_design.planning.comparison import PlanComparison
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.plotting import style
 from sampling_design.plotting.plans import draw_sensors, mark_days, priced, whole
 
@@ -59,6 +59,6 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
     style.legend(ax, columns=4)
 
 
-def curve(plan: Plan, k: int) -> tuple[np.ndarray, np.ndarray]:
+def curve(plan: PlanFigures, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Edges and height of a goal over the period."""
     return plan.curve(k)

@@ -7,12 +7,12 @@ from matplotlib.axes import Axes
 
 from sampling_design._record import short
 from sampling_design._units import SECONDS
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.opening import week_hours
-from sampling_design.planning.plan_record import Plan
 from sampling_design.plotting import style
 
 
-def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
+def draw_plan(result: PlanFigures, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw when which sensor is read (on `ax` alone if given), and below it the accuracy of every goal."""
     if ax is not None:
         return draw_sensors(result, ax)
@@ -32,20 +32,20 @@ def draw_plan(result: Plan, ax: Axes | None = None) -> Axes | style.Panels:
     return axes
 
 
-def whole(result: Plan) -> tuple[float, float]:
+def whole(result: PlanFigures) -> tuple[float, float]:
     """Limits of an axis that shows a period, samples at its very ends included."""
     period = result.schedule.period
     return -0.008 * period, 1.008 * period
 
 
-def priced(result: Plan) -> str:
+def priced(result: PlanFigures) -> str:
     """What a period of a plan costs, in words."""
     if not result.problem.counts:
         return f"cost {short(result.cost)}"
     return f"{result.samples} sample{'s' * (result.samples != 1)}"
 
 
-def draw_sensors(result: Plan, ax: Axes) -> Axes:
+def draw_sensors(result: PlanFigures, ax: Axes) -> Axes:
     """One row for each sensor: when it may not be read, in grey, and when it is."""
     problem, names = result.problem, result.plant.outputs.names
     for j in range(len(names)):
@@ -62,7 +62,7 @@ def draw_sensors(result: Plan, ax: Axes) -> Axes:
     return ax
 
 
-def _goal(result: Plan, k: int, ax: Axes) -> None:
+def _goal(result: PlanFigures, k: int, ax: Axes) -> None:
     """The accuracy of one goal over the period, with its tolerance."""
     goal = result.goals[k]
     (edges, upper), period = result.curve(k), result.schedule.period
@@ -84,7 +84,7 @@ def _goal(result: Plan, k: int, ax: Axes) -> None:
     style.legend(ax)
 
 
-def mark_days(result: Plan, ax: Axes) -> None:
+def mark_days(result: PlanFigures, ax: Axes) -> None:
     """Weekdays instead of numbers where the plan has a calendar."""
     calendar = result.requirement.calendar
     if calendar is None:
@@ -93,7 +93,7 @@ def mark_days(result: Plan, ax: Axes) -> None:
     ax.set_xlabel(f"local time, {calendar.zone}")
 
 
-def closed(result: Plan, j: int) -> list[tuple[float, float]]:
+def closed(result: PlanFigures, j: int) -> list[tuple[float, float]]:
     """When a sensor may not be read, by the clock: whatever the raster, the hours are those that were asked for."""
     problem, requirement = result.problem, result.requirement
     if not problem.allowed[:, j].any():

@@ -29,7 +29,7 @@ class PlantFunctions(NamedTuple):
     varies: bool
 
 
-class LinearModel(NamedTuple):
+class LinearEquations(NamedTuple):
     """f, h, sizes and signals of a linear plant."""
 
     dynamics: Callable[[SX, SX, SX], SX]
@@ -70,7 +70,7 @@ def takes_time(function: object) -> bool:
     return sum(p.kind in places and p.default is inspect.Parameter.empty for p in parameters) == 4
 
 
-def linear_model(plant: Plant, noises: bool) -> LinearModel:
+def linear_model(plant: Plant, noises: bool) -> LinearEquations:
     """Return f = A x + B u + G w and h = C x + D u + v of a linear plant; without noises, v is left out."""
 
     def dynamics(x: SX, u: SX, w: SX) -> SX:
@@ -86,7 +86,7 @@ def linear_model(plant: Plant, noises: bool) -> LinearModel:
         signals["noises"] = Signals(
             _checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
         )
-    return LinearModel(dynamics, measurement, sizes, signals)
+    return LinearEquations(dynamics, measurement, sizes, signals)
 
 
 def _times(matrix: Array, symbol: SX) -> SX:

@@ -35,7 +35,7 @@ SHARES = np.geomspace(1e-2, 0.9, 9)
 WALK = 1e-12
 
 
-class Judged(Protocol):
+class BracketedRows(Protocol):
     """Rows whose accuracy is known: what a shadow asks of it."""
 
     @property
@@ -126,7 +126,7 @@ class Shadow(Record):
 
 
 @door
-def shadow(found: Judged, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
+def shadow(found: BracketedRows, first: str, second: str, t: float | None = None, directions: int = 24) -> Shadow:
     """Return the shadow of { x : c'x <= rho(c; t) for all c } on two states or outputs.
 
     Parameters
@@ -198,7 +198,7 @@ def shadow(found: Judged, first: str, second: str, t: float | None = None, direc
     )
 
 
-def _time(found: Judged, first: str, t: float | None) -> float:
+def _time(found: BracketedRows, first: str, t: float | None) -> float:
     question = found.question
     if t is None:
         place = found.rows.names.index(first) if first in found.rows.names else 0

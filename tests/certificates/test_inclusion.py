@@ -231,6 +231,22 @@ def test_the_largest_rate_serves_the_arrival_weight():
     assert made.horizon("arrival").minimum <= other.horizon("arrival").minimum
 
 
+def test_lambda_is_the_least_that_linear_pieces_can_have():
+    # P' <= -P on 8 pieces of 1/8: P falls by (1 - 1/8) on each, and nothing else stands in the way
+    slow = UncertainPlant(Plant([[0.0]], [[1.0]]), [UncertainParameter("a", -1.0, 0.0, A=[[1.0]], nominal=0.0)])
+    made = certify_inclusion(slow, GapRange(0.5, 1.0), eta=1.0, pieces=8, budget=1e6)
+    assert (7 / 8) ** -8 <= made.lam <= 1.005 * (7 / 8) ** -8
+
+
+@pytest.mark.parametrize(("budget", "most"), [(3.0, 2.65), (1e12, 2.0)])
+def test_coordinates_and_matrices_are_chosen_at_once(budget, most):
+    A, decay = np.diag(np.ones(3), 1), np.diag([0.0, 0.0, 0.0, -1.0])
+    known = Plant(A + 0.5 * decay, [[1.0, 0.0, 0.0, 0.0]], G=[[0.0], [0.0], [0.0], [1.0]])
+    chain = UncertainPlant(known, [UncertainParameter("rate", 1 / 12, 3.0, A=decay, nominal=0.5)])
+    made = certify_inclusion(chain, GapRange(0.005, 0.25), eta=0.3, pieces=8, budget=budget)
+    assert made.lam < most
+
+
 def test_more_pieces_prove_longer_gaps():
     found = [longest_gap(UNCERTAIN, eta=0.02, most=2.9, pieces=count).family.longest for count in (4, 8)]
     assert found[0] < found[1]

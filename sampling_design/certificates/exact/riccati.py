@@ -85,11 +85,12 @@ def push(Y: Array, F: Array, W: Array) -> Array:
     return symmetrise(F @ Y @ np.swapaxes(F, -1, -2) + W)
 
 
-def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None) -> Array:
+def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
     One period is Y -> F Y (I + H Y)^-1 F' + W; two periods are again of that form, so that 2^k periods cost k
-    compositions and slow plants need no more time than fast ones. What is followed one by one is counted in `work`.
+    compositions and slow plants need no more time than fast ones. Where rounding spoils that, and `walk` allows it,
+    samples are followed one by one, counted in `work`.
 
     Raises
     ------
@@ -109,7 +110,7 @@ def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None) 
         return _doubled(problem, flows)
     except (np.linalg.LinAlgError, SolverError):
         pass
-    for share in (0.0, FLOOR):
+    for share in (0.0, FLOOR) if walk else ():
         found = _walked(problem, flows, share, Work(np.inf) if work is None else work)
         if found is not None:
             return found

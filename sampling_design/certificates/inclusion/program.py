@@ -109,8 +109,8 @@ class InclusionProgram:
         self.scale = flow_scale(posed)
         self.fixed = [*self._flow(), *self._jump()]
 
-    def _block(self, parts: list[tuple[int, Array]], right: Array) -> Block:
-        """right - (-parts) x in the cone: columns start at the given places."""
+    def _block(self, parts: list[tuple[int, Array]], right: Array, more: int = 0) -> Block:
+        """right - (-parts) x in the cone: columns start at the given places, `more` of them beyond the width."""
         rows = parts[0][1].shape[0]
         row, column, data = [], [], []
         for start, values in parts:
@@ -119,7 +119,7 @@ class InclusionProgram:
             column.append(j + start)
             data.append(-values[i, j])
         places = (np.concatenate(row), np.concatenate(column))
-        return "psd", sparse.csc_matrix((np.concatenate(data), places), shape=(rows, self.width)), right
+        return "psd", sparse.csc_matrix((np.concatenate(data), places), shape=(rows, self.width + more)), right
 
     def _padded(self, corner: Array, side: Array | None = None) -> Array:
         """svec of [corner, side; side', 0] for each of a stack, as columns."""
@@ -176,26 +176,15 @@ class InclusionProgram:
                 found.append(self._block([(i * self.pairs, one), (0, -one)], right))
         return found
 
-    def _bounds(self, low: bool, high: bool, shape: Array, floor: float) -> list[Block]:
-        """s shape <= P_i <= q shape, and P_i >= floor unit."""
-        one, zero, column = np.eye(self.pairs), np.zeros(self.pairs), vector(shape)[:, None]
-        s, q, found = self.width - 2, self.width - 1, []
-        for i in range(self.count):
-            at = i * self.pairs
-            if low:
-                found.append(self._block([(at, one), (s, -column)], zero))
-            if high:
-                found.append(self._block([(at, -one), (q, column)], zero))
-            if floor > 0:
-                found.append(self._block([(at, one)], -floor * vector(self.posed.unit)))
-        return found
-
     def _solved(self, cost: Array, blocks: list[Block]) -> tuple[Array | None, SolverRecord]:
-        m = len(self.posed.seen) * self.ends
-        every = [*self.fixed, *blocks]
+        m, more = len(self.posed.seen) * self.ends, len(cost) - self.width
+        wider = [
+            (kind, sparse.hstack([A, sparse.csc_matrix((A.shape[0], more))]).tocsc(), b) for kind, A, b in self.fixed
+        ]
+        every: list[Block] = [*wider, *blocks]
         if m:
             signs = sparse.csc_matrix(
-                (-np.ones(m), (np.arange(m), self.count * self.pairs + np.arange(m))), shape=(m, self.width)
+                (-np.ones(m), (np.arange(m), self.count * self.pairs + np.arange(m))), shape=(m, len(cost))
             )
             every.append(("nonnegative", signs, np.zeros(m)))
         found = _conic.solve_cone_program(cost, every, budget=self.budget)
@@ -221,18 +210,35 @@ class InclusionProgram:
             sparse.csc_matrix(([1.0], ([0], [self.width - 2])), shape=(1, self.width)),
             np.array([1e6]),
         )
-        blocks = [*self._bounds(True, False, self.posed.unit, 0.0), cap]
-        x, record = self._solved(cost, self._pinned(blocks, (self.width - 1,)))
+        one, unit = np.eye(self.pairs), vector(self.posed.unit)
+        above = [
+            self._block([(i * self.pairs, one), (self.width - 2, -unit[:, None])], 0 * unit) for i in range(self.count)
+        ]
+        x, record = self._solved(cost, self._pinned([*above, cap], (self.width - 1,)))
         if x is None or x[-2] < SMALLEST:
             return 0.0, None, record
         return float(x[-2]), x, record
 
-    def narrow(self, ratio: float, floor: float) -> tuple[Array | None, SolverRecord]:
-        """The point with the least q - ratio s over s I <= P <= q I, P >= floor unit; None where there is none."""
-        cost = np.zeros(self.width)
-        cost[-2], cost[-1] = -ratio, 1.0
-        x, record = self._solved(cost, self._bounds(True, True, np.eye(self.posed.n), floor))
-        return (x if x is not None and x[-2] > 0 else None), record
+    def narrow(self, ratio: float, floor: float) -> tuple[Array | None, Array, SolverRecord]:
+        """The point with the most t for which a W has W <= P <= ratio W - t I and W >= floor unit: x if t > 0, and W.
+
+        Linear in P and W at once: turns of it, each with the ratio of the last, end at the least that any W has.
+        """
+        one, shape, unit = np.eye(self.pairs), vector(np.eye(self.posed.n)), vector(self.posed.unit)
+        t, W, more = self.width - 2, self.width, self.pairs
+        cost = np.zeros(self.width + more)
+        cost[t] = -1.0
+        blocks = [self._block([(W, one)], -floor * unit, more)]
+        for i in range(self.count):
+            at = i * self.pairs
+            blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
+            blocks.append(self._block([(W, ratio * one), (at, -one), (t, -shape[:, None])], 0 * shape, more))
+        x, record = self._solved(cost, self._pinned(blocks, (self.width - 1,), more))
+        if x is None:
+            return None, np.eye(self.posed.n), record
+        drawn = np.asarray(_conic.smat(x[W:]), dtype=np.float64)
+        good = x[t] > 0 and np.linalg.eigvalsh(drawn)[0] > SMALLEST * floor
+        return (x if good else None), drawn, record
 
     def slackest(self) -> tuple[Array | None, float, SolverRecord]:
         """The most t with every flow condition >= t I in its own size and t I/100 <= P <= 4 I; the point and t."""
@@ -275,10 +281,10 @@ class InclusionProgram:
         good = _conic.usable(found.record) and point[at] > SMALLEST
         return (point if good else None), float(point[at]) if good else 0.0, found.record
 
-    def _pinned(self, blocks: list[Block], columns: tuple[int, ...]) -> list[Block]:
+    def _pinned(self, blocks: list[Block], columns: tuple[int, ...], more: int = 0) -> list[Block]:
         """Unused variables are held at 0."""
         for column in columns:
-            row = sparse.csc_matrix(([1.0], ([0], [column])), shape=(1, self.width))
+            row = sparse.csc_matrix(([1.0], ([0], [column])), shape=(1, self.width + more))
             blocks = [*blocks, ("zero", row, np.zeros(1))]
         return blocks
 

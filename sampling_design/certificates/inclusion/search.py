@@ -21,8 +21,8 @@ from sampling_design.schedules.gap_range import GapRange
 
 Array = npt.NDArray[np.float64]
 
-NARROWINGS = 3
-"""Solutions of the program in which P(tau) is drawn together, each in the coordinates of the last."""
+NARROWINGS, NARROW_ENOUGH = 12, 0.995
+"""Turns in which P(tau) is drawn together; a turn that leaves lambda above this part of the last is the last."""
 ROUNDS = 12
 """How often members that violate a solution may join the program."""
 JOINING = 4
@@ -89,19 +89,18 @@ class InclusionSearch(PosedMembers):
             return best
         current, basis = some, np.eye(some.n)
         for _ in range(NARROWINGS):
-            turn = np.linalg.cholesky(np.mean(P, axis=0))
-            current, basis = current.turned(turn), basis @ turn
-            search = InclusionProgram(current)
-            x, record = search.narrow(best.lam, floor / self.budget)
+            x, W, record = search.narrow(best.lam, floor / self.budget)
             if x is None:
                 break
-            P = search.matrices(x)
-            found = self._found(current, P, T @ basis, search.diagonals(x), record)
-            better = found.lam < best.lam
-            done = found.lam > 0.98 * best.lam
-            best = found if better else best
+            turn, P = np.asarray(np.linalg.cholesky(W)), search.matrices(x)
+            current, basis = current.turned(turn), basis @ turn
+            own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
+            found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, search.diagonals(x), record)
+            done = found.lam > NARROW_ENOUGH * best.lam
+            best = found if found.lam < best.lam else best
             if done:
                 break
+            search = InclusionProgram(current)
         return best
 
     @staticmethod

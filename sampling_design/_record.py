@@ -5,6 +5,7 @@ A record lists its rows once, in `_rows`; everything that shows it is made from 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -158,7 +159,7 @@ def finite_or_none(value: float) -> float | None:
 
 def finite_or_nones(values: npt.NDArray[np.float64]) -> list[float | None]:
     """The same for a row of numbers."""
-    return [finite_or_none(value) for value in values.tolist()]
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def short(value: object, digits: int = 6) -> str:

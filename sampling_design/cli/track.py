@@ -340,10 +340,11 @@ def log(
             progress=progress,
         )
     folder = settings.folder()
+    data = result.to_dict() if folder is not None or settings.as_json else {}  # a long one takes its time
     if folder is not None:
-        settings.write_json(folder / "log.json", result.to_dict())
+        settings.write_json(folder / "log.json", data)
         settings.wrote(save_picture(result, folder / "log.png"))
-    settings.show(result.to_dict(), record_table(result), result.explain())
+    settings.show(data, record_table(result), result.explain())
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

@@ -14,15 +14,19 @@ from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
-from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
+from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.observability.windows.window_sigma import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-STRETCH = 20_000
+STRETCH = 4000
 """Samples whose windows are judged at a time: what is held does not grow with the record."""
+
+AROUND = 400
+"""Samples on either side of the worst window of a long record whose windows are shown."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +43,7 @@ class ScheduleLog(Record):
         Taken, but without an output that was planned.
     planned_sigma, actual_sigma : WindowSigma or None
         Over every position of the window; None where the log is shorter than the window, or no mode must be seen. Of a
-        long record (more than `STRETCH` samples) the profile is that of the stretch with the worst window.
+        long record (more than `STRETCH` samples) the profiles are those around its worst window.
     time_unit : str
     decays : bool
         No mode must be seen: every one decays by itself.
@@ -177,7 +181,8 @@ def compare_schedule(
     Notes
     -----
     *Method.* The plan is cut at half a gap beyond the last actual time. Planned and actual samples are matched in
-    order, each to its nearest, if that is less than half a gap of the plan away.
+    order, each to its nearest, if that is less than half a gap of the plan away. Sigma of a long record is that of the
+    worst of its stretches; of an endless plan the windows that begin within two periods stand for all.
 
     Examples
     --------
@@ -202,7 +207,13 @@ def compare_schedule(
     after: WindowSigma | None = None
     start, end = float(min(planned.times[0], actual[0])), float(min(planned.times[-1], actual[-1]))
     if judged.n_states and end - start >= length:
-        before, after = (_judged(judged, each, length, budget, progress, start) for each in (planned, taken))
+        after = _judged(judged, taken, length, budget, progress, start)
+        before = _judged(judged, _told_apart(plan, planned, start + length), length, budget, progress, start)
+        if max(len(planned), len(taken)) > STRETCH:
+            before, after = (
+                replace(sigma, profile=_around(judged, each, length, after.witness.t, start).profile)
+                for sigma, each in ((before, planned), (after, taken))
+            )
     lacking = _lacking(plant, planned, taken, match)
     return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit, not judged.n_states)
 
@@ -220,22 +231,57 @@ def _judged(
     times = schedule.times
     ends = [*range(STRETCH, len(schedule) - STRETCH // 2, STRETCH), len(schedule) - 1]
     ends = [k for k in ends if k == len(schedule) - 1 or times[k] - window > start]
-    if len(ends) == 1:
-        return window_sigma(plant, schedule, window, budget=budget, progress=progress, start=start)
     worst: WindowSigma | None = None
-    lower = np.inf
     for k, end in enumerate(ends):
         within = slice(int(np.searchsorted(times, start)), end + 1)
         mask = None if schedule.outputs is None else schedule.outputs[within]
-        part = Schedule(times[within], mask, time_unit=schedule.time_unit)
-        found = window_sigma(plant, part, window, budget=budget / len(ends), start=start)
-        lower = min(lower, found.lower)
-        worst = found if worst is None or found.upper < worst.upper else worst
+        part = meet(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
+        pieces, alone = window_pieces(part, window, start), progress if len(ends) == 1 else None
+        found = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=worst)
+        worst = found if worst is None else _joint(worst, found)
         start = float(times[end]) - window
-        if progress is not None:
+        if progress is not None and alone is None:
             progress((k + 1) / len(ends), f"sigma over windows: {end + 1} of {len(schedule)} samples")
     assert worst is not None
-    return replace(worst, lower=lower)
+    return worst
+
+
+def _joint(one: WindowSigma, other: WindowSigma) -> WindowSigma:
+    """Sigma over the windows of both: the worst window, the lesser of the bounds, and whatever is open in either."""
+    worst = other if other.upper < one.upper else one
+    open_ = next((each for each in (one, other) if not each.closed), worst)
+    return replace(
+        worst,
+        lower=min(one.lower, other.lower),
+        closed=one.closed and other.closed,
+        status=open_.status,
+        scaled=None if one.scaled is None or other.scaled is None else _joint(one.scaled, other.scaled),
+        rigorous=one.rigorous and other.rigorous,
+        slack=max(one.slack, other.slack),
+    )
+
+
+def _told_apart(plan: Schedule | PeriodicSchedule, planned: Schedule, end: float) -> Schedule:
+    """The planned samples without those of an endless plan whose windows are shifts of others by whole periods.
+
+    `end` is where the first window ends; every later one is, but for the number of periods before it, one of those that
+    begin within two periods.
+    """
+    if not isinstance(plan, PeriodicSchedule):
+        return planned
+    cut = planned.between(0.0, max(end, float(plan.first)) + 2 * plan.period)
+    return cut if len(cut) < len(planned) else planned
+
+
+def _around(plant: Plant, schedule: Schedule, window: float, end: float, start: float) -> WindowSigma:
+    """Sigma over the windows of the samples around the one that ends at `end`, for its profile; none before `start`."""
+    times, n = schedule.times, len(schedule)
+    first, last = (int(np.searchsorted(times, t)) for t in (end - window, end))
+    within = slice(max(0, first - AROUND), min(n, last + AROUND + 1))
+    mask = None if schedule.outputs is None else schedule.outputs[within]
+    part = meet(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
+    pieces = window_pieces(part, window, None if within.start else start)
+    return sigma_of_pieces(plant, part, pieces, RTOL, np.inf)
 
 
 def _half_gap(plan: Schedule | PeriodicSchedule) -> float:

@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,20 +164,44 @@ def test_planned_samples_are_matched_as_one_by_one():
         assert _matched(planned, actual).tolist() == one_by_one(planned, actual)
 
 
-def test_a_long_record_is_judged_in_stretches_as_a_whole(monkeypatch):
+@pytest.mark.parametrize("endless", [True, False])
+def test_a_long_record_is_judged_in_stretches_as_a_whole(monkeypatch, endless):
     rng = np.random.default_rng(1)
     plan = sd.PeriodicSchedule([1.0, 1.3, 0.9], time_unit="h")
+    plant = replace(PLANT, states=sd.Signals(["level", "rate"], scales=[0.1, 3.0]))
     times = plan.between(0, 60.0).times
     times = (times + rng.uniform(-0.2, 0.2, times.size))[rng.random(times.size) > 0.1]
     masks = rng.random((times.size, 2)) < 0.8
     masks[~masks.any(axis=1)] = True
-    whole = sd.compare_schedule(PLANT, plan, times, 4.0, outputs=masks)
+    asked = (plant, plan if endless else plan.between(0.0, 61.0), times, 4.0)
+    whole = sd.compare_schedule(*asked, outputs=masks)
     monkeypatch.setattr(schedule_log, "STRETCH", 7)
-    parts = sd.compare_schedule(PLANT, plan, times, 4.0, outputs=masks)
+    monkeypatch.setattr(schedule_log, "AROUND", 5)
+    parts = sd.compare_schedule(*asked, outputs=masks)
     for one, other in ((whole.planned_sigma, parts.planned_sigma), (whole.actual_sigma, parts.actual_sigma)):
-        assert other.upper == pytest.approx(one.upper, rel=1.1e-3)
-        assert max(one.lower, other.lower) <= min(one.upper, other.upper)
-        assert other.lower >= (1 - 1.1e-3) * one.lower
+        for a, b in ((one, other), (one.scaled, other.scaled)):
+            assert b.closed
+            assert b.upper == pytest.approx(a.upper, rel=1.1e-3)
+            assert max(a.lower, b.lower) <= min(a.upper, b.upper)
+            assert b.lower >= (1 - 1.1e-3) * a.lower
+        seen = other.profile  # of the windows around the worst actual one, for both
+        assert seen.t.min() <= parts.actual_sigma.witness.t <= seen.t.max()
+        assert np.ptp(seen.t) < 25
+    assert parts.actual_sigma.profile.sigma.min() == pytest.approx(parts.actual_sigma.upper, rel=1e-3)
+
+
+def test_a_hole_in_any_stretch_is_found_and_what_is_left_open_stays_open(monkeypatch):
+    monkeypatch.setattr(schedule_log, "STRETCH", 7)
+    times = np.arange(1.0, 60.0)
+    for hole in (3.0, 31.0, 58.0):
+        log = sd.compare_schedule(PLANT, sd.PeriodicSchedule([1.0], time_unit="h"), times[times != hole], 3.0)
+        assert log.actual_sigma.upper < 0.99 * log.planned_sigma.lower
+        assert hole <= log.actual_sigma.witness.t <= hole + 4
+    sigma = log.actual_sigma
+    unfinished = replace(sigma, lower=0.5 * sigma.lower, closed=False, status="budget")
+    for joint in (schedule_log._joint(sigma, unfinished), schedule_log._joint(unfinished, sigma)):
+        assert (joint.lower, joint.upper) == (unfinished.lower, sigma.upper)
+        assert (joint.closed, joint.status) == (False, "budget")
 
 
 def test_json_in_pieces_is_the_json(monkeypatch):

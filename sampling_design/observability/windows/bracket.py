@@ -24,7 +24,7 @@ Progress = Callable[[float, str], None]
 # relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
 # the tests of the exponentials hold them to it against 50-digit arithmetic
 ALLOWANCE = 1e-12
-_FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture
+_FIRST_CUTS = 4  # intervals per piece to begin with: enough for a picture; one where less was seen elsewhere
 _MOST_NODES = 2_000_000  # evaluations after which a search without a budget ends as well
 _CHUNK = 2_000_000  # numbers per batch, so that long windows with many samples fit into memory
 LARGEST = 1e130  # of entries of A^2, C and e^{A T}: products of them are still numbers
@@ -163,11 +163,12 @@ class _Pieced:
 class _BracketSearch:
     """Open intervals, all nodes so far, and the least proven bound of the closed ones."""
 
-    def __init__(self, pieced: _Pieced, rtol: float) -> None:
+    def __init__(self, pieced: _Pieced, rtol: float, reached: float) -> None:
         self.pieced, self.rtol = pieced, rtol
         left, right = pieced.pieces.left, pieced.pieces.right
-        owner = np.repeat(np.arange(left.size), _FIRST_CUTS + 1)
-        part = np.tile(np.arange(_FIRST_CUTS + 1) / _FIRST_CUTS, left.size)
+        cuts = _FIRST_CUTS if reached == np.inf else 1
+        owner = np.repeat(np.arange(left.size), cuts + 1)
+        part = np.tile(np.arange(cuts + 1) / cuts, left.size)
         start = np.clip(left[owner] + part * (right - left)[owner], left[owner], right[owner])
         start[part == 1] = right
         value, second = pieced.at(owner, start)
@@ -177,7 +178,8 @@ class _BracketSearch:
         self.owner, self.a, self.b = owner[inner], start[inner], start[inner + 1]
         self.fa, self.fb, self.ga, self.gb = value[inner], value[inner + 1], second[inner], second[inner + 1]
         self.piece_lower = np.full(left.size, np.inf)
-        self.top = float(value.max())
+        with np.errstate(divide="ignore"):
+            self.top = max(float(value.max()), float(1 / np.float64(reached)))
         self.total, self.evaluations = float(np.sum(right - left)), start.size
 
     def close(self) -> None:
@@ -222,13 +224,23 @@ class _BracketSearch:
         return "closed"
 
 
-def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> Bracket:
-    """Bracket the least sigma over all pieces; `seconds` may be infinite."""
+def bracket_sigma(
+    plant: Plant,
+    pieces: Pieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None,
+    reached: float = np.inf,
+) -> Bracket:
+    """Bracket the least sigma over all pieces; `seconds` may be infinite.
+
+    Where a sigma was `reached` elsewhere, what is certainly not below it is not looked at closely.
+    """
     if plant.n_states == 0:
         return _nothing_to_see(pieces)
     require_moderate(plant)
     short = _too_few(plant, pieces)
-    search = _BracketSearch(_Pieced(plant, pieces), rtol)
+    search = _BracketSearch(_Pieced(plant, pieces), rtol, reached)
     if short is not None:
         status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
     elif search.zero.any():
@@ -242,10 +254,10 @@ def bracket_sigma(plant: Plant, pieces: Pieces, rtol: float, seconds: float, pro
     if status in ("too few samples", "below rounding"):
         search.close()
         np.minimum.at(search.piece_lower, search.owner, search.lower_open)
-    return _bracket(plant, search, status, g, start)
+    return _bracket(plant, search, status, g, start, reached)
 
 
-def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float) -> Bracket:
+def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float, reached: float) -> Bracket:
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
     rows = _rows(plant, pieces, g, start)
@@ -257,7 +269,7 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     lower = min(float(search.piece_lower.min()), upper)
     if status in ("too few samples", "below rounding"):
         lower = 0.0
-    elif status == "closed" and lower < (1 - search.rtol) * upper:
+    elif status == "closed" and lower < (1 - search.rtol) * min(upper, reached):
         status = "rounding"
     owner, nodes = np.concatenate(search.owners), np.concatenate(search.nodes)
     order = np.lexsort((nodes, owner))

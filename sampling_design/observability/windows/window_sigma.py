@@ -349,17 +349,37 @@ def window_sigma(
                 "`rigorous` is for one plant: over a box the bound is proven by norms in every cell. Leave it out."
             )
         return window_sigma_over_box(plant, pieces, tolerance, seconds, progress)
+    return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
+
+
+def sigma_of_pieces(
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    pieces: Pieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None = None,
+    *,
+    rigorous: bool = False,
+    reached: WindowSigma | None = None,
+) -> WindowSigma:
+    """Return the record of some pieces of a schedule in the plant's unit.
+
+    `reached` is what was found over other pieces: windows that see more than that are not looked at closely.
+    """
     parts = [plant, plant.scaled()] if plant.has_scales else [plant]
+    known = [np.inf if one is None else one.upper for one in (reached, None if reached is None else reached.scaled)]
     scaled = None
-    for part in reversed(parts):
-        found = bracket_sigma(part, pieces, tolerance, seconds / len(parts), progress)
-        result = _record(found, length, tolerance, part.time_unit, scaled)
+    for part, least in reversed(list(zip(parts, known, strict=False))):
+        found = bracket_sigma(part, pieces, rtol, seconds / len(parts), progress, least)
+        result = _record(found, pieces.window, rtol, part.time_unit, scaled)
         if rigorous:
-            result = _in_balls(result, part, aligned, pieces, seconds / len(parts))
+            result = _in_balls(result, part, schedule, pieces, seconds / len(parts))
         elif _hidden(found) and find_spec("flint") is not None:
-            result = _in_balls(result, part, aligned, pieces, min(seconds, HANDED_OVER) / len(parts))
+            result = _in_balls(result, part, schedule, pieces, min(seconds, HANDED_OVER) / len(parts))
         scaled = result
-    return result
+    assert scaled is not None
+    return scaled
 
 
 def _tolerance(rtol: float | None, default: float) -> float:

@@ -131,3 +131,39 @@ def test_choices_are_looked_at_until_nothing_is_left_to_gain():
     assert [trial for trial in every.trials if "enumerated" in trial.start]
     assert every.sigma == pytest.approx(np.sqrt(2.5), rel=1e-6)
     assert chosen.sum() == 5
+
+
+@pytest.mark.parametrize(("fixed", "period"), [([0.4, 2.9, 3.6], 4.0), ([1.3], 1.1), ([], 1.1)])
+def test_where_only_what_is_measured_is_left_to_choose_the_bound_is_reached(fixed, period):
+    """Times that are all fixed, or one sample, and money for some of the outputs: every choice by a plain scan."""
+    A, C, k = np.array([[0.1, 1.0], [-1.0, 0.1]]), np.array([[1.0, 0.2], [0.0, 0.7]]), max(len(fixed), 1)
+    asked = Requirement(
+        window=5.0,
+        period=period,
+        samples=k,
+        spacing=0.1,
+        fixed=np.mod(fixed, period),
+        outputs={"y1": {"cost": 1.0}, "y2": {"cost": 2.0}},
+        cost_limit=2.5 * k - 0.5,
+    )
+    design = design_schedule(Plant(A, C), asked)
+    times, case = np.sort(np.mod(fixed or [0.0], period)), design.problem
+    masks = [np.array(line, dtype=bool) for line in product([(1, 0), (0, 1), (1, 1)], repeat=k)]
+    paid = [mask for mask in masks if (mask * [1.0, 2.0]).sum() <= 2.5 * k - 0.5]
+    best = max(window_sigma_scan(A, C, times, period, 5.0, mask=mask) for mask in paid)
+    assert best * (1 - 1e-9) <= design.upper_bound <= best * (1 + 1e-3)
+    assert design.gap < 1e-3
+    assert design.verify()
+    parts = design.bound.parts
+    assert design.bound.value_for(case) == design.upper_bound
+    assert (
+        replace(design.bound, parts=(*parts[1:], replace(parts[0], chosen=~parts[0].chosen))).value_for(case) == np.inf
+    )
+    assert replace(design.bound, parts=(*parts, parts[0])).value_for(case) == np.inf
+
+
+def test_what_samples_measure_is_no_part_of_a_bound_that_does_not_tell_them_apart():
+    case = problem([1.0, 3.0], 8.0, 4)
+    part = BoundPart("placed", np.zeros(1), np.eye(2)[None], chosen=affordable_choices(case)[0])
+    assert part.value_for(case) == np.inf
+    assert 0 < replace(part, chosen=np.zeros((0, 0), dtype=bool)).value_for(case) < np.inf

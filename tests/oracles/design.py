@@ -23,16 +23,16 @@ def window_sigma_scan(A, C, times, period, window, places=7, mask=None):
     starts = np.unique(
         np.concatenate([events, *(events[:-1] + f * np.diff(events) for f in np.linspace(0, 1, places + 2)[1:-1])])
     )
-    tiny = 1e-9 * period
+    tiny, lags = 1e-9 * period, every - starts[:, None]
+    near = (lags > -tiny) & (lags < window + tiny)
+    rows = np.zeros((*lags.shape, *C.shape))
+    rows[near] = C @ expm(A * lags[near][:, None, None])
+    if mask is not None:
+        rows = rows * np.asarray(mask)[which][:, :, None]
     least = np.inf
-    for a in starts:
+    for seen, lag in zip(rows, lags, strict=True):
         for low, high in ((tiny, window + tiny), (-tiny, window - tiny)):
-            inside = (every - a > low) & (every - a < high)
-            rows = [
-                (C if mask is None else C[mask[j]]) @ expm(A * r)
-                for r, j in zip(every[inside] - a, which[inside], strict=True)
-            ]
-            O = np.vstack(rows) if rows else np.zeros((0, A.shape[0]))
+            O = seen[(lag > low) & (lag < high)].reshape(-1, A.shape[0])
             values = np.linalg.svd(O, compute_uv=False) if O.size else np.zeros(0)
             least = min(least, values[A.shape[0] - 1] if values.size >= A.shape[0] else 0.0)
     return float(least)

@@ -90,7 +90,8 @@ class BoundPart:
         roots = problem.rows.R @ (roots / np.linalg.norm(roots))
         Z = roots @ np.swapaxes(roots, 1, 2)
         if self.method == "placed":
-            return placed_bound(problem, self.starts, Z, self.price)
+            decided = problem.chosen is None or problem.fixed.size == problem.samples  # else of no known sample
+            return placed_bound(problem, self.starts, Z, self.price) if decided else np.inf
         if self.method == "alone":
             return alone_bound(problem, self.starts, Z)
         if not zoned(problem) or self.zones.shape != (problem.samples, 2) or self.side not in sides(problem):
@@ -147,7 +148,9 @@ class UpperBound:
     def _covers(self, problem: DesignProblem) -> bool:
         """Whether the parts leave no schedule out."""
         if any(part.method in ("placed", "alone") for part in self.parts):
-            return len(self.parts) == 1
+            wanted = {chosen.tobytes() for chosen in affordable_choices(problem)} or {b""}
+            told = {part.chosen.tobytes() for part in self.parts if part.method in ("placed", "alone")}
+            return len(told) == len(self.parts) and told in ({b""}, wanted)
         fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
         found = {part.side for part in self.parts}
         if len(found) != 1 or not fits or not zoned(problem):
@@ -379,12 +382,26 @@ def local_part(
 
 def alone_part(problem: DesignProblem) -> BoundPart:
     """Bound of one sample a period: the window, counted from the sample, that sees some state least."""
-    return _least_seen(problem, "alone", np.zeros(1), np.ones((1, problem.plant.n_outputs), dtype=bool))
+    all_outputs = np.ones((1, problem.plant.n_outputs), dtype=bool)
+    return _least_seen(problem, "alone", np.zeros(1), all_outputs if problem.chosen is None else problem.chosen)
 
 
 def fixed_part(problem: DesignProblem) -> BoundPart:
     """Bound where every sample is fixed: the window of this one schedule that sees some state least."""
-    return _least_seen(problem, "placed", problem.fixed, problem.mask(problem.fixed))
+    return _least_seen(problem, "placed", problem.fixed, problem.measured(problem.fixed))
+
+
+def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
+    """Bounds where no time is left to choose: of one sample, or of samples that are all fixed.
+
+    Where cost is limited, what each sample measures is left to choose: a part for every choice, unless there are many.
+    """
+    choices = affordable_choices(problem) if problem.is_costly else []
+    cases = [changed(problem, {"chosen": chosen}) for chosen in choices] or [problem]
+    found = [tuple(alone_part(case) for case in cases)] if problem.samples == 1 else []
+    if problem.fixed.size == problem.samples and (choices or not problem.is_costly):
+        found.append(tuple(fixed_part(case) for case in cases))
+    return found
 
 
 def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.NDArray[np.bool_]) -> BoundPart:
@@ -409,15 +426,11 @@ def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.
 
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
     """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
-    parts = [placed_part(problem, placed, deadline)]
-    if problem.samples == 1:
-        parts.append(alone_part(problem))
-    if problem.fixed.size == problem.samples and not problem.is_costly:
-        parts.append(fixed_part(problem))
+    found = [(placed_part(problem, placed, deadline),), *_placed_by_itself(problem)]
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
         for side in sides(problem) if sides(problem) != ("sorted",) else ():
             if time.perf_counter() <= deadline:
                 root = zone_part(problem, regions(problem, side)[0], side, deadline=deadline)
-                parts += [] if root is None else [root[0]]
-    best = min(parts, key=lambda p: p.value)
-    return UpperBound(best.value, (best,))
+                found += [] if root is None else [(root[0],)]
+    bounds = [UpperBound(max(part.value for part in parts), parts) for parts in found]
+    return min(bounds, key=lambda bound: bound.value)

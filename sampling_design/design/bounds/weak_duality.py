@@ -256,8 +256,9 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
         sums = cell_values(cycle, edges, values)
         total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
         return rooted(spent + total)
-    fixed = best_choice(value_at(problem, starts, Z, problem.fixed), problem.mask(problem.fixed), prices)
     spare = problem.samples - problem.fixed.size
+    there = problem.mask(problem.fixed) if spare else problem.measured(problem.fixed)
+    fixed = best_choice(value_at(problem, starts, Z, problem.fixed), there, prices)
     best = np.append(0.0, np.full(spare, -np.inf))
     turned = np.append(edges, edges[1:] + problem.period), np.tile(values, 2)
     for arc in arcs:
@@ -268,7 +269,10 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
 
 def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     """Bound sigma of every schedule of one sample a period, whatever it measures; windows count from the sample."""
-    return rooted(float(value_at(problem, starts, Z, np.zeros(1)).sum())) if problem.samples == 1 else np.inf
+    if problem.samples != 1:
+        return np.inf
+    values = value_at(problem, starts, Z, np.zeros(1))
+    return rooted(float((values if problem.chosen is None else values * problem.chosen).sum()))
 
 
 def _arcs(problem: DesignProblem) -> list[TimeCells]:

@@ -313,21 +313,34 @@ def listed(names: Collection[str]) -> str:
     return ", ".join(first) + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
 
 
+def a_table(value: object, place: str) -> Mapping[str, object]:
+    """Refuse what is no table."""
+    if not isinstance(value, Mapping):
+        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
+    return value
+
+
+def by_name(read: Reader) -> Reader:
+    """Reader of a table whose keys are names of the writer's own, and whose items `read` reads."""
+    return lambda value, place: {
+        text(name, place): read(item, f"{place}.{name}") for name, item in a_table(value, place).items()
+    }
+
+
 def known_keys(
     value: object, place: str, needed: Collection[str], optional: Collection[str], whole: str
 ) -> Mapping[str, object]:
     """Refuse what is no table, an unknown key (naming the nearest known one), or one that is missing."""
     where = f"`{place}`" if place else whole
-    if not isinstance(value, Mapping):
-        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
-    for key in value:
+    found = a_table(value, place)
+    for key in found:
         if key not in needed and key not in optional:
             slip = likely(str(key), [*needed, *optional])
             raise refuse("", f"unknown key {str(key)[:LONGEST_NAME]!r} in {where}. {slip}")
     for key in needed:
-        if key not in value:
+        if key not in found:
             raise refuse("", f"`{key}` is missing in {where}. Was the file cut off?")
-    return value
+    return found
 
 
 def table(

@@ -11,13 +11,12 @@ from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     anything,
+    by_name,
     count,
     list_of,
     nonnegative,
     number,
     positive,
-    refuse,
-    shown,
     table,
     text,
     word,
@@ -44,28 +43,28 @@ def _when(value: object, place: str) -> str | list[float]:
     return str(word(*TIMES)(value, place)) if isinstance(value, str) else found
 
 
-def _by_name(read: object, value: object, place: str) -> dict[str, object]:
-    if not isinstance(value, Mapping):
-        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
-    assert callable(read)
-    return {text(name, place): read(item, f"{place}.{name}") for name, item in value.items()}
-
-
 _HOURS = list_of(list_of(text, 2))
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
+
+
+def _goal(value: object, place: str) -> object:
+    """A tolerance, or a table of all that may be said of a goal."""
+    return _GOAL(value, place) if isinstance(value, Mapping) else positive(value, place)
+
+
 _SENSOR = table(
     {},
     {
         **dict.fromkeys(("price", "noise_bound"), nonnegative),
         "noise_deviation": positive,
-        "hours": lambda value, place: _by_name(_HOURS, value, place),
+        "hours": by_name(_HOURS),
         "longest_use": count,
         "spacing": _duration,
     },
 )
 _CALENDAR = table(
     {"start": text},
-    {"zone": text, "hours": lambda value, place: _by_name(_HOURS, value, place), "holidays": list_of(text)},
+    {"zone": text, "hours": by_name(_HOURS), "holidays": list_of(text)},
 )
 _TREE = table(
     {"format": word(FORMAT)},
@@ -76,10 +75,8 @@ _TREE = table(
         "visit_price": nonnegative,
         "aim": word(*AIMS),
         **dict.fromkeys(("w_bound", "w_intensity"), _bound),
-        "accuracy": lambda value, place: _by_name(
-            lambda goal, at: _GOAL(goal, at) if isinstance(goal, Mapping) else positive(goal, at), value, place
-        ),
-        "sensors": lambda value, place: _by_name(_SENSOR, value, place),
+        "accuracy": by_name(_goal),
+        "sensors": by_name(_SENSOR),
         "calendar": _CALENDAR,
         "time_unit": time_unit,
         "plant": anything,

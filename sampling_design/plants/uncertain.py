@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._files import read_tree, usable, write_tree
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.inclusion import Columns, LinearInclusion, Members
@@ -21,10 +22,7 @@ from sampling_design.plants.uncertain_files import (
     UncertainParts,
     parts_of_model,
     parts_of_tree,
-    read_tree,
-    told_of,
     tree_of,
-    write_tree,
 )
 from sampling_design.plants.uncertain_parameter import UncertainParameter
 
@@ -336,7 +334,7 @@ class UncertainPlant(LinearInclusion, Record):
         FileFormatError
             If the data do not describe one.
         """
-        with told_of(where):
+        with usable(where):
             return cls._of(parts_of_tree(data, where))
 
     @classmethod
@@ -360,7 +358,7 @@ class UncertainPlant(LinearInclusion, Record):
         FileFormatError
             If the suffix is another or the file cannot be written.
         """
-        return write_tree(self.to_tree(), path)
+        return write_tree(path, self.to_tree(), "an uncertain plant")
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data: the nominal plant and the model."""

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _files
 from sampling_design._record import Plain
 from sampling_design.checkers.parts import PLANT_TREE
 from sampling_design.checkers.strict import (
-    BadFile,
     Reader,
     flag,
     list_of,
@@ -28,7 +23,6 @@ from sampling_design.checkers.strict import (
     text,
     word,
 )
-from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
 from sampling_design.plants.plant import Plant
@@ -99,39 +93,6 @@ _TREE = table(
 )
 
 
-def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
-    """Return the tree in a .toml or .json file.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing or cut off, or its suffix is another.
-    """
-    where = os.fspath(path)
-    read = {".toml": _files.from_toml, ".json": _files.from_json}.get(Path(where).suffix.lower())
-    if read is None:
-        raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
-    return read(_files.read_text(where), where)
-
-
-@contextmanager
-def told_of(where: str) -> Iterator[None]:
-    """Refusals inside name the file.
-
-    Raises
-    ------
-    FileFormatError
-        Instead of what a grammar or a record says.
-    """
-    try:
-        yield
-    except (BadFile, ArgumentError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        sentence = f"{where}: {error}".rstrip(".") + ("" if str(error).endswith("?") else ".")
-        raise FileFormatError(sentence, where) from None
-
-
 def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
     """What a tree of the file format says: the plant at the middles, and its parameters."""
     found = _TREE(data, "")
@@ -171,25 +132,6 @@ def _parameter(
 ) -> UncertainParameter:
     parts = [moved.get(key) for key in ("A", "C", "G")]
     return UncertainParameter(name, low, high, *parts, nominal=nominal)
-
-
-def write_tree(tree: Mapping[str, Plain], path: str | os.PathLike[str]) -> Path:
-    """Write a tree to a .toml or .json file, whole or not at all; return the path.
-
-    Raises
-    ------
-    FileFormatError
-        If the suffix is another or the file cannot be written.
-    """
-    where = os.fspath(path)
-    suffix = Path(where).suffix.lower()
-    if suffix not in (".toml", ".json"):
-        raise FileFormatError(f"{where}: the suffix must be .toml or .json for an uncertain plant.", where)
-    if suffix == ".json":
-        return _files.write_text(where, _files.to_json(tree))
-    import tomli_w
-
-    return _files.write_text(where, tomli_w.dumps(tree))
 
 
 def tree_of(plant: UncertainParts) -> dict[str, Plain]:

@@ -88,10 +88,11 @@ def test_everything_else_is_refused_in_one_sentence(tree, match):
         UncertainPlant.from_tree(tree)
 
 
-def test_other_suffixes_are_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"must be \.toml or \.json for an uncertain plant"):
+def test_files_of_other_kinds_are_refused(tmp_path):
+    (tmp_path / "plant.mat").write_bytes(b"MATLAB 5.0\x00\xff\xfe")
+    with pytest.raises(FileFormatError, match=r"plant\.mat: is not a text file"):
         UncertainPlant.read(tmp_path / "plant.mat")
-    with pytest.raises(FileFormatError, match=r"must be \.toml or \.json for an uncertain plant"):
+    with pytest.raises(FileFormatError, match=r"an uncertain plant file ends in \.toml or \.json, got '\.npz'"):
         UncertainPlant(OSCILLATOR, [STIFFNESS]).save(tmp_path / "plant.npz")
 
 

@@ -11,15 +11,13 @@ from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     Tree,
+    by_name,
     count,
     flag,
     list_of,
     nonnegative,
     positive,
-    refuse,
-    shown,
     table,
-    text,
     word,
 )
 from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
@@ -35,13 +33,6 @@ def _samples(value: object, place: str) -> object:
     return _COUNTS(value, place) if isinstance(value, Mapping) else count(value, place)
 
 
-def _outputs(value: object, place: str) -> Tree:
-    """When each output can be measured, by name."""
-    if not isinstance(value, Mapping):
-        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
-    return {text(name, place): _ACCESS(access, f"{place}.{name}") for name, access in value.items()}
-
-
 _TREE = table(
     {"format": word(FORMAT)},
     {
@@ -50,7 +41,7 @@ _TREE = table(
         "decay_rate": nonnegative,
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
-        "outputs": _outputs,
+        "outputs": by_name(_ACCESS),
         "time_unit": time_unit,
         "scaled": flag,
     },

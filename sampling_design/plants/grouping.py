@@ -60,7 +60,8 @@ def balanced_schur(A: Array, C: Array | None = None) -> SchurForm:
             f"`A` must have rates between {SMALLEST_RATE:g} and {LARGEST_RATE:g} per unit of time, got {largest:.3g} "
             "after balancing. Give the plant in another unit of time."
         )
-    T, Q = schur(moderate, output="real")
+    # the oldest scipy refuses what has no rows
+    T, Q = schur(moderate, output="real") if moderate.size else (moderate, moderate)
     complex_T, complex_Q = rsf2csf(T, Q)
     values = np.array(np.diag(T), dtype=complex)
     for i in np.flatnonzero(np.diag(T, -1)):

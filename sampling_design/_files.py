@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import re
 import tempfile
@@ -232,11 +233,21 @@ def to_json(data: Mapping[str, object]) -> str:
 
 
 def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
-    """Yield the text of `to_json` piece by piece, for data that are larger than their text should be held."""
-    pieces = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
+    """Yield the text of `to_json` piece by piece, for data that are larger than their text should be held.
+
+    An array is written as the list of its numbers, null where one is not finite; no list of them is held for long.
+    """
+    pieces = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False, default=_listed).iterencode(data)
     while block := "".join(islice(pieces, PIECES)):
         yield block
     yield "\n"
+
+
+def _listed(value: object) -> list[float | None]:
+    """The numbers of an array, as a file holds them."""
+    if not isinstance(value, np.ndarray):
+        raise TypeError(f"{type(value).__name__} has no JSON")
+    return [number if math.isfinite(number) else None for number in value.tolist()]
 
 
 def from_json(text: str, where: str) -> Tree:

@@ -340,11 +340,10 @@ def log(
             progress=progress,
         )
     folder = settings.folder()
-    data = result.to_dict() if folder is not None or settings.as_json else {}  # a long one takes its time
     if folder is not None:
-        settings.write_json(folder / "log.json", data)
+        settings.write_json(folder / "log.json", result.contents())
         settings.wrote(save_picture(result, folder / "log.png"))
-    settings.show(data, record_table(result), result.explain())
+    settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

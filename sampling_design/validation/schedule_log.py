@@ -89,17 +89,22 @@ class ScheduleLog(Record):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; a deviation of a missed sample is None."""
+        found = self.contents()
+        return {key: finite_or_nones(value) if isinstance(value, np.ndarray) else value for key, value in found.items()}
+
+    def contents(self) -> dict[str, Plain | Array]:
+        """What `to_dict` holds, rows of numbers as arrays: NaN where a sample was missed."""
         sigmas = {"planned_sigma": self.planned_sigma, "actual_sigma": self.actual_sigma}
         return {
             "format": "sampling-design/schedule-log/1",
             "time_unit": self.time_unit,
-            "planned": self.planned.times.tolist(),
-            "actual": self.actual.times.tolist(),
-            "deviations": finite_or_nones(self.deviations),
+            "planned": self.planned.times,
+            "actual": self.actual.times,
+            "deviations": self.deviations,
             "largest_deviation": self.largest_deviation,
-            "missed": self.missed.tolist(),
-            "extra": self.extra.tolist(),
-            "lacking": self.planned.times[self.lacking].tolist(),
+            "missed": self.missed,
+            "extra": self.extra,
+            "lacking": self.planned.times[self.lacking],
             **{key: None if sigma is None else sigma.to_dict() for key, sigma in sigmas.items()},
             "kept": self.kept,
         }

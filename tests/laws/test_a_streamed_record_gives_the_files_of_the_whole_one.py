@@ -208,6 +208,9 @@ def test_json_in_pieces_is_the_json(monkeypatch):
     monkeypatch.setattr(_files, "PIECES", 3)
     data = {"a": [1.0, 2.5e-300], "b": {"c": None, "d": ["ä", True]}}
     assert "".join(_files.json_pieces(data)) == to_json(data)
+    assert "".join(_files.json_pieces({"a": np.array([1.0, np.nan])})) == to_json({"a": [1.0, None]})
+    with pytest.raises(TypeError, match="set has no JSON"):
+        list(_files.json_pieces({"a": {1.0}}))
 
 
 def one_by_one(planned, actual):

@@ -17,14 +17,15 @@ TERMS = 24  # of e^M: the rest is below 2^-470
 LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves
 
 
-def long(x: object) -> Array:
-    """Doubles or rationals as integers; what is cut off is below UNIT."""
+def long(x: object) -> tuple[Array, Array]:
+    """Doubles or rationals as integers, and bounds of what is cut off: UNIT, or 0 where nothing is."""
     given = np.asarray(x, dtype=object)
-    found = np.empty(given.shape, dtype=object)
+    found, cut = np.empty(given.shape, dtype=object), np.zeros(given.shape)
     for at, value in np.ndenumerate(given):
         above, below = value.as_integer_ratio()
-        found[at] = (above << BITS) // below
-    return found
+        found[at], rest = divmod(above << BITS, below)
+        cut[at] = UNIT if rest else 0.0
+    return found, cut
 
 
 def product(a: Array, b: Array) -> Array:
@@ -48,7 +49,7 @@ def long_flow(a: Array, h: Fraction) -> tuple[Array, float]:
     n, size = len(a), norm(a)
     halvings = max(0, math.ceil(math.log2(max(size * float(h) / SMALL, 1.0))))
     step = h / 2**halvings
-    M, one = long([[Fraction(x) * step for x in row] for row in a.tolist()]), long(np.eye(n))
+    M, one = long([[Fraction(x) * step for x in row] for row in a.tolist()])[0], long(np.eye(n))[0]
     total, term = one, one
     for k in range(1, TERMS):
         term = product(term, M) // k

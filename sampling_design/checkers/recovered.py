@@ -161,7 +161,7 @@ class Backward:
         extra = R if c.root is None else 0
         g, zero = np.zeros((len(self.A), count + extra)), np.zeros(count + extra)
         g[:n, :count] = (targets * self.d[:n]).T
-        columns = Columns(long(g), np.full(g.shape, UNIT), *(zero.copy() for _ in range(5)))
+        columns = Columns(*long(g), *(zero.copy() for _ in range(5)))
         every = np.vstack([gains, -np.eye(R)[:extra]])
         at = R
         self.fly(columns, c.times[-1], c.t)
@@ -186,9 +186,8 @@ class Backward:
                 row[place] = Fraction(float(self.d[place])) / (Fraction(c.times[k]) - Fraction(one.since))
             if one.below and np.any(gain[: self.questions(gain)] < 0):
                 raise Refused(INEQUALITY, f"a gain of a one-sided reading at {c.times[k]:.9g} is negative")
-            taken = [[share * x for x in map(Fraction, gain.tolist())] for share in row]
-            columns.long = columns.long - long(taken)
-            columns.off += UNIT
+            taken, cut = long([[share * x for x in map(Fraction, gain.tolist())] for share in row])
+            columns.long, columns.off = columns.long - taken, columns.off + cut
             columns.exact += gain * one.y
             columns.doubt += 2 * EPS * (np.abs(gain * one.y) + np.abs(columns.exact))
             if one.below or not c.together:
@@ -235,7 +234,8 @@ class Backward:
         path = E @ g
         doubts = (np.abs(E) + wrong_E) @ wrong + (wrong_E + len(self.A) * EPS * np.abs(E)) @ np.abs(g)
         carried = np.abs(doubles(whole)) @ columns.off + wrong_whole * (np.abs(g) + columns.off).sum(axis=0)
-        columns.long, columns.off = product(whole, columns.long), (carried + UNIT) * LOOSE
+        some = (columns.long != 0).any(axis=0) | columns.off.any(axis=0)  # nothing at all stays nothing
+        columns.long, columns.off = product(whole, columns.long), (carried + UNIT * some) * LOOSE
         self.integrate(columns, path, doubts, d)
         force = np.zeros(len(self.A))
         force[:n] = (c.B @ u + c.plant.G @ c.push_centre) / self.d[:n]
@@ -303,6 +303,8 @@ class Backward:
         n = self.c.plant.n
         rows, wrong = columns.g[:n, count:], columns.wrong[:n, count:]
         rest, off = columns.g[:n, :count], columns.wrong[:n, :count]
+        if not (rest.any() or off.any()):
+            return self.found(columns, shown, doubt, np.zeros(count))
         usable = np.array([not one.below for some in self.c.readings for one in some], dtype=bool)
         # in units of what a row costs, so that the change is a cheap one
         price = np.abs(shown[count:]) + doubt[count:] + columns.pushed[count:] + columns.noise[count:]
@@ -316,11 +318,14 @@ class Backward:
             raise Undecided(INEQUALITY, "nothing is known of the start, and the readings do not show it well enough")
         size = np.abs(rest) + off
         change = np.abs(back) @ size + np.abs(back).sum(axis=1)[:, None] * (norm / (1 - norm)) * size.max(axis=0)
-        more = (price @ change) * LOOSE
-        least = shown[:count] - doubt[:count] + columns.least[:count] + columns.noise[:count] / LOOSE**2 - more
-        return Found(
-            shown[:count] + doubt[:count] + more, least, 0 * more, columns.pushed[:count], columns.noise[:count]
-        )
+        return self.found(columns, shown, doubt, (price @ change) * LOOSE)
+
+    @staticmethod
+    def found(columns: Columns, shown: Array, doubt: Array, more: Array) -> Found:
+        """What the questions come to where gains that leave nothing cost so much more."""
+        k = len(more)
+        least = shown[:k] - doubt[:k] + columns.least[:k] + columns.noise[:k] / LOOSE**2 - more
+        return Found(shown[:k] + doubt[:k] + more, least, 0 * more, columns.pushed[:k], columns.noise[:k])
 
 
 def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:

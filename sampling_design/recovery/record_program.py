@@ -51,6 +51,12 @@ COARSE = 1.1
 ROOM = 1e-3
 """How much larger than that multiple the bounds are taken where gains are sought nevertheless."""
 
+PLAIN = 12
+"""Digits after the point to which gains of the last readings alone are rounded: 1 where a row is what was read."""
+
+ALIKE = 1e-6
+"""Share of the width by which plainer gains may prove less."""
+
 DISPROVED = 1e-9
 """A contradiction must exceed this share of its terms before the bounds count as disproved."""
 
@@ -207,9 +213,26 @@ class RecordProgram:
         """The upper end of a row, from the program of one level."""
         c, added = self._ahead(t, row)
         attained, gains, ahead = self._solved(c, level)
-        found = self.upper(t, row, self._steadied(c, gains, ahead))
+        found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
         short = found.bound - added - attained
         return replace(found, short=short if np.isfinite(short) else 0.0)
+
+    def _plainest(self, t: float, row: Array, found: End) -> End:
+        """Gains of the last readings alone, where they leave exactly nothing of a free start and prove as much.
+
+        With fewer readings than states no change of gains takes away the rest that rounding leaves.
+        """
+        read = self.readings
+        last = np.flatnonzero((read.nodes == len(read.times) - 1) & ~read.below)
+        few = np.count_nonzero(~read.below) < len(row)
+        if read.start.root is not None or t > read.times[-1] or not (few and last.size):
+            return found
+        own, gains = read.H[last, : row.size], np.zeros(len(read.H))
+        gains[last] = np.round(np.linalg.lstsq(own.T, row, rcond=None)[0], PLAIN)
+        if read.H[last, row.size :].any() or np.any(gains[last] @ own != row):
+            return found
+        plain = self.upper(t, row, gains)
+        return plain if plain.value <= found.value + ALIKE * plain.width else found
 
     def _ahead(self, t: float, row: Array) -> tuple[Array, float]:
         """The row in the coordinates of the last time, and a bound on what w adds until t."""

@@ -318,6 +318,27 @@ def test_intervals_of_adversarial_runs_are_proven_with_every_rounding(name):
         assert found.verify(rigorous=True), (name, seed)
 
 
+@pytest.mark.parametrize("plant", [sd.library.oscillator(), sd.library.satellite()])
+def test_the_first_sample_alone_proves_what_it_shows(plant):
+    """With fewer readings than states gains must leave exactly nothing of a free start."""
+    given = {"w_bound": plant.disturbances.scales.tolist(), "v_bound": plant.outputs.scales.tolist()}
+    found = interval(plant, [(1.7e9, np.ones(plant.n_outputs), None)], **given)
+    assert np.array_equal(np.isfinite(found.radii), np.abs(plant.C).sum(axis=0) > 0)
+    data = found._sealed()
+    assert check(data)["verdict"] == "proven"
+    data["gains"][0][0][0] *= 1 + 1e-12
+    data["upper"][0] *= 1.1
+    with pytest.raises(Undecided, match="nothing is known of the start, and the readings do not show it well enough"):
+        proven(data)
+
+
+def test_three_samples_of_four_states_prove_the_one_that_is_read():
+    found, truth = adversarial_run("helicopter_he1", 2001)
+    assert found.holds(truth)
+    assert np.isfinite(found.radii).sum() == 1
+    assert found.verify(rigorous=True)
+
+
 def test_a_flow_in_integers_is_as_exact_as_it_says():
     import mpmath
 

@@ -90,7 +90,9 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             linestyle="--",
             label="standard deviation",
         )
-    one.plot(result.worst[k], result.lower[k], "o", color=style.ATTAINED, markersize=4)
+    begun, ended = profile.edges[0], profile.edges[-1]
+    when = result.worst[k] if result.worst[k] >= begun else result.worst[k] + ended - begun
+    one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
     style.from_below(one, *_range(shown))
     span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
     one.set_title(f"{span} at the worst time", loc="left", fontsize="medium")

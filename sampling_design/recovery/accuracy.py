@@ -60,7 +60,7 @@ class Accuracy(Gridded):
         Proven for all real times by gains: of an endless schedule whatever the error was in the distant past, of a
         finite one for all times at which the row is known at all.
     worst : (r,) array
-        A time at which `lower` is attained.
+        A time at which `lower` is attained; of an endless schedule not beyond its period.
     offset : (r,) array
         What the best estimate adds to its weighted data at that time since the bounds are not centred at 0; its
         error is then within `upper` on both sides.
@@ -471,6 +471,8 @@ def _record(
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         worst[k] = times[j] + again.opened[j].d[offset]
+        if plain and worst[k] > question.end - times[0]:
+            worst[k] -= question.end - times[0]
         offsets[k] = finder.offset(again, j, offset)
         closed[k] = upper[k] <= (1 + rtol) * witness.value
         open_ends = np.flatnonzero(np.isinf(above[k]))

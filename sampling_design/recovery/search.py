@@ -357,14 +357,16 @@ class ChainSearch:
         if self._long:
             self._rough_profile(found)
             return
+        slack = [self._slack(found, j) for j in gaps]  # a solve on one gap changes that of no other
         for _ in range(max(FILLED, 2 * len(gaps))):
-            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._slack(found, j) for j in gaps))
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
             if ratio <= PROFILE:
                 break
             if (j, offset) in found.combined or not self.atoms[j].gains:
                 self._node(found, j, offset)
             else:
                 self._combined(found, j, offset)
+            slack[j] = self._slack(found, j)
         small = (
             self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
         )

@@ -203,7 +203,7 @@ def _time(found: BracketedRows, first: str, t: float | None) -> float:
     if t is None:
         place = found.rows.names.index(first) if first in found.rows.names else 0
         at = float(found.worst[place])
-        return at - (question.end - question.nodes[0]) if at >= question.end and question.initial is None else at
+        return at + (question.end - question.nodes[0]) if at < question.nodes[0] and question.initial is None else at
     at = _checks.number("t", t)
     if not question.nodes[0] <= at <= question.end:
         raise ArgumentError(f"`t` must lie in [{float(question.nodes[0])!r}, {question.end!r}], got {at!r}.")

@@ -33,6 +33,16 @@ def test_the_reference_values_of_an_oscillator(found):
     assert np.all(found.profile.upper <= found.upper[:, None])
 
 
+def test_a_worst_time_after_the_last_sample_is_one_of_the_period():
+    schedule = sd.PeriodicSchedule([1.5, 0.2, 0.2])
+    found = sd.accuracy(OSCILLATOR, schedule, w_bound=0.02, v_bound=0.4, of="velocity")
+    assert 0 < found.worst[0] < schedule.times[0]  # the gap that leads into the next period
+    begun, ended = found.profile.edges[[0, -1]]
+    when = found.worst[0] + schedule.period
+    assert begun < when < ended
+    assert found.profile.lower[0, np.searchsorted(found.profile.edges, when)] >= found.lower[0] * (1 - 1e-6)
+
+
 def test_the_reference_values_of_a_double_integrator():
     plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
     found = sd.accuracy(plant, sd.PeriodicSchedule([1.0, 0.6, 1.4]), w_bound=0.02, v_bound=0.1, rtol=1e-3)

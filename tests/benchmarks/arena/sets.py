@@ -24,12 +24,18 @@ def entries(bound, count: int) -> np.ndarray:
 
 
 def pushed(plant: sd.Plant, h: float, w_bound) -> np.ndarray:
-    """Return generators of what w does over a gap: its cells' means, and a box for what they leave, by fine sums."""
+    """Return generators of what w does over a gap: its cells' means, and a box for what they leave, by fine sums.
+
+    Of a w whose norm is bounded it is a box alone.
+    """
     n, q = plant.G.shape
     if h <= 0:
         return np.zeros((n, 0))
     s = (np.arange(CELLS * 50) + 0.5) * (h / (CELLS * 50))
-    rows = (plant.transition(s) @ plant.G * entries(w_bound, q)).reshape(CELLS, 50, n, q)
+    flown = plant.transition(s) @ plant.G
+    if np.ndim(w_bound) == 0 and q > 1:
+        return np.diag(w_bound * 1.001 * np.linalg.norm(flown, axis=2).mean(axis=0) * h)
+    rows = (flown * entries(w_bound, q)).reshape(CELLS, 50, n, q)
     means = rows.mean(axis=1, keepdims=True)
     left = np.abs(rows - means).sum(axis=(0, 1, 3)) * (h / (CELLS * 50)) * 1.001
     return np.hstack([*(means[:, 0] * (h / CELLS)), np.diag(left)])

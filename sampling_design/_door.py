@@ -37,6 +37,9 @@ _CALLED = {
     "SampledCertificate": "a Certificate or FamilyCertificate",
 }
 """Classes whose bare name would not tell a caller what to pass."""
+TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum allowed size exceeded")
+"""What numpy says, as a ValueError, of an array beyond every memory."""
+
 _inside = threading.local()
 
 
@@ -93,6 +96,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
         return given, named
 
     inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
+    too_big = _too_big
 
     def entered(*arguments: Any, **options: Any) -> object:
         given, named = enter(arguments, options)
@@ -103,6 +107,10 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
             return function(*given, **named)
         except failures as error:
             raise worded(function.__name__, error) from error
+        except ValueError as error:
+            if not too_big(error):
+                raise
+            raise worded(function.__name__, MemoryError(*error.args)) from error
         finally:
             inside.door = False
 
@@ -156,6 +164,10 @@ def _unit_of(values: tuple[object, ...]) -> str:
             if isinstance(unit, str):
                 return unit
     return "s"
+
+
+def _too_big(error: ValueError) -> bool:
+    return any(words in str(error) for words in TOO_BIG)
 
 
 def _worded(name: str, error: BaseException) -> SolverError:

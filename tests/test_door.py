@@ -113,6 +113,8 @@ def test_numbers_that_leave_double_precision_are_one_sentence():
         singular(1.0)
     with pytest.raises(SolverError, match="`huge` needs more memory than there is"):
         huge(2.0**10)
+    with pytest.raises(SolverError, match="`huge` needs more memory than there is"):
+        huge(2.0**60)  # beyond what numpy even asks for
 
 
 def test_inner_doors_let_errors_pass_to_those_who_expect_them():

@@ -36,6 +36,8 @@ def info(
 ) -> None:
     """Show a plant: its modes, which of them must be seen, and how many samples that takes.
 
+    With -o DIR: info.json.
+
     Example: sampling-design info examples/plants/oscillator.toml
     """
     plant = reading.plant(plant_file)
@@ -53,6 +55,9 @@ def info(
                 "with a larger --decay-rate some of them are counted too."
             )
         data["counts"] = count.to_dict()
+    folder = settings.folder()
+    if folder is not None:
+        settings.write_json(folder / "info.json", data)
     settings.show(data, *tables)
 
 

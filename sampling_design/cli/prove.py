@@ -25,6 +25,14 @@ from sampling_design.schedules.family import AnySchedule, SamplingFamily
 NOISE_BUDGET = 3.0
 """Default of `--noise-budget` for a certificate about samples."""
 
+OPTIONS = {
+    "gap-range": {"shortest": " A", "longest": " B"},
+    "spaced": {"window": " T", "count": " K", "spacing": " E"},
+    "jitter": {"radius": ""},
+    "lost": {"most": " D", "of": " W"},
+}
+"""Names of a family's arguments, and where they stand behind its option."""
+
 ScheduleFile = Annotated[
     Path | None,
     typer.Argument(metavar="SCHEDULE", help="Schedule file; none with --gap-range, --spaced, --detectability."),
@@ -135,15 +143,25 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
         raise ArgumentError(
             f"`certify` needs {need} {'with --' + kind if kind else 'or a family such as --gap-range'}."
         )
-    if kind == "gap-range":
-        return sd.GapRange(*families[kind], time_unit=plant.time_unit)
-    if kind == "spaced":
-        return sd.SpacedWindows(*families[kind], time_unit=plant.time_unit)
-    assert path is not None
-    schedule = schedule_for(settings, plant, path)
-    if kind is None:
-        return schedule
-    return sd.Jitter(schedule, families[kind]) if kind == "jitter" else sd.LostSamples(schedule, *families[kind])
+    schedule = None if path is None else schedule_for(settings, plant, path)
+    try:
+        if kind == "gap-range":
+            return sd.GapRange(*families[kind], time_unit=plant.time_unit)
+        if kind == "spaced":
+            return sd.SpacedWindows(*families[kind], time_unit=plant.time_unit)
+        assert schedule is not None
+        if kind is None:
+            return schedule
+        return sd.Jitter(schedule, families[kind]) if kind == "jitter" else sd.LostSamples(schedule, *families[kind])
+    except ArgumentError as error:
+        raise ArgumentError(_as_typed(str(error), str(kind))) from None
+
+
+def _as_typed(words: str, kind: str) -> str:
+    """A refusal that names the option which the user typed, not the argument that it became."""
+    for name, place in OPTIONS[kind].items():
+        words = words.replace(f"`{name}`", f"`--{kind}{place}`")
+    return words
 
 
 def _files(settings: Settings, certificate: SampledCertificate, horizons: FourHorizons | None) -> None:

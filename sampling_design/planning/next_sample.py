@@ -206,6 +206,8 @@ def _taken(
     times: list[float] = []
     seen: list[Mask] = []
     for item in record:
+        if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
+            raise ArgumentError(f"`record` must hold rows (t, y, u), got {_checks.described(item)}.")
         y = None if item[1] is None else np.isfinite(_checks.floats("y", item[1]).reshape(-1))
         if y is None or not y.any():
             continue

@@ -228,13 +228,19 @@ class PlanRequirement(Record):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
-        if not isinstance(self.accuracy, (Mapping, type(None))):
-            came = _checks.described(self.accuracy)
-            raise ArgumentError(f"`accuracy` must be a table of goals by row, got {came}.")
+        for key, held, of in (
+            ("accuracy", self.accuracy, "goals by row"),
+            ("sensors", self.sensors, "terms by output"),
+        ):
+            if not isinstance(held, (Mapping, type(None))):
+                raise ArgumentError(f"`{key}` must be a table of {of}, got {_checks.described(held)}.")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
         own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
         if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):
-            own["calendar"] = OpeningCalendar(**_table("calendar", self.calendar, OpeningCalendar))
+            table = _table("calendar", self.calendar, OpeningCalendar)
+            if "start" not in table:
+                raise ArgumentError("`calendar.start` is missing.")
+            own["calendar"] = OpeningCalendar(**table)
         if self.samples is not None:
             own["samples"] = _checks.whole("samples", self.samples, 1)
         if self.cost_limit is not None:
@@ -310,7 +316,7 @@ def _word(name: str, value: object, known: tuple[str, ...]) -> None:
 
 def _table(name: str, value: object, kind: type) -> dict[str, object]:
     if not isinstance(value, Mapping):
-        raise ArgumentError(f"`{name}` must be a table of keys and values, got {value!r:.60}.")
+        raise ArgumentError(f"`{name}` must be a table of keys and values, got {_checks.described(value)}.")
     _checks.known_keys(f"`{name}`", value, [f.name for f in fields(kind)])
     return {str(key): item for key, item in value.items()}
 

@@ -418,7 +418,7 @@ def arrived(items: Iterable[object], p: int) -> list[Come]:
 
 def _arrived(item: object, p: int) -> Come:
     if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
-        raise ArgumentError(f"`record` must hold rows (t, y, u), got {item!r:.60}.")
+        raise ArgumentError(f"`record` must hold rows (t, y, u), got {_checks.described(item)}.")
     t, u = _checks.number("t", item[0]), item[2] if len(item) == 3 else None
     if item[1] is None:
         return Come(t, None, u)

@@ -27,6 +27,8 @@ OUTWARD = 8 * float(np.finfo(float).eps)
 """Ends of a step that are sums of times are moved outward by this fraction, so that rounding loses no schedule."""
 GAP_MEMORY = ((0, 1), (1, 2), (1, 4), (2, 4), (3, 4))
 """(gaps remembered, cells per gap) of each level of memory, for families that speak of gaps."""
+MOST_DRAWN = 1_000_000
+"""Samples of a random schedule: its gaps are drawn one by one."""
 LONGEST_WORD = 4
 """Gaps of a suspect; longer unobservable words exist only for plants with many aliasing modes."""
 RANDOM_WORDS = 6
@@ -284,19 +286,27 @@ def generator(rng: np.random.Generator | None) -> np.random.Generator:
     return np.random.default_rng(0) if rng is None else rng
 
 
-def extent(duration: float | None, samples: int | None, default: float) -> tuple[float, int]:
+def extent(duration: float | None, samples: int | None, default: float, gap: float) -> tuple[float, int]:
     """Return (duration, samples) to draw: whichever is given, the other without effect.
+
+    `gap` is the longest that gaps may be on average: it says how many samples a duration takes at least.
 
     Raises
     ------
     ArgumentError
-        If both are given, or one is not positive.
+        If both are given, one is not positive, or so many samples are not drawn one by one.
     """
     if duration is not None and samples is not None:
         raise ArgumentError("give `duration` or `samples`, not both.")
     if samples is not None:
-        return np.inf, _checks.whole("samples", samples, 1)
-    return (default if duration is None else _checks.positive("duration", duration)), np.iinfo(np.int64).max
+        stop, count = np.inf, float(_checks.whole("samples", samples, 1))
+    else:
+        stop = default if duration is None else _checks.positive("duration", duration)
+        count = stop / gap
+    if count > MOST_DRAWN:
+        name = "duration" if samples is None else "samples"
+        raise ArgumentError(f"`{name}` asks for {count:.3g} samples or more: at most {MOST_DRAWN} are drawn.")
+    return stop, np.iinfo(np.int64).max if samples is None else int(count)
 
 
 def pick(rng: np.random.Generator, low: float, high: float) -> float:

@@ -102,7 +102,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
             If both are given or one is not positive.
         """
         rng = generator(rng)
-        stop, most = extent(duration, samples, 20 * self.longest)
+        stop, most = extent(duration, samples, 20 * self.longest, self.longest)
         gaps = [float(rng.uniform(0.0, self.longest))]
         time = gaps[0]
         while len(gaps) < most and time < stop:

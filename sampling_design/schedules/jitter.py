@@ -261,7 +261,7 @@ def nominal_part(schedule: AnySchedule, duration: float | None, samples: int | N
         if duration is not None or samples is not None:
             raise ArgumentError("`duration` and `samples` are for an endless nominal schedule; this one is finite.")
         return schedule
-    stop, most = extent(duration, samples, default)
+    stop, most = extent(duration, samples, default, schedule.period / len(schedule))
     if samples is not None:
         return _first(schedule, most)
     inside = schedule.count(0.0, stop, closed="left")

@@ -178,7 +178,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         """
         rng = generator(rng)
         self._need_endless()
-        stop, most = extent(duration, samples, 10 * self.window)
+        stop, most = extent(duration, samples, 10 * self.window, self.window / self.count)
         if stop < self.window:
             raise ArgumentError(
                 f"`duration` must be at least the window {short(self.window)}, got {short(stop)}: "

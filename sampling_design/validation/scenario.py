@@ -284,6 +284,9 @@ def simulate_record(
 
 
 def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
+    for pair in given:
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise ArgumentError(f"`inputs` must hold pairs (t, u), got {_checks.described(pair)}.")
     checked = [(_checks.number("inputs", t), _checks.vector("inputs", u, plant.n_inputs)) for t, u in given]
     return sorted(checked, key=lambda pair: pair[0])
 

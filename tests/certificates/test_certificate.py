@@ -328,6 +328,8 @@ def test_noise_free_error_stays_below_the_bound():
     bound = made.error_bound([0.0, 3.0, 30.0], [1.0, -1.0])
     assert bound.shape == (3,)
     assert bound[2] < bound[1] < bound[0]
+    with pytest.raises(ArgumentError, match=r"`t` must not be negative, got -1.0: the bound begins at 0"):
+        made.error_bound([0.0, -1.0], [1.0, -1.0])
     noisy = made.error_bound(30.0, [1.0, -1.0], w_bound=0.1, v_bound=0.2)
     rate, h = made.horizon().eta_tilde, made.horizon()
     hits = np.sum(np.exp(-rate * (30.0 - np.arange(1, 31))))

@@ -1,5 +1,7 @@
 """Horizons by both theorems, RGES on simulated estimators, and the true contraction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,9 @@ def test_too_short_windows_are_refused():
         made.horizon(length=0.9999 * least)
     with pytest.raises(CertificateError, match="is too short: this theorem needs"):
         made.horizon("paper", length=made.horizon("paper").minimum)
+    slow = replace(made, eta=1e-308)
+    with pytest.raises(CertificateError, match="is so slow that the horizon is no number"):
+        slow.horizon()
     with pytest.raises(ArgumentError, match='`theorem` must be "sharp" or "paper"'):
         made.horizon("best")
     assert "decays at rate" in made.horizon().explain()

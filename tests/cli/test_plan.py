@@ -25,12 +25,13 @@ def test_info_lists_modes_and_counts(shell):
     assert "window not given: 5554 s is used." in result.err
 
 
-def test_info_as_json_is_one_object(shell):
-    result = shell("info", plant("oscillator"), "--json", "--window", "4")
+def test_info_as_json_is_one_object(shell, tmp_path):
+    result = shell("info", plant("oscillator"), "--json", "--window", "4", "-o", tmp_path)
+    assert (tmp_path / "info.json").read_text() == result.out
     data = json.loads(result.out)
     assert data["counts"]["samples_needed"] == 3
     assert data["split"]["retained_states"] == 2
-    assert result.err == ""
+    assert result.err == f"Written: {tmp_path / 'info.json'}\n"
 
 
 def test_info_says_when_nothing_needs_samples(shell):

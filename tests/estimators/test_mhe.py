@@ -466,5 +466,7 @@ def test_constraints_say_what_they_hold_and_refuse_what_they_cannot():
     assert Constraints().explain() == "No constraints."
     with pytest.raises(ArgumentError, match="`w_model` must be one of 'outer', 'constant', got 'zoh'"):
         Constraints(w_model="zoh")
+    with pytest.raises(ArgumentError, match=r"`engine` must be one of .* got ndarray"):
+        Constraints(engine=np.eye(2))
     with pytest.raises(ArgumentError, match="`check_spacing` must be positive"):
         Constraints(check_spacing=0.0)

@@ -60,6 +60,9 @@ def test_wrong_arguments_are_refused(week):
         sd.next_sample(week, [(9.0, [1.0, 2.0], None)], now=3.0)
     with pytest.raises(ArgumentError, match="outputs a sample, in order of time"):
         sd.next_sample(week, [(9.0, [1.0], None)])
+    for row in (3.0, "a", [9.0], np.inf):
+        with pytest.raises(ArgumentError, match=r"`record` must hold rows \(t, y, u\), got"):
+            sd.next_sample(week, [row])
     with pytest.raises(ArgumentError, match="it does not, so there is nothing to go on keeping"):
         sd.next_sample(replace(week, reached=week.reached * 2))
 

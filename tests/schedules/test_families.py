@@ -65,6 +65,9 @@ def test_a_draw_is_as_long_as_asked(family):
     assert family.draw(duration=stop).times[-1] >= stop - 2 * family.d_max
     if not isinstance(family, LostSamples):
         assert len(family.draw(samples=7)) == 7
+    for extent in ({"duration": 1e308}, {"samples": 10**18}):
+        with pytest.raises(ArgumentError, match="samples or more: at most 1000000 are drawn"):
+            SpacedWindows(4.0, 3, 0.5).draw(**extent)
     with pytest.raises(ArgumentError, match="give `duration` or `samples`, not both"):
         family.draw(duration=1e3, samples=3)
 

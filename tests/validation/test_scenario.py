@@ -77,6 +77,8 @@ def test_a_simulated_record_is_exact_with_inputs_and_feedthrough():
     both = np.hstack([w, u])
     states = integrate(plant.A, np.hstack([plant.G, plant.B]), [1.0, 0.0], edges, both)
     assert found.states == pytest.approx(states[np.searchsorted(edges, found.times)], abs=1e-8)
+    with pytest.raises(ArgumentError, match=r"`inputs` must hold pairs \(t, u\), got float 0.35"):
+        simulate_record(plant, schedule, 6.0, inputs=[0.35])
     record = found.measurements
     taken = np.isfinite(record.y).any(axis=1)
     assert record.times[taken] == pytest.approx(schedule.between(0.0, 6.0).times)

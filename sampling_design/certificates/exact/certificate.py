@@ -236,7 +236,9 @@ class SampledCertificate(Record, ABC):
             In the Euclidean norm of the state.
         """
         found = self.horizon(theorem, length)
-        times = _checks.floats("t", t)
+        times = _checks.real_array("t", t, _checks.dimensions(t))
+        if np.any(times < 0):
+            raise ArgumentError(f"`t` must not be negative, got {float(times.min())!r}: the bound begins at 0.")
         initial = _checks.real_array("e0", e0, _checks.dimensions(e0))
         w, v = _checks.nonnegative("w_bound", w_bound), _checks.nonnegative("v_bound", v_bound)
         unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers

@@ -147,7 +147,12 @@ def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | No
     lam = certificate.lam_proven if theorem == "sharp" else certificate.lam_samples_proven
     factor = 1.0 if theorem == "sharp" else 2.0
     minimum = factor * np.log(factor * lam) / eta
-    default = max(certificate.d_max, factor * np.log(_CONTRACTION * lam) / eta)
+    with np.errstate(over="ignore"):
+        default = max(certificate.d_max, float(factor * np.log(_CONTRACTION * lam) / eta))
+    if not np.isfinite(default):
+        raise CertificateError(
+            f"The rate {eta:.3g} is so slow that the horizon is no number: ask for a larger `eta`.", minimum=minimum
+        )
     M = default if length is None else _checks.positive("length", length)
     least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
     if not (minimum < M and least <= M):

@@ -113,7 +113,7 @@ def output_predictor(plant: Plant, schedule: Schedule | PeriodicSchedule, t: flo
     O = observability_matrix(plant, inside.times - (t - window), inside.outputs)
     left, sizes, right = np.linalg.svd(O, full_matrices=False)
     n = plant.n_states
-    if sizes.size < n or sizes[-1] <= n * np.finfo(float).eps * sizes[0]:
+    if n and (sizes.size < n or sizes[-1] <= n * np.finfo(float).eps * sizes[0]):
         raise CertificateError(
             f"The {len(inside)} samples in the window that ends at {t:.6g} do not determine the state.", t=t
         )

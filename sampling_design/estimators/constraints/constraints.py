@@ -64,9 +64,9 @@ class Constraints(Record):
         if self.check_spacing is not None:
             object.__setattr__(self, "check_spacing", _checks.positive("check_spacing", self.check_spacing))
         for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
-            if value not in get_args(known):
+            if not isinstance(value, str) or value not in get_args(known):
                 words = ", ".join(map(repr, get_args(known)))
-                raise ArgumentError(f"`{key}` must be one of {words}, got {value!r}.")
+                raise ArgumentError(f"`{key}` must be one of {words}, got {_checks.described(value)}.")
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _said(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]

@@ -136,7 +136,8 @@ class OnlineEstimator(ABC):
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
             return Taken(t, y, None, limits)
-        u = np.array(sample.u, dtype=np.float64, ndmin=1) if type(sample.u) is np.ndarray else None
+        plain = type(sample.u) is np.ndarray and sample.u.dtype == np.float64
+        u = np.array(sample.u, ndmin=1) if plain else None
         if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
             u.flags.writeable = False
             return Taken(t, y, u, limits)

@@ -157,7 +157,8 @@ class _Pieced:
             total = max(self.forward + self.backward, 1e-300)
             x = np.clip((np.log(fb / fa) + self.backward * h) / total, 0.0, h)
             first = np.minimum(fa * np.exp(self.forward * x), fb * np.exp(self.backward * (h - x)))
-        return np.asarray(np.fmin(second, first))
+        found = np.fmin(second, first)
+        return np.where(np.isnan(found), np.inf, found)  # inf - inf: nothing is bounded there
 
 
 class _BracketSearch:

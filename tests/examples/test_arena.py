@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from tests.benchmarks.arena import page, proving, records, searching, seeing, table, windows
+from tests.benchmarks.arena import nonlinear, page, proving, records, searching, seeing, table, windows
 from tests.benchmarks.arena.budgeted import evolve, homology
 
 ROOT = Path(__file__).parents[2]
@@ -61,6 +61,28 @@ def test_filters_of_a_dozen_lines_and_the_room_agree():
     plain = error["continuous-discrete Kalman filter, plain"]
     assert error["sampling_design KalmanFilter, the filters' weights, rate 0.01"] == pytest.approx(plain, rel=0.1)
     assert all(row[5] in ("100%", "none", None) for row in found.rows), "an ellipsoid lost the truth"
+
+
+def test_the_nonlinear_section_is_that_of_its_run():
+    text = (
+        (ROOT / "docs" / "arena.md").read_text().partition("## Nonlinear plants of others\n")[2].partition("\n## ")[0]
+    )
+    assert nonlinear.QUESTION in text
+    assert all(note in text for note in nonlinear.NOTES)
+    rows = [line.split(" | ")[:2] for line in text.splitlines() if line.startswith("| ")][2:]
+    kept = [m for m in nonlinear.METHODS if m != nonlinear.NOMINAL]
+    assert [row[0][2:] for row in rows[:: len(kept)]][:3] == list(nonlinear.CASES)[:3]
+    assert {row[0][2:] for row in rows} == set(nonlinear.CASES)
+
+
+def test_a_section_is_renewed_in_its_place(tmp_path):
+    first, second = (table.Table(title, "asked", ("a",), [(1,)], ["told"]) for title in ("first", "second"))
+    whole = page.written([first, second], tmp_path, 1.0, False).read_text()
+    assert page.renewed(first, tmp_path / "arena.md").read_text() == whole
+    first.rows[0] = (2,)
+    assert page.renewed(first, tmp_path / "arena.md").read_text() == whole.replace("| 1 |", "| 2 |", 1)
+    with pytest.raises(ValueError, match=r"no table 'third' in arena\.md"):
+        page.renewed(table.Table("third", "", ("a",)), tmp_path / "arena.md")
 
 
 def test_a_row_of_the_wrong_length_is_refused():

@@ -40,14 +40,13 @@ def written(tables: list[Table], folder: Path, spent: float, quick: bool) -> Pat
     lines[-2] += "on a shared machine the ratios hold better than the figures."
     lines += ["| peer | setting |", "|---|---|", *(f"| {named(peer)} | {SETTINGS[peer]} |" for peer in PINS), ""]
     for table in tables:
-        lines += [f"## {table.title}", "", table.question, "", *markdown(table), ""]
+        lines += section(table)
         for name, figure in table.figures.items():
             buffer = io.BytesIO()
             figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
             write_bytes(folder / "figures" / f"{name}.png", buffer.getvalue())
             lines += [f"![{table.title}](figures/{name}.png)", ""]
-        for note in table.notes:
-            lines += [note, ""]
+        lines += told(table)
     return write_text(folder / "arena.md", "\n".join(lines).rstrip() + "\n")
 
 
@@ -55,3 +54,22 @@ def markdown(table: Table) -> list[str]:
     """Return the lines of a table; what does not apply stays empty."""
     rows = [table.columns, ("---",) * len(table.columns), *table.rows]
     return ["| " + " | ".join("" if cell is None else str(cell) for cell in row) + " |" for row in rows]
+
+
+def section(table: Table) -> list[str]:
+    """Return a table under its title and question."""
+    return [f"## {table.title}", "", table.question, "", *markdown(table), ""]
+
+
+def told(table: Table) -> list[str]:
+    """Return its notes."""
+    return [line for note in table.notes for line in (note, "")]
+
+
+def renewed(table: Table, page: Path) -> Path:
+    """Put a table without figures in the place of the one of the same title on a page."""
+    before, title, rest = page.read_text().partition(f"## {table.title}\n")
+    if not title:
+        raise ValueError(f"no table {table.title!r} in {page.name}")
+    after = rest.partition("\n## ")
+    return write_text(page, before + "\n".join([*section(table), *told(table)]) + after[1] + after[2])

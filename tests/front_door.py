@@ -215,6 +215,7 @@ def special() -> dict[str, dict[str, Any]]:
         "UncertainParameter": {"low": 0.0, "high": 0.1, "A": np.eye(2)},
         "UncertainPlant": {"parameters": [_stiffness()]},
         "UncertainPlant.from_intervals": {"plant": plant, "A": {}},
+        "UncertainPlant.from_tree": {"data": t["uncertain"].to_tree()},
         "UncertainPlant.within": {"low": [0.0], "high": [0.05]},
         "UncertainPlant.at": {"values": [0.0]},
         "UncertainPlant.read": {"path": _uncertain_file()},

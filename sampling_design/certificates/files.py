@@ -24,6 +24,7 @@ from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.plants.uncertain_files import parts_of_model
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -111,11 +112,14 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
 
 
 def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
+    model = None
+    if not isinstance(found.model, Region):
+        model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
     return InclusionCertificate(
         plant,
         GapRange(found.shortest, found.longest),
         **_values(data),
-        model=None if isinstance(found.model, Region) else UncertainPlant.from_model(plant, data["model"]),
+        model=model,
         model_data=data["model"],
         nodes=found.nodes,
         P=found.P,

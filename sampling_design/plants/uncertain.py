@@ -20,7 +20,6 @@ from sampling_design.plants.inclusion import Columns, LinearInclusion, Members
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.uncertain_files import (
     UncertainParts,
-    parts_of_model,
     parts_of_tree,
     tree_of,
 )
@@ -335,16 +334,7 @@ class UncertainPlant(LinearInclusion, Record):
             If the data do not describe one.
         """
         with usable(where):
-            return cls._of(parts_of_tree(data, where))
-
-    @classmethod
-    def from_model(cls, plant: Plant, model: Mapping[str, object]) -> UncertainPlant:
-        """Return the plant of a certificate file: its plant and its model, as they were judged by the grammar."""
-        return cls._of(parts_of_model(plant, model))
-
-    @classmethod
-    def _of(cls, parts: UncertainParts) -> UncertainPlant:
-        return cls(parts.nominal, parts.parameters, vertices=parts.vertices, varying=parts.varying)
+            return cls(**parts_of_tree(data, where)._asdict())
 
     def to_tree(self) -> dict[str, Plain]:
         """Plain data of the file format: exactly the numbers of the record."""

@@ -5,9 +5,9 @@ from collections import Counter
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "sampling_design"
-CEILING = 66
+CEILING = 65
 """How often `Any` stands in code today. Lower it whenever a room needs fewer; never raise it."""
-TREES = 100
+TREES = 99
 """How often `Tree` does, the one name for a table of plain data whose values the checker does not know."""
 
 

@@ -174,5 +174,9 @@ class Atoms:
             found = np.where(np.any(seen[..., endless] != 0, axis=-1), np.inf, found)
         if self.whole:
             return np.asarray(found)
-        left = np.linalg.norm(rest - seen @ self.basis.T, axis=1)
-        return np.where(left <= NOTHING * np.linalg.norm(targets, axis=1), found, np.inf)
+        return np.where(self.determines(rest, targets), found, np.inf)
+
+    def determines(self, rest: Array, targets: Array | None = None) -> npt.NDArray[np.bool_]:
+        """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""
+        left = np.linalg.norm(rest - (rest @ self.basis) @ self.basis.T, axis=1)
+        return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))

@@ -13,7 +13,7 @@ from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._linalg import discounted_flow, psd_root, symmetrise
 from sampling_design._record import Plain, Record, short
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.finite import DIFFUSE
@@ -31,6 +31,13 @@ POINTS = 64
 
 WALK = 1e-12
 """Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
+
+WIDER, WIDEST = (1e2, 1e4, 1e6, 1e8, 1e10), (1e8, 1e10)
+"""A start of which nothing is known is taken so many times as wide, until what the samples determine stays as it is;
+between the two widest, what they do not determine must grow as the start does."""
+
+SETTLED = 1e-6
+"""Share by which what the samples determine may still change."""
 
 REFINED = 60
 """Evaluations that place the worst time within its panels."""
@@ -138,6 +145,8 @@ def standard_deviation(
     ------
     ArgumentError
         If a size is missing, negative or of another shape.
+    UndecidedError
+        If the samples show some state so weakly, or modes grow so far between them, that doubles hold no answer.
 
     Notes
     -----
@@ -237,7 +246,29 @@ class _Curves:
         n = len(self.A)
         flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
         F, noise = [F for F, _ in flows], [noise_root(W) for _, W in flows]
-        return RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])(np.eye(n) * np.sqrt(DIFFUSE))[0]
+        path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
+        start = np.eye(n) * np.sqrt(DIFFUSE)
+        widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._atoms) else []
+        free = [self._sizes(roots, False) for roots in widest]
+        roots = path(start)[0]
+        for size in WIDER:
+            before, roots = self._sizes(roots), path(start * size)[0]
+            settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=0.0)
+            if settled and (not free or np.all(free[1] > free[0] * WIDEST[1] / WIDEST[0] / 2)):
+                return roots
+        raise UndecidedError(
+            "undecided: the samples show some state so weakly that doubles cannot tell it from what was "
+            "assumed at the start. Give a shorter schedule."
+        )
+
+    def _sizes(self, roots: list[Array], seen: bool = True) -> Array:
+        """Standard deviations at the nodes of what the samples determine, or of what they do not."""
+        found = []
+        for atoms, L, root in zip(self._atoms, self._L, roots, strict=True):
+            r, whole = atoms.basis.shape[1], np.linalg.svd(atoms.basis)[0]
+            chosen = whole[:, :r] if seen else whole[:, r:]
+            found.append(np.linalg.norm(chosen.T @ np.linalg.solve(L, root), axis=1))
+        return np.concatenate(found)
 
     def variance(self, j: int, offsets: Array, row: Array) -> Array:
         """c'P(t_j + d)c for offsets d; infinite where the samples do not determine the row."""
@@ -247,7 +278,10 @@ class _Curves:
             np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
         )
         mu = flown @ self._L[j]
-        return np.where(np.isfinite(self._atoms[j].rest(mu, mu)), found, np.inf)
+        atoms = self._atoms[j]
+        if self.question.initial is None:
+            return np.where(np.isfinite(atoms.rest(mu, mu)), found, np.inf)
+        return np.where(atoms.determines(mu), found, np.inf)
 
     def worst(self, parts: list[Array], offsets: list[Array], row: Array) -> tuple[float, float]:
         """The largest standard deviation and its time, refined between the points of the profile."""

@@ -84,10 +84,8 @@ def verdict_by_scan(data):
     """True, False, or None where a claim is nearer to tight than the scan resolves."""
     P1, P2 = np.array(data["P1"]), np.array(data["P2"])
     resolved = (1 - 1e-3) * P2
-    ratios = [
-        oracle.worst_ratio(data, (1 + data["margin"]) * P1)[0],
-        oracle.worst_ratio(data, resolved / data["lam"])[0],
-    ]
+    targets = [(1 + data["margin"]) * P1, resolved / data["lam"]]
+    ratios = [ratio for ratio, *_ in oracle.worst_ratios(data, targets)]
     ratios.append(oracle.worst_ratio(data, resolved / data["lam_samples"], samples=True)[0])
     ratios.append(data["witness"]["ratio"] / oracle.witness_ratio(data))
     worst = max(ratios[:3])

@@ -48,12 +48,12 @@ def brute_force_information(A, C_list, times, G, P2, Qw, R, Qv, eta, t, steps):
 
 
 def flow(A, S, eta, h):
-    """F and W over a gap, Van Loan's formula as printed (fine for plants that are not stiff)."""
+    """F and W over a gap or over each of several, Van Loan's formula as printed (fine where nothing is stiff)."""
     n = A.shape[0]
     shifted = A + eta / 2 * np.eye(n)
-    E = expm(np.block([[-shifted, S], [np.zeros((n, n)), shifted.T]]) * h)
-    F = E[n:, n:].T
-    return F, F @ E[:n, n:]
+    E = expm(np.block([[-shifted, S], [np.zeros((n, n)), shifted.T]]) * np.asarray(h)[..., None, None])
+    F = E[..., n:, n:].mT
+    return F, F @ E[..., :n, n:]
 
 
 def read(data):
@@ -83,40 +83,45 @@ def read(data):
 
 def worst_ratio(data, target, samples=False, fine=14, periods=7):
     """Largest lambda_max(target Y) over a dense grid of window starts and later times; also where (start, t)."""
+    return worst_ratios(data, [target], samples, fine, periods)[0]
+
+
+def worst_ratios(data, targets, samples=False, fine=14, periods=7):
+    """The same of several targets on one grid."""
     A, S, J, eta, gaps, first, periodic = read(data)
-    n, N = len(A), len(gaps)
+    N = len(gaps)
     Y0 = np.linalg.inv(np.array(data["P2"]))
-    T = np.linalg.cholesky(np.array(target))
+    roots = [np.linalg.cholesky(np.array(target)) for target in targets]
     times = first + np.concatenate([[0.0], np.cumsum(gaps[1:])])
     fractions = np.linspace(0, 1, fine + 1)
-    flows = [[flow(A, S, eta, g * f) for f in fractions] for g in gaps]
-    worst = (0.0, 0.0, 0.0)
+    flows = [flow(A, S, eta, g * fractions) for g in gaps]
+    worst = [(0.0, 0.0, 0.0)] * len(roots)
+
+    def look(inside, start, now):
+        for j, T in enumerate(roots):
+            values = np.linalg.eigvalsh(T.T @ inside @ T)[:, -1]
+            k = int(np.argmax(values))
+            worst[j] = max(worst[j], (values[k], start[k], now[k]))
+
     for i in range(N):
         reach = max(gaps[0], first) if i == 0 else gaps[i]
         remaining = np.unique([gaps[i], first] if i == 0 else [gaps[i]]) if samples else reach * fractions
-        head = [flow(A, S, eta, r) for r in remaining]
-        Y = np.array([F @ Y0 @ F.T + W for F, W in head])
         start = times[i] - remaining
         for r, s in zip(remaining, start, strict=True):  # from the start to the first sample
-            for f in fractions:
-                F, W = flow(A, S, eta, r * f)
-                worst = max(worst, (_top(T, F @ Y0 @ F.T + W), s, s + r * f))
+            F, W = flow(A, S, eta, r * fractions)
+            look(F @ Y0 @ F.mT + W, np.full(fine + 1, s), s + r * fractions)
+        F, W = flow(A, S, eta, remaining)
+        Y = F @ Y0 @ F.mT + W
         now, k = times[i], i
         for _ in range(periods * N if periodic else N - 1 - i):
             Y = np.linalg.inv(np.linalg.inv(Y) + J[k])
             k = (k + 1) % N
-            for f, (F, W) in zip(fractions, flows[k], strict=True):
+            for f, F, W in zip(fractions, *flows[k], strict=True):
                 inside = F @ Y @ F.T + W
-                values = np.linalg.eigvalsh(T.T @ inside @ T)[:, -1]
-                j = int(np.argmax(values))
-                worst = max(worst, (values[j], start[j], now + gaps[k] * f))
+                look(inside, start, np.full(len(start), now + gaps[k] * f))
             Y, now = inside, now + gaps[k]
-    assert n == len(T)
+    assert all(len(T) == len(A) for T in roots)
     return worst
-
-
-def _top(T, Y):
-    return float(np.linalg.eigvalsh(T.T @ Y @ T)[-1])
 
 
 def information_at(data, start, t):

@@ -131,19 +131,20 @@ def _problem(certificate: Certificate, factor: float) -> WindowProblem:
 def _along(problem: WindowProblem, start: float, stop: float, seen: Array) -> Array:
     """The error map in the plant's coordinates."""
     n = problem.size
-    Y, Phi, now = np.eye(n), np.eye(n), start
-    period = problem.period
-    for tau in seen:
-        Y, Phi = _flown(problem, Y, Phi, tau - now)
-        phase = (tau - problem.times[0]) % period if period else tau - problem.times[0]
-        at = int(np.argmin(np.abs(np.append(problem.times - problem.times[0], period or np.inf) - phase)))
-        rows = problem.rows[at % problem.count]
+    Y, Phi = np.eye(n), np.eye(n)
+    gaps = np.diff(seen, prepend=start, append=stop)
+    F, W = problem.flow(gaps)
+    crossed = expm_batch(problem.A, gaps)
+    for k, tau in enumerate(seen):
+        rows = _rows_at(problem, tau)
+        Y, Phi = F[k] @ Y @ F[k].T + W[k], crossed[k] @ Phi
         gain = np.linalg.solve(np.eye(len(rows)) + rows @ Y @ rows.T, rows @ Y).T
-        Y, Phi, now = update(Y, rows), (np.eye(n) - gain @ rows) @ Phi, tau
-    Phi = _flown(problem, Y, Phi, stop - now)[1]
-    return np.asarray(np.linalg.solve(problem.root.T, Phi @ problem.root.T), dtype=np.float64)
+        Y, Phi = update(Y, rows), (np.eye(n) - gain @ rows) @ Phi
+    return np.asarray(np.linalg.solve(problem.root.T, crossed[-1] @ Phi @ problem.root.T), dtype=np.float64)
 
 
-def _flown(problem: WindowProblem, Y: Array, Phi: Array, duration: float) -> tuple[Array, Array]:
-    F, W = problem.flow([duration])
-    return F[0] @ Y @ F[0].T + W[0], expm_batch(problem.A, duration)[0] @ Phi
+def _rows_at(problem: WindowProblem, tau: float) -> Array:
+    """What the sample nearest to tau measures."""
+    since, period = problem.times - problem.times[0], problem.period
+    phase = (tau - problem.times[0]) % period if period else tau - problem.times[0]
+    return problem.rows[int(np.argmin(np.abs(np.append(since, period or np.inf) - phase))) % problem.count]

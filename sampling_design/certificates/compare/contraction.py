@@ -147,4 +147,6 @@ def _rows_at(problem: WindowProblem, tau: float) -> Array:
     """What the sample nearest to tau measures."""
     since, period = problem.times - problem.times[0], problem.period
     phase = (tau - problem.times[0]) % period if period else tau - problem.times[0]
-    return problem.rows[int(np.argmin(np.abs(np.append(since, period or np.inf) - phase))) % problem.count]
+    nearest = int(np.argmin(np.abs(np.append(since, period or np.inf) - phase)))
+    rows: Array = problem.rows[nearest % problem.count]
+    return rows

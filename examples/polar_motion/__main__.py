@@ -22,6 +22,16 @@ def row(found: p.Coverage) -> str:
     return f"| {found.schedule.name} | {sigma:.1e} | {found.days} | {100 * found.inside:.0f} % | {shown} | {error} |"
 
 
+def too_tight(pole: p.Pole, every: int) -> list[str]:
+    """Bounds below those that are used, and how often readings disprove them."""
+    lines = ["| faster than a season | scale | stretches of 60 monthly readings that disprove it |", "|---|---|---|"]
+    for faster, scale in p.TIGHTER:
+        refuted, asked = p.disproved(pole, p.SCHEDULES[0], scale, faster, every)
+        assert refuted > 0 or scale == 0.14, "bounds this tight are disproved somewhere"
+        lines.append(f"| {faster:g} mas | {scale:.2f} mas/d | {refuted} of {asked} |")
+    return lines
+
+
 def main(count: int = 0) -> None:
     """Print the table, and write the page if all days are asked for."""
     pole = p.read_pole()
@@ -44,6 +54,16 @@ def main(count: int = 0) -> None:
         f"1000 mas, while the pole never was further than {np.abs(pole.xy).max():.0f} mas from its zero. Sinusoids",
         "of the same periods with a drift, fitted to 1962 to 1999 and continued,",
         f"err by {rms:.0f} mas rms, {worst:.0f} at worst.",
+        "",
+        "Tighter bounds, and how many stretches of readings after 2000 disprove them, with a proof each:",
+        "",
+        *too_tight(pole, 60 if count else 4),
+        "",
+    ]
+    wide = p.ellipsoids(pole, p.SCHEDULES[0], scale, eta=1e-3)
+    told += [
+        f"The ellipsoids of the moving horizon estimator (eta 0.001 1/d) say {wide:.0f} mas between monthly readings,",
+        f"where the intervals of the same readings say {found['every 30 d'].radius:.0f}.",
         "",
     ]
     print("\n".join(told))

@@ -39,11 +39,11 @@ class Pole:
         """Rows of given days."""
         return np.asarray(days, dtype=int) - int(self.days[0])
 
-    def readings(self, days):
+    def readings(self, days, faster: float = FASTER):
         """What somebody who reads on these days knows: (time, y) rows, and the bounds on their noise."""
         rows = self.at(days)
         shown = [(float(d - JUDGED_FROM), y, None) for d, y in zip(days, self.xy[rows], strict=True)]
-        return shown, FASTER + 2.0 * self.error[rows]
+        return shown, faster + 2.0 * self.error[rows]
 
 
 def read_pole() -> Pole:
@@ -66,9 +66,9 @@ def plant() -> sd.Plant:
     return sd.Plant(A, C, time_unit="d", states=sd.Signals(names, units), outputs=outputs, name="pole of the Earth")
 
 
-def proven(pole: Pole, days, scale: float, t: int):
+def proven(pole: Pole, days, scale: float, t: int, faster: float = FASTER):
     """What readings on `days` prove of the pole on day `t`."""
-    shown, noise = pole.readings(days)
+    shown, noise = pole.readings(days, faster)
     where = plant()
     return sd.interval(where, shown, float(t - JUDGED_FROM), w_bound=scale * SHAPE, v_bound=noise, of=where.C)
 
@@ -110,6 +110,38 @@ SCHEDULES = (
     Schedule("two fixed dates a year", YEAR / 2, 50),
     Schedule("one fixed date a year", YEAR, 36),
 )
+
+
+def disproved(pole: Pole, schedule: Schedule, scale: float, faster: float, every: int = 1) -> tuple[int, int]:
+    """How many stretches of kept readings after 2000 disprove these bounds, and of how many; each ends at a reading."""
+    days = schedule.days(int(pole.days[-1]))
+    ends = [k for k in range(len(days)) if days[k] >= JUDGED_FROM][::every]
+    stretches = [days[max(0, k + 1 - schedule.kept) : k + 1] for k in ends]
+    return sum(proven(pole, s, scale, int(s[-1]), faster).contradiction > 0 for s in stretches), len(stretches)
+
+
+def ellipsoids(pole: Pole, schedule: Schedule, scale: float, eta: float) -> float:
+    """Mean half-width, over both coordinates, of the moving horizon estimator's ellipsoid between readings after 2000.
+
+    Its prior knows each state to 500 mas, before the readings that are kept.
+    """
+    where, days = plant(), schedule.days(int(pole.days[-1]) - round(schedule.gap))
+    shown, noise = pole.readings(days)
+    certificate = sd.certify(where, sd.PeriodicSchedule([schedule.gap], schedule.gap), eta=eta)
+    bounds = {"w_bound": scale * SHAPE, "v_bound": noise.max(axis=0), "initial_error": np.full(8, 500.0)}
+    mhe = sd.MovingHorizonEstimator(where, certificate, prior_time=shown[0][0] - 1, **bounds)
+    widths = []
+    for t, y, _ in shown:
+        mhe.update(t, y)
+        if t >= 0:
+            then = mhe.predict(t + schedule.gap / 2)
+            variance = np.einsum("ij,jk,ik->i", where.C, then.covariance, where.C)
+            widths.append(np.sqrt(then.radius * variance))
+    return float(np.mean(widths))
+
+
+TIGHTER = ((10.0, 0.10), (8.0, 0.14), (8.0, 0.10), (10.0, 0.05))
+"""Bounds below those that are used: noise faster than a season, scale of the disturbance."""
 
 
 @dataclass(frozen=True)

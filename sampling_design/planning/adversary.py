@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sampling_design._conic import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design._stages import StageProgram
 from sampling_design.planning.motion import Motion
+from sampling_design.planning.work import CONE, STAGES
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -26,9 +27,6 @@ TOLERANCE = 1e-7
 STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
 """Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
 entries of w from which on stages are quicker."""
-
-QUICKER = 5
-"""How much less work an entry is for a program over stages."""
 
 SAME = 1 - 1e-12
 """Two directions are one if their cosine is beyond this."""
@@ -79,6 +77,12 @@ class _RowGatherer:
         self.b.append(b)
         self.count += b.size
 
+    def add_entries(self, b: Array, values: Array, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> None:
+        """Rows of many columns with few entries: never written out."""
+        self.parts.append((values, rows + self.count, columns))
+        self.b.append(b)
+        self.count += b.size
+
     def matrix(self, columns: int) -> object:
         from scipy import sparse
 
@@ -107,7 +111,7 @@ class RasterWindow:
         if faint is None and not motion.ball and self._w_at[-1] - self._w_at[0] > MANY:
             seen_rows = [motion.H[chosen] for chosen in seen]
             self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
-            self.entries = sum(B.size for _, B, _ in self._gaps) // QUICKER
+            self.price, self.entries = STAGES, int(len(knots) * n**1.5)
         else:
             self._build(soft)
 
@@ -135,20 +139,21 @@ class RasterWindow:
             rows.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # the row is set when solved
         many = int(self._w_at[-1] - self._w_at[0])
         if not motion.ball and many:
-            rows.add(np.ones(2 * many), (int(self._w_at[0]), np.vstack([np.eye(many), -np.eye(many)])))
+            spots = np.arange(many)
+            both = np.concatenate([spots, spots])
+            signs = np.repeat([1.0, -1.0], many)
+            rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), both + int(self._w_at[0]))
         cones.append(("nonnegative", rows.count - start))
         if motion.ball and many:
-            lift = np.zeros((many // q * (q + 1), many))
             spots = np.arange(many)
-            lift[spots // q * (q + 1) + 1 + spots % q, spots] = -1.0
-            top = np.zeros(len(lift))
+            top = np.zeros(many // q * (q + 1))
             top[:: q + 1] = 1.0
-            rows.add(top, (int(self._w_at[0]), lift))
+            rows.add_entries(top, -np.ones(many), spots // q * (q + 1) + 1 + spots % q, spots + int(self._w_at[0]))
             cones += [("second order", q + 1)] * (many // q)
         self._b = np.concatenate(rows.b)
         self._A = rows.matrix(self._columns)
         self._cones = cones
-        self.entries = sum(part[0].size for part in rows.parts)
+        self.price, self.entries = CONE, sum(part[0].size for part in rows.parts)
         self._solver: ConeSolver | None = None
 
     def _solved(self, mu: Array) -> tuple[Array, Array, str]:
@@ -183,6 +188,13 @@ class RasterWindow:
         n, K = self.motion.n, len(self.knots)
         usable = status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(x).all()
         return float(mu @ x[(K - 1) * n : K * n]) if usable else 0.0
+
+    def ends(self) -> Array:
+        """Where the flights solved so far are at the last knot (m, n)."""
+        n, K = self.motion.n, len(self.knots)
+        usable = [x for _, (x, _, status) in self._known if status not in (INFEASIBLE, UNBOUNDED)]
+        ends = np.array([x[(K - 1) * n : K * n] for x in usable]).reshape(-1, n)
+        return ends[np.isfinite(ends).all(axis=1)]
 
     def strongest(self, mu: Array) -> Flight | None:
         """The motion with the largest mu'z at the last knot."""

@@ -23,7 +23,10 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 CELLS = 6
-"""Cells of constant disturbance in a gap, at most."""
+"""Cells of constant disturbance in a gap, unless it holds several turns of an oscillation."""
+
+TURN = np.pi / 4
+"""Radians of the quickest oscillation in a cell, at most: a disturbance pushes on only if it turns with it."""
 
 GOLDEN = (np.sqrt(5.0) - 1) / 2
 
@@ -81,6 +84,11 @@ class Motion:
         rate = float(np.max(np.linalg.eigvals(self.A).real, initial=0.0)) * self.step
         return max(1, int(min(GROWTH / rate, MOST_STEPS))) if rate > 0 else MOST_STEPS
 
+    @cached_property
+    def _turned(self) -> float:
+        """Radians by which the quickest oscillation turns in a step."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.A).imag), initial=0.0)) * self.step
+
     def rows(self, rows: Array) -> Array:
         """Rows of x as rows of z."""
         return np.asarray(rows @ self.T)
@@ -114,7 +122,7 @@ class Motion:
 
     def gap(self, steps: int) -> tuple[Array, Array, list[int]]:
         """F of a gap, Gamma (n, m q) of its cells, and the steps of each cell, in order of time."""
-        number = min(CELLS, steps)
+        number = min(max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
         edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
         n, cells = self.n, np.diff(edges).tolist()
         F, blocks = np.eye(n), []

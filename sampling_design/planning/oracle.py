@@ -10,7 +10,7 @@ from sampling_design.planning.attacks import HiddenMotion, peaks_of
 from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
 from sampling_design.planning.spread import RasterFilter
-from sampling_design.planning.work import CONE, FAINT, Work
+from sampling_design.planning.work import FAINT, Work
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -21,8 +21,11 @@ SETTLED = 2e-3
 LONGEST = 8
 """Gaps that are looked at where only the longest are."""
 
-LOOKS = 4
-"""Offsets of a gap at which it is judged, its end among them."""
+QUARTERS, LOOKS = 4, 8
+"""Parts of a gap at whose ends it is judged at first, and offsets, at most."""
+
+FAR = 0.5
+"""What is below this share of a level at every quarter of a gap is not looked at elsewhere."""
 
 MOST_KNOTS = 400
 
@@ -65,7 +68,7 @@ class Oracle:
                 if like in known:
                     continue
                 known.add(like)
-            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), goals):
+            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), goals, above):
                 found.append(attack)
                 worst = max(worst, attack.reach)
             if worst > above:
@@ -98,27 +101,42 @@ class Oracle:
                     return found
         return None
 
-    def _gap(self, chosen: Mask, last: int, length: int, goals: list[int]) -> list[HiddenMotion]:
+    def _gap(self, chosen: Mask, last: int, length: int, goals: list[int], above: float) -> list[HiddenMotion]:
         """The strongest attacks that end in the gap after a sample."""
         if not self.back:
             self._look_back(chosen, last, length, goals)
         window = self._window(chosen, last, self.back)
         best: list[HiddenMotion] = []
         for g in goals:
-            looks = [(self.reach(window, offset, g), offset) for offset in self._offsets(g, last, length)]
-            attack = self._attack(window, last, max(looks)[1], g) if looks else None
+            looks = self.looked(window, g, last, length, above)
+            attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
             best += [attack] if attack is not None else []
         return best
 
-    def _offsets(self, g: int, last: int, length: int) -> list[int]:
-        goal = self.problem.goals[g]
+    def looked(self, window: RasterWindow, g: int, last: int, length: int, above: float = np.inf) -> dict[int, float]:
+        """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
+
+        Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
+        any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`.
+        """
+        goal, length = self.problem.goals[g], min(length, self.motion.longest)
         if goal.at == "after each sample":
-            return [0]
+            return {0: self.reach(window, 0, g)}
         if goal.at == "given times":
-            within = (goal.steps - last) % self.problem.steps
-            return sorted({int(o) for o in within if o <= min(length, self.motion.longest)})
-        length = min(length, self.motion.longest)
-        return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
+            within = {int(o) for o in (goal.steps - last) % self.problem.steps if o <= length}
+            return {offset: self.reach(window, offset, g) for offset in sorted(within)}
+        found = {
+            offset: self.reach(window, offset, g)
+            for offset in {round(length * i / QUARTERS) for i in range(QUARTERS + 1)}
+        }
+        while len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
+            rows = np.array([self._opened(offset, g)[0] for offset in range(length + 1)])
+            added = np.array([more for _, more in self._open[g][: length + 1]])
+            farthest = int(np.argmax(np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added))
+            if farthest in found:
+                break
+            found[farthest] = self.reach(window, farthest, g)
+        return found
 
     def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
         """The window of samples of an endless schedule up to a step, and the step at which it starts."""
@@ -133,20 +151,21 @@ class Oracle:
 
     def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:
         """Find how far back matters."""
-        before, back = 0.0, 2 * length
+        before, back = np.zeros(len(goals)), 2 * length
         while True:
             window = self._window(chosen, last, back)
-            now = max(self.reach(window, length, g) for g in goals)
-            if (now <= before * (1 + SETTLED) and now > 0) or len(window.knots) >= MOST_KNOTS:
+            now = np.array([self.reach(window, length, g) for g in goals])
+            if np.all((now <= before * (1 + SETTLED)) & (now > 0)) or len(window.knots) >= MOST_KNOTS:
                 break
             before, back = now, 2 * back
         self.back = back
 
-    def farther(self) -> bool:
-        """Look twice as far back, unless that is as far as can be."""
+    def farther(self, chosen: Mask) -> bool:
+        """Look twice as far back, and over two gaps of a choice at least, unless that is as far as can be."""
         if not self.back or self.back >= FARTHEST * self.problem.steps:
             return False
-        self.back *= 2
+        at = np.flatnonzero(chosen.any(axis=1))
+        self.back = max(2 * self.back, 2 * int(np.max(np.diff(np.append(at, at[0] + self.problem.steps)))))
         return True
 
     def _opened(self, offset: int, g: int) -> tuple[Array, float]:
@@ -161,7 +180,7 @@ class Oracle:
 
     def reach(self, window: RasterWindow, offset: int, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
-        self.work.add(CONE, window.entries)
+        self.work.add(window.price, window.entries)
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance

@@ -42,6 +42,9 @@ MARGIN = 0.004
 BLIND = 0.03
 """A choice proven this much worse than it was judged has a longer past than the search looks at."""
 
+IDLE = 2
+"""Doublings of the past in a row that show nothing new, after which there is nothing to be seen there."""
+
 MARGINS = (MARGIN, 0.015, 0.04)
 
 NARROW_MARGINS = (5e-4, 0.015, 0.04)
@@ -237,14 +240,10 @@ class _Planning:
 
     def _farther(self, chosen: Mask, proven: float) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
-        judged, attacks = self.oracle.judge(chosen)
+        judged, _ = self.oracle.judge(chosen)
         if judged * (1 + BLIND) >= proven:
             return False
-        before = judged
-        while judged * (1 + BLIND) < proven and self.oracle.farther():
-            judged, attacks = self.oracle.judge(chosen)
-        self.search.add(attacks, 0.0)
-        return judged > before * (1 + BLIND)
+        return self.search.deepened(chosen, judged, proven / (1 + BLIND), IDLE) > judged * (1 + BLIND)
 
     def _nearest(self, chosen: Mask, proof: GoalProofs, ratios: Array) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.

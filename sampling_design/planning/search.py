@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sampling_design.planning.attacks import AttackPool, HiddenMotion, weighed
 from sampling_design.planning.bounds import separated
 from sampling_design.planning.cover import NODES, Cover, Key, cheapest
-from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.oracle import SETTLED, Oracle
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.work import COVER, WEIGHED
 
@@ -215,6 +215,8 @@ class PlanSearch:
         for trial in (chosen, self.polished(chosen)):
             worst, attacks = self.oracle.judge(trial, above=max(level, self.found.worst))
             self.add(attacks, level)
+            if worst <= level:
+                worst = self.deepened(trial, worst, level)
             better = worst < self.found.worst if self.found.worst > 1 or self.found.chosen is None else worst <= level
             if better and worst < np.inf:
                 self.keep(trial, worst)
@@ -224,6 +226,20 @@ class PlanSearch:
             attack = max(attacks, key=lambda a: a.reach)
             self.faint(attack.goal, attack.end + self.problem.steps, level, trial)
         return False
+
+    def deepened(self, chosen: Mask, worst: float, enough: float, patience: int = 1) -> float:
+        """How bad a choice is if one looks farther back, and so for all others from then on.
+
+        The past is doubled until that adds nothing, so many times in a row, or the choice is as bad as `enough`.
+        """
+        idle, kept = 0, self.oracle.back
+        while idle < patience and worst < enough and not self.late and self.oracle.farther(chosen):
+            now, attacks = self.oracle.judge(chosen)
+            idle, kept = (idle + 1, kept) if now <= worst * (1 + SETTLED) else (0, self.oracle.back)
+            worst = max(now, worst)
+            self.add(attacks, 0.0)
+        self.oracle.back = kept
+        return worst
 
     def keep(self, chosen: Mask, worst: float) -> None:
         """Remember the best choice."""
@@ -334,6 +350,8 @@ class PlanSearch:
                     continue
                 worst, attacks = self.oracle.judge(trial, above=level)
                 self.add(attacks, level)
+                if worst <= level:
+                    worst = self.deepened(trial, worst, level)
                 if worst <= level:
                     trial, worst = self._thinned(trial, worst, level)
                     best = self.problem.cost(trial)

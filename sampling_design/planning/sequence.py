@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.oracle import LOOKS, Oracle
+from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.recovery.between import open_row
@@ -64,21 +64,10 @@ def _bounded_worst(oracle: Oracle, sequence: SampleSequence, above: float, until
         window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
         length = int(knots[k + 1] - knots[k])
         for g in goals:
-            for offset in _looks(oracle, g, int(knots[k]), length):
-                worst = max(worst, oracle.reach(window, offset, g))
+            worst = max(worst, *oracle.looked(window, g, int(knots[k]), length).values(), 0.0)
         if worst > above:
             break
     return worst
-
-
-def _looks(oracle: Oracle, g: int, knot: int, length: int) -> list[int]:
-    goal = oracle.problem.goals[g]
-    if goal.at == "after each sample":
-        return [0]
-    if goal.at == "given times":
-        within = (goal.steps - knot) % oracle.problem.steps
-        return sorted({int(o) for o in within if o <= length})
-    return sorted({round(length * i / LOOKS) for i in range(LOOKS + 1)})
 
 
 def proven_ratio(plan: PlanFigures, sequence: SampleSequence) -> float:

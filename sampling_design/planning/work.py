@@ -8,6 +8,9 @@ from __future__ import annotations
 CONE = (1e-3, 1e-6)
 """Work of a cone program, and for each entry that is not zero."""
 
+STAGES = (3e-2, 3e-5)
+"""Of a program over stages, and for each of them, with n states, n^1.5 times."""
+
 FAINT = (2e-3, 4e-6)
 """The same where every output is a variable."""
 

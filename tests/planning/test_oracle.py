@@ -1,0 +1,74 @@
+"""How a choice of samples is judged: at the worst time of every gap, against disturbances that turn with the plant."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.planning import motion as room
+from sampling_design.planning.adversary import RasterWindow
+from sampling_design.planning.motion import motion_of
+from sampling_design.planning.oracle import QUARTERS, SETTLED, Oracle
+from sampling_design.planning.plan import accuracy_of
+from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.search import PlanSearch
+
+BODY = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
+DRIFT = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
+
+
+def posed(plant, period, raster, at, w_bound=0.02):
+    """The problem of a plant's position, and the choice of these steps."""
+    terms = {"w_bound": w_bound, "sensors": {"y": {"noise_bound": 0.2}}}
+    problem = pose_plan(plant, sd.PlanRequirement({"position": 0.5}, period=period, raster=raster, **terms))
+    chosen = np.zeros_like(problem.allowed)
+    chosen[at] = True
+    return problem, chosen
+
+
+def test_the_worst_time_of_a_gap_is_found_between_its_quarters():
+    problem, chosen = posed(BODY, 6.4, 0.2, [0, 26])
+    oracle = Oracle(problem, motion_of(problem))
+    oracle.back = 128
+    window = oracle._window(chosen, 0, 128)
+    found = max(oracle.looked(window, 0, 0, 26).values())
+    every = [oracle.reach(window, offset, 0) for offset in range(27)]
+    assert found == max(every)
+    assert max(every[round(26 * i / QUARTERS)] for i in range(QUARTERS + 1)) < 0.99 * found
+    few = oracle.looked(window, 0, 0, 26, above=3 * found)  # far below what is asked
+    assert len(few) == QUARTERS + 1
+
+
+def test_a_disturbance_turns_with_the_plant_in_long_gaps(monkeypatch):
+    problem, chosen = posed(BODY, 40.0, 0.5, [0, 34])
+    proof = accuracy_of(problem, chosen)
+    proven = float(proof.upper[0]) / 0.5
+    judged = Oracle(problem, motion_of(problem)).judge(chosen)[0]
+    assert 0.97 * proven <= judged <= proven
+    monkeypatch.setattr(room, "TURN", np.inf)
+    assert Oracle(problem, motion_of(problem)).judge(chosen)[0] < 0.9 * proven
+
+
+def test_a_window_of_many_cells_is_put_together_without_writing_out_what_is_empty():
+    motion = motion_of(posed(BODY, 6.4, 0.1, [0])[0])
+    knots = np.arange(0, 12_000, 4)
+    window = RasterWindow(motion, knots, np.zeros((knots.size, 1), dtype=bool), np.ones((knots.size, 1)))
+    assert window.entries < 60 * knots.size
+
+
+def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
+    problem, chosen = posed(DRIFT, 8.0, 0.5, [0, 3], 0.002)
+    oracle = Oracle(problem, motion_of(problem))
+    oracle.back = begun = 4  # enough for samples at every step, of which most are left out
+    worst = oracle.judge(chosen)[0]
+    search = PlanSearch(problem, oracle)
+    found = search.deepened(chosen, worst, np.inf)
+    assert found > worst * (1 + SETTLED)
+    kept = oracle.back
+    assert kept > begun
+    assert search.pool.attacks
+    oracle.back = 8 * kept
+    assert oracle.judge(chosen)[0] <= found * (1 + 3 * SETTLED)
+    oracle.back = kept
+    assert search.deepened(chosen, found, np.inf) == pytest.approx(found, rel=SETTLED)
+    assert oracle.back == kept
+    assert search.deepened(chosen, found, found / 2) == found

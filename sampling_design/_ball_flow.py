@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design._balls import (
     Ball,
@@ -26,6 +27,12 @@ from sampling_design._balls import (
     spectral,
 )
 
+Array = npt.NDArray[np.float64]
+
+FLOOR = 1e-6
+"""Least share of one part beside the other: what couples them by rounding counts 1/sqrt(this) times."""
+APART = 1e-6
+"""Relative gap of two speeds from which on they are told apart."""
 WORST_CONDITION = 1e6
 """Modal coordinates worse than this are not used to bound |e^{As}|: the logarithmic norm does better."""
 HALVINGS = 50
@@ -48,6 +55,48 @@ class Clock:
             raise OutOfTime("the budget ran out")
 
 
+def split_bases(A: Array) -> Iterator[tuple[Array, int]]:
+    """Yield bases V of a fast and of a slow invariant space of A, and the first one's size, for each gap of speeds."""
+    from scipy.linalg import schur, solve_sylvester
+
+    speeds = np.sort(np.abs(np.linalg.eigvals(A)))[::-1]
+    for k in np.flatnonzero(speeds[1:] < speeds[:-1] * (1 - APART)) + 1:
+        edge = float(speeds[k - 1] + speeds[k]) / 2
+        T, Q, fast = schur(A, output="real", sort=lambda x, y=0.0, edge=edge: np.hypot(x, y) > edge)
+        if fast == k:
+            X = solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:])
+            yield np.hstack([Q[:, :k], np.linalg.qr(Q[:, :k] @ X + Q[:, k:])[0]]), int(k)
+
+
+class Split:
+    """Coordinates z, x = V z, of two parts that hardly know of each other: the first `fast` states, and the rest.
+
+    V D V' e^{2 rate s} stays above e^{As} V D V' e^{A's} for D = diag(d_1 I, d_2 I), d_1, d_2 >= FLOOR max(d_1, d_2).
+    """
+
+    def __init__(self, A: Matrix, V: Array, fast: int) -> None:
+        self.V, self.fast = matrix(V), fast
+        self.inverse = self.V.inv()
+        rows = (self.inverse * A * self.V).tolist()
+        own, coupled = [], ball(0.0)
+        for i, j in ((slice(0, fast), slice(fast, None)), (slice(fast, None), slice(0, fast))):
+            part = flint().arb_mat([row[i] for row in rows[i]])
+            own.append(largest((part + part.transpose()) * ball(0.5)))
+            coupled += frobenius(flint().arb_mat([row[j] for row in rows[i]]))
+        self.rate = (max(*own, ball(0.0)) + coupled / ball(FLOOR).sqrt()).upper()
+
+    def above(self, N: Matrix) -> Matrix:
+        """V D V' >= N, N psd, which may be carried along: N <= 2 diag(N_11, N_22) in its own coordinates."""
+        n, k = N.nrows(), self.fast
+        M = self.inverse * N * self.inverse.transpose()
+        d = [positive_part(2 * sum((M[i, i] for i in part), ball(0.0))) for part in (range(k), range(k, n))]
+        least = (max(d) * ball(FLOOR)).upper()
+        sides = flint().arb_mat(n, n)
+        for i in range(n):
+            sides[i, i] = max(d[0] if i < k else d[1], least)
+        return self.V * sides * self.V.transpose()
+
+
 class BallFlow:
     """Y' = A Y + Y A' + S, with S psd, over any duration: Y -> F Y F' + W, in balls."""
 
@@ -64,6 +113,7 @@ class BallFlow:
         modal = self._modal()
         if modal is not None:
             self.growths.append(modal)
+        self.split = self._parted()
 
     def _modal(self) -> tuple[Ball, Ball] | None:
         """(kappa, mu) with |e^{As}| <= kappa e^{mu s} from real modal coordinates, guessed in floats."""
@@ -84,6 +134,21 @@ class BallFlow:
         inverse = X.inv()
         B = inverse * self.A * X
         return (spectral(X) * spectral(inverse)).upper(), largest((B + B.transpose()) * ball(0.5))
+
+    def _parted(self) -> Split | None:
+        """What is fast apart from what is slow, guessed in floats: what is carried so knows two speeds, not one."""
+        guess, best = floats(self.A), None
+        if self.n < 2 or not np.isfinite(guess).all():
+            return None
+        try:
+            bases = [found for found in split_bases(guess) if np.linalg.cond(found[0]) < WORST_CONDITION]
+        except np.linalg.LinAlgError:
+            return None
+        for V, fast in bases:
+            made = Split(self.A, V, fast)
+            if best is None or made.rate < best.rate:
+                best = made
+        return best
 
     def over(self, duration: Ball) -> tuple[Matrix, Matrix]:
         """Return F = e^{Ah} and W = int_0^h e^{As} S e^{A's} ds: a block exponential on h/2^k, then k doublings."""
@@ -132,9 +197,11 @@ class BallFlow:
         total = sum((N[i, i] for i in range(self.n)), 0 * duration)
         grown = self.reach(duration) * 8 / duration**2
         near = (2 * self.norm * duration).expm1().upper()
-        if near < grown:
-            return N + near * total * self.identity
-        return grown * total * self.identity
+        found = N + near * total * self.identity if near < grown else grown * total * self.identity
+        if self.split is None:
+            return found
+        other = self.split.above(N) * (2 * self.split.rate * duration).exp().upper()
+        return other if np.trace(floats(other)) < np.trace(floats(found)) else found
 
     def reach(self, duration: Ball) -> Ball:
         """Return an exact number that is at least (h^2/8) sup |e^{As}|^2 over [0, h]."""

@@ -20,6 +20,8 @@ from .strict import Array, Mask
 from .work import MOST_WORK, Work
 
 Index = npt.NDArray[np.intp]
+APART = 1e-6  # relative gap of two speeds from which on they are told apart
+FLOOR = 1e-6  # of the larger one of two parts: what couples them by rounding counts 1/sqrt(this) times
 
 
 def turned(M: Array) -> Array:
@@ -61,6 +63,18 @@ def least(U: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(U)[..., 0] - 4 * U.shape[-1] * EPS * size(U))
 
 
+def leading(A: Array, k: int) -> Array:
+    """An orthonormal basis of the real space of the k fastest modes of A."""
+    values, vectors = np.linalg.eig(A)
+    fast = vectors[:, np.argsort(-np.abs(values), kind="stable")[:k]]
+    return np.linalg.svd(np.hstack([fast.real, fast.imag]))[0][:, :k]
+
+
+def apart(basis: Array) -> Array:
+    """An orthonormal basis of what is orthogonal to all columns of `basis`."""
+    return np.linalg.svd(basis)[0][:, basis.shape[1] :]
+
+
 def risen(X: Array) -> Array:
     """e^X - I of a stack of matrices of norm at most 1, by the (8, 8) Pade approximant (right to 1e-18)."""
     term = bottom = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
@@ -82,6 +96,33 @@ class Flows:
 
     def __getitem__(self, index: int | Index) -> "Flows":
         return Flows(self.F[index], self.W[index], self.wrong_F[index], self.wrong_W[index])
+
+
+@dataclass
+class Split:
+    """Coordinates z, x = `basis` z, in which the first `fast` states decay on their own, and the rest on its own.
+
+    V D V' e^{2 rate s} stays above e^{As} V D V' e^{A's} for D = diag(d_1 I, d_2 I), d_1, d_2 >= FLOOR max(d_1, d_2).
+    `inverse` is that of the basis but for `lost`, relative to the root of a trace.
+    """
+
+    basis: Array
+    inverse: Array
+    fast: int
+    rate: float
+    lost: float
+
+    def above(self, N: Array) -> Array:
+        """V D V' >= N, N psd, which may be carried along: N <= 2 diag(N_11, N_22) in its own coordinates."""
+        X, V, k = self.inverse, self.basis, self.fast
+        parts = np.maximum(np.einsum("ia,...ab,ib->...i", X, N, X), 0.0)
+        whole = np.sqrt(np.einsum("...ii->...", N))[..., None]
+        roots = np.sqrt(np.stack([parts[..., :k].sum(axis=-1), parts[..., k:].sum(axis=-1)], axis=-1))
+        d = 2 * (roots + self.lost * whole) ** 2
+        d = np.maximum(d, FLOOR * d.max(axis=-1, keepdims=True))
+        rounding = 4 * (len(V) + 2) * EPS * d.max(axis=-1) * float(size(V)) ** 2
+        sides = np.repeat(d, [k, len(V) - k], axis=-1)
+        return np.asarray((V * sides[..., None, :]) @ V.T + rounding[..., None, None] * np.eye(len(V)))
 
 
 class Frame:
@@ -113,6 +154,7 @@ class Frame:
         self.bent, self.wrong_bend = bent + bent.T, 2 * float(size(bent))
         self.speed = float(np.linalg.norm(self.sizes + self.wrong)) * (1 + 1e-9)
         self.growth, self.skew = self.rates()
+        self.split = self.parted()
         self.known: dict[float, tuple[Array, Array, Array, Array]] = {}
         doubts = (self.wrong_A, self.wrong_S, self.start_band, self.wrong_rows, self.loose)
         if not (self.one > 0.5 and all(np.isfinite(doubt).all() for doubt in doubts)):
@@ -182,6 +224,30 @@ class Frame:
         remainder = np.linalg.solve(modes, self.A @ modes) - np.diag(poles)
         moved = float(np.linalg.norm(remainder)) + skew * lost
         return (max(float(poles.real.max()) + moved, 0.0), mu), skew * (1 + 1e-3)
+
+    def parted(self) -> Split | None:
+        """What is fast and decays apart from what is slow: covariances carried so know two speeds, not one."""
+        speeds, found = np.sort(np.abs(np.linalg.eigvals(self.A)))[::-1], []
+        for k in range(1, self.n):
+            if speeds[k] < speeds[k - 1] * (1 - APART):
+                basis = np.hstack([leading(self.A, k), apart(leading(self.A.T, k))])
+                found.append(self.split_by(basis, k))
+        best = min(found, key=lambda split: split.rate, default=None)
+        return best if best is not None and np.isfinite(best.rate) else None
+
+    def split_by(self, V: Array, k: int) -> Split:
+        """The split whose first k columns are fast, with the rate that it bears; infinity where there is none."""
+        X = np.linalg.pinv(V)
+        x, v, one = float(size(X)), float(size(V)), np.eye(self.n)
+        short = float(size(X @ V - one)) + 2 * self.n * EPS * x * v
+        if not short < 1e-3:
+            return Split(V, X, k, np.inf, np.inf)
+        B = X @ self.A @ V
+        rates = [float(np.linalg.eigvalsh(part + part.T)[-1]) / 2 for part in (B[:k, :k], B[k:, k:])]
+        coupled = float(size(B[:k, k:]) + size(B[k:, :k]))
+        wrong = x * v * ((4 * self.n * EPS + 2 * short) * float(size(self.A)) + float(size(self.wrong_A)))
+        rate = max(*rates, 0.0) + 1.01 * (coupled + wrong) / np.sqrt(FLOOR) + 8 * self.n * EPS * float(size(B))
+        return Split(V, X, k, rate, 2 * short * x + 2 * float(np.sqrt((self.n + 2) * EPS)) * x)
 
     # --- between samples ---
 
@@ -277,7 +343,14 @@ class Frame:
         near = np.expm1(np.minimum(2 * self.speed * step, 600)) * (1 + 1e-6)
         short = near < grown
         rest = np.where(short, near, grown) * total
-        return np.asarray(np.where(short, 1 + 1e-9, 0.0)[..., None, None] * N + rest[..., None, None] * self.I)
+        found = np.where(short, 1 + 1e-9, 0.0)[..., None, None] * N + rest[..., None, None] * self.I
+        if self.split is not None:
+            other = (
+                self.split.above(N) * np.exp(np.minimum(2 * self.split.rate * step, 600))[..., None, None] * (1 + 1e-6)
+            )
+            less = np.einsum("...ii->...", other) < np.einsum("...ii->...", found)
+            found = np.where(less[..., None, None], other, found)
+        return np.asarray(found)
 
     def covered(self, Y: Array, later: Array, step: Array, limit: float) -> Array:
         """A bound of the largest eigenvalue along the step from Y to `later`, `limit` being what it should keep.

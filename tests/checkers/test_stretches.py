@@ -110,6 +110,56 @@ def test_stiff_plants_are_decided_with_little_work(rate):
     assert verdict_of(false.to_dict(), Work(2e5)).verdict == "refuted"
 
 
+def stiff_chain(rate):
+    """A fast mode beside a chain of slow ones, which has no basis of eigenvectors, in coordinates that mix both."""
+    A = np.zeros((4, 4))
+    A[0, 0], A[1:, 1:] = -rate, -1e-3 * np.eye(3) + np.eye(3, k=1)
+    S = np.eye(4) + 0.4 * np.random.default_rng(3).standard_normal((4, 4))
+    C = np.array([[1.0, 1.0, 0.3, 0.2]])
+    return Plant(S @ A @ np.linalg.inv(S), C @ np.linalg.inv(S)), PeriodicSchedule([1.0, 0.6])
+
+
+def test_what_is_fast_does_not_set_the_steps_of_a_slow_chain(monkeypatch):
+    """Fast and slow are carried apart: a fraction of the work of bounds that know one speed for all states."""
+    plant, schedule = stiff_chain(200.0)
+    made = certify(plant, schedule, eta=0.3, P2=np.eye(4))
+    assert verdict_of(made.to_dict(), Work(8e4)).passed
+    monkeypatch.setattr(sampled.Windows, "parted", lambda self: None)
+    assert not verdict_of(made.to_dict(), Work(8e4)).passed
+
+
+@pytest.mark.parametrize("rate", [3.0, 30.0, 300.0])
+def test_carried_apart_a_matrix_stays_above_the_flow(rate):
+    """V D V' of both rooms lies above e^{As} N e^{A's} all along a step, and is far below one speed for all."""
+    plant, schedule = stiff_chain(rate)
+    weights = {"P1": np.eye(4) / 2, "P2": np.eye(4), "Qw": np.eye(4), "R": [[2.0]], "Qv": [[2.0]]}
+    file = grammar.certificate(Certificate.from_matrices(plant, schedule, **weights, eta=0.3, lam=2.0).to_dict())
+    problem = numbers.problem(file.plant, file.weights)
+    frame = sampled.Windows(problem, file.schedule, problem.P2, "Y <= I")
+    rng = np.random.default_rng(5)
+    for step in (0.01, 0.3, 1.0):
+        root = rng.standard_normal((4, 2))
+        N = root @ root.T
+        with precision():
+            flow = BallFlow(matrix(frame.A), matrix(frame.S))
+            in_balls = flow.split.above(matrix(N)) * (2 * flow.split.rate * ball(step)).exp()
+        above = frame.split.above(N) * np.exp(2 * frame.split.rate * step)
+        for found in (above, floats(in_balls)):
+            rooms = [found - expm(frame.A * s) @ N @ expm(frame.A.T * s) for s in np.linspace(0, step, 9)]
+            assert min(np.linalg.eigvalsh(room)[0] for room in rooms) >= 0
+            assert np.trace(found) < 2000 * np.trace(N)
+
+
+def test_a_run_with_more_noise_that_is_lost_ends_no_check():
+    """A mode that grows and that no output sees: no family closes, and still the window that fails is named."""
+    plant = Plant(np.diag([1.5, -1.0]), [[0.0, 1.0]], G=np.diag([1e-3, 1.0]))
+    weights = {"P1": 1e-9 * np.eye(2), "P2": np.eye(2), "Qw": np.eye(2), "R": [[2.0]], "Qv": [[2.0]]}
+    false = Certificate.from_matrices(plant, PeriodicSchedule([1.0]), **weights, eta=0.5, lam=1e9)
+    found = verdict_of(false.to_dict())
+    assert found.verdict == "refuted"
+    assert found.time is not None
+
+
 def test_a_window_that_rounding_hides_ends_the_search():
     """No finer cell of starts is without the worst window: where that one is tight, halving its cell is in vain."""
     still = Plant([[-0.25]], [[1.0]], G=[[0.0]])

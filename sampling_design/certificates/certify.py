@@ -54,6 +54,8 @@ HIGHER = 1 + 1e-6
 """By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
+BEYOND = float(np.log(1e16))
+"""ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
@@ -165,7 +167,7 @@ class _Proof:
         UndecidedError
             If the proof does not close, or not with the work that it may do.
         """
-        room, finer, efforts, handed = 1.0, 1, self.efforts, 0.0  # the last: what balls have left undecided
+        room, finer, efforts, handed = 1.0, 1, self.efforts, False  # the last: whether balls have left it undecided
         anywhere, at_samples = self.peaks
         beyond = self.long_run / max(at_samples.value, 1.0)
         far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
@@ -174,10 +176,10 @@ class _Proof:
             made = _made(self, (anywhere, at_samples), solver, room)
             plain, stands = replace(made, witness=None), replays
             verdict = verdict_of(plain.to_dict(), efforts.check())
-            higher = anywhere.value > handed * HIGHER and not efforts.balls.over
-            if verdict.verdict == "undecided" and room == in_balls and higher and find_spec("flint") is not None:
+            open_to_balls = room == in_balls and not (handed or efforts.balls.over)
+            if verdict.verdict == "undecided" and open_to_balls and find_spec("flint") is not None:
                 verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.check_in_balls()), replays_in_balls
-                handed = anywhere.value
+                handed = verdict.time is None  # a lambda that is hardly larger would not help
             if verdict.passed:  # a witness is true, but its replay may be lost in rounding
                 return made if stands(made.to_dict()) else plain
             if efforts.floats.over:
@@ -433,6 +435,8 @@ def _best_proven(
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
+    within = [choice for choice in choices if choice.value * choice.eta < BEYOND]
+    choices = within or choices
     stages: list[tuple[Efforts, Iterable[list[Choice]]]] = [
         (Efforts(), [[choice for choice in choices if not choice.spare]]),
         (Efforts(LATER), [[choice for choice in choices if choice.spare]]),

@@ -21,9 +21,12 @@ REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
 MAX_OPEN = 100_000  # open cells or steps at once
-PERIODS = 1000  # along one window, or until a family settles; a tenth where there is no family to fall below
+PERIODS = 1000  # along one window
+ALONE = 20  # along one that has no family to fall below: it proves nothing, but may fail
+SETTLING = 200  # until a family has settled: jumps bring it there, or nothing does
 SUSPECTS = 200  # windows at once in which a violation is looked for: those of the largest Y
 JUMP = 3  # periods that are followed until it is asked where their gains would settle: slow plants take no longer
+LOST = 1e6  # where the target is I: what comes here with more noise does not come back
 INFLATION = 1e-2  # noise added per sample, where the target is I, to find the family B_i; then less and less
 
 Target = tuple[Array, str]
@@ -154,7 +157,7 @@ class Windows(Frame):
             np.arange(m),
         )
         start, since = self.times[index] - high, high.copy()
-        for _ in range((PERIODS if family is not None else PERIODS // 10) * self.N):
+        for _ in range((PERIODS if family is not None else ALONE) * self.N):
             self.spend(3 * at.size)
             K, both = self.gain(Y, at), self.gain(U.mean(axis=0), at)
             U, (Y, left, lost), before = self.after(U, at, both)[0], self.after(Y, at, K), Y
@@ -227,7 +230,7 @@ class Windows(Frame):
         while inflation > 1e-12:
             inflation *= min(0.1, 0.3 / worst)
             Z, Y = np.zeros((N, self.n, self.n)), self.start
-            for turn in range(1, (PERIODS if self.schedule.periodic else 1) + 1):
+            for turn in range(1, (SETTLING if self.schedule.periodic else 1) + 1):
                 before, whole, added = Y, self.I, np.zeros_like(self.I)
                 self.spend(N * 8)
                 for i in range(N):
@@ -237,10 +240,15 @@ class Windows(Frame):
                     M, later = left @ once.F[i], after_it + inflation * self.I
                     whole, added = M @ whole, M @ added @ M.T + (later - M @ Y @ M.T)
                     Z[i] = Y = later
+                if not np.linalg.norm(Y) < LOST:
+                    break
                 if np.linalg.norm(Y - before) <= inflation / 2:  # then one period maps Z below itself
                     break
                 if turn % JUMP == 0:
                     Y = settled(whole, added, Y)
+            if not np.linalg.norm(Y) < LOST:  # less noise may still be borne
+                worst = np.float64(3.0)
+                continue
             worst = max(largest(Z).max(), largest(self.along(Z, once[after])[0]).max())
             for scale in (1 / worst) ** np.array([0.95, 0.8, 0.5, 0.2, 0.0]) if worst < 1 else ():
                 B = scale * Z

@@ -9,8 +9,8 @@ LOOK_WORK = 2e6
 what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 4e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 4e6, 2e6
-"""Likewise in balls, where nine states and four samples a period take 1.3e6; later ones may take as much each."""
+BALL_WORK, ONE_IN_BALLS = 2e6, 1.5e6
+"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds."""
 LATER = 0.5
 """Share of that for the spare choices, and for the round ones: what closes there closes soon."""
 
@@ -20,7 +20,7 @@ class Efforts:
 
     def __init__(self, share: float = 1.0) -> None:
         self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK)
-        self.balls, self.one = Work(max(share * BALL_WORK, ONE_IN_BALLS)), share * ONE_CHECK
+        self.balls, self.one = Work(share * BALL_WORK), share * ONE_CHECK
 
     def check(self) -> Work:
         """What the next check in floats may do."""

@@ -237,7 +237,7 @@ class Frame:
 
     def split_by(self, V: Array, k: int) -> Split:
         """The split whose first k columns are fast, with the rate that it bears; infinity where there is none."""
-        X = np.linalg.pinv(V)
+        X = np.asarray(np.linalg.pinv(V), dtype=np.float64)
         x, v, one = float(size(X)), float(size(V)), np.eye(self.n)
         short = float(size(X @ V - one)) + 2 * self.n * EPS * x * v
         if not short < 1e-3:

@@ -17,7 +17,7 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import LATER, LOOK_WORK, Efforts
+from sampling_design.certificates.exact.efforts import BEYOND, LATER, LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.exact.weight_choice import (
@@ -54,8 +54,6 @@ HIGHER = 1 + 1e-6
 """By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
 ATTEMPTS = 8
 """How often a window that the checker found may raise lambda before the proof is given up."""
-BEYOND = float(np.log(1e16))
-"""ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
@@ -435,16 +433,14 @@ def _best_proven(
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
-    within = [choice for choice in choices if choice.value * choice.eta < BEYOND]
-    choices = within or choices
+    choices = [choice for choice in choices if choice.value * choice.eta < BEYOND] or choices
     stages: list[tuple[Efforts, Iterable[list[Choice]]]] = [
         (Efforts(), [[choice for choice in choices if not choice.spare]]),
         (Efforts(LATER), [[choice for choice in choices if choice.spare]]),
     ]
     if choices:
         low = min(choice.eta for choice in choices)
-        rates = [low] if eta is not None else [low, low / 10]
-        stages.append((Efforts(LATER), round_choices(canon, rates, budget)))
+        stages.append((Efforts(LATER), round_choices(canon, [low, low / 10] if eta is None else [low], budget)))
     for efforts, groups in stages:
         for some in groups:
             try:

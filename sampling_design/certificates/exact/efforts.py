@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import log
+
 from sampling_design.checkers.work import Work
 
 LOOK_WORK = 2e6
@@ -14,6 +16,8 @@ BALL_WORK, ONE_IN_BALLS = 1.5e6, 1.2e6
 LATER = 0.7
 """Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of
 the first ones, or what takes much work would never be proven."""
+BEYOND = 16 * log(10)
+"""ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
 
 
 class Efforts:

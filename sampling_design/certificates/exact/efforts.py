@@ -11,7 +11,7 @@ LOOK_WORK = 2e6
 what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 4e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 1.5e6, 1.2e6
+BALL_WORK, ONE_IN_BALLS = 2e6, 1.5e6
 """Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds."""
 LATER = 0.7
 """Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of

@@ -140,9 +140,9 @@ class RasterWindow:
         many = int(self._w_at[-1] - self._w_at[0])
         if not motion.ball and many:
             spots = np.arange(many)
-            both = np.concatenate([spots, spots])
+            columns = np.concatenate([spots, spots]) + int(self._w_at[0])
             signs = np.repeat([1.0, -1.0], many)
-            rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), both + int(self._w_at[0]))
+            rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), columns)
         cones.append(("nonnegative", rows.count - start))
         if motion.ball and many:
             spots = np.arange(many)
@@ -194,7 +194,7 @@ class RasterWindow:
         n, K = self.motion.n, len(self.knots)
         usable = [x for _, (x, _, status) in self._known if status not in (INFEASIBLE, UNBOUNDED)]
         ends = np.array([x[(K - 1) * n : K * n] for x in usable]).reshape(-1, n)
-        return ends[np.isfinite(ends).all(axis=1)]
+        return np.asarray(ends[np.isfinite(ends).all(axis=1)], dtype=np.float64)
 
     def strongest(self, mu: Array) -> Flight | None:
         """The motion with the largest mu'z at the last knot."""

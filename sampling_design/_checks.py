@@ -273,6 +273,21 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
     return result
 
 
+def word(name: str, value: object, known: Iterable[str]) -> str:
+    """Return `value` if it is one of the known words.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not.
+    """
+    words = list(known)
+    if isinstance(value, str) and value in words:
+        return value
+    told = " or ".join(f'"{each}"' for each in words) if len(words) == 2 else f"one of {', '.join(words)}"
+    raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if isinstance(value, str) else described(value)}.")
+
+
 def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
     """Refuse a key that is not known, naming the nearest known one, or all where none is near.
 

@@ -21,6 +21,10 @@ def test_real_array_accepts_numbers_of_any_real_kind():
 
 
 REFUSED = [
+    (_checks.word, ("x", "c", ("a", "b")), '`x` must be "a" or "b", got \'c\''),
+    (_checks.word, ("x", "d", ("a", "b", "c")), "`x` must be one of a, b, c, got 'd'"),
+    (_checks.word, ("x", np.ones(2), {"a": 1, "b": 2}), "got ndarray"),
+    (_checks.word, ("x", {"a": 1}, ("a", "b")), "got dict"),
     (_checks.real_array, ("x", [[1, 2], [3]], 2), "`x` .*must be a rectangular array of numbers"),
     (_checks.real_array, ("x", None, 1), "`x` must hold real numbers, got None"),
     (_checks.real_array, ("x", ["a"], 1), "`x` must hold real numbers, got list"),

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, NamedTuple
 
+from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import Growing
 from sampling_design._units import SECONDS
@@ -238,9 +239,7 @@ def check_radii(radii: str) -> str:
     ArgumentError
         If there are none of that name.
     """
-    if not isinstance(radii, str) or radii not in RADII:
-        raise ArgumentError(f"`radii` must be one of {', '.join(RADII)}, got {radii!r}.")
-    return radii
+    return _checks.word("radii", radii, RADII)
 
 
 @door

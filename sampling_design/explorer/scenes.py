@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design.design.problem.requirement import OutputAccess, Requirement
-from sampling_design.errors import ArgumentError
 from sampling_design.explorer.bench import Bench
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, SensorTerms
 from sampling_design.plants.library import oscillator
@@ -120,6 +120,4 @@ def scene(name: str) -> Bench:
     ArgumentError
         If there is no such scene.
     """
-    if name not in SCENES:
-        raise ArgumentError(f"`name` must be one of {', '.join(SCENES)}, got {name!r}.")
-    return SCENES[name]()
+    return SCENES[_checks.word("name", name, SCENES)]()

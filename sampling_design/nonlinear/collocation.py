@@ -7,7 +7,6 @@ from typing import ClassVar
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
-from sampling_design.errors import ArgumentError
 
 BETWEEN = ("held", "linear")
 """What an input does between the times at which it is given."""
@@ -62,8 +61,7 @@ class Collocation(Record):
         object.__setattr__(self, "degree", _checks.whole("degree", self.degree, 1))
         if self.accuracy is not None:
             object.__setattr__(self, "accuracy", _checks.positive("accuracy", self.accuracy))
-        if not isinstance(self.inputs, str) or self.inputs not in BETWEEN:
-            raise ArgumentError(f'`inputs` must be "held" or "linear", got {self.inputs!r}.')
+        _checks.word("inputs", self.inputs, BETWEEN)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("degree", str(self.degree)), ("pieces", "M/60" if self.w_step is None else short(self.w_step))]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sampling_design.errors import ArgumentError
+from sampling_design import _checks
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
@@ -55,8 +55,7 @@ def van_der_pol(coordinates: str = "lienard", largest: float = 2.1, damping: flo
     ArgumentError
         If the coordinates are others.
     """
-    if coordinates not in ("lienard", "velocity"):
-        raise ArgumentError(f'`coordinates` must be "lienard" or "velocity", got {coordinates!r}.')
+    _checks.word("coordinates", coordinates, ("lienard", "velocity"))
     lienard = coordinates == "lienard"
 
     def dynamics(x: SX, u: SX, w: SX) -> list[SX]:

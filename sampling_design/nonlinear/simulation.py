@@ -82,8 +82,7 @@ def simulate(
     grid = _checks.increasing("times", times)
     controls = _per_time("u", u, grid.size, plant.n_inputs)
     noise = _per_time("w", w, grid.size, plant.n_disturbances)
-    if not isinstance(input_between, str) or input_between not in BETWEEN:
-        raise ArgumentError(f'`input_between` must be "held" or "linear", got {input_between!r}.')
+    _checks.word("input_between", input_between, BETWEEN)
     later = controls[1:] if input_between == "linear" else controls
     integrator = Integrator(plant, tolerance)
     states = np.empty((grid.size, plant.n_states))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from sampling_design import _checks
 from sampling_design._checks import known_keys
-from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
 
@@ -182,8 +182,7 @@ def constants_of(
     patient: bool, w_reading: Literal["per_second", "per_day"], changes: Mapping[str, float]
 ) -> tuple[dict[str, float], float]:
     """Values of the parameters, and seconds per unit of time of w."""
-    if w_reading not in ("per_second", "per_day"):
-        raise ArgumentError(f'`w_reading` must be "per_second" or "per_day", got {w_reading!r}.')
+    _checks.word("w_reading", w_reading, ("per_second", "per_day"))
     known_keys("the parameters of the model", changes, PARAMETERS)
     values = {key: parameter.value for key, parameter in PARAMETERS.items()}
     if patient:

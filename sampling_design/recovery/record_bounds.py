@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
-from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.bounds import Bound
 from sampling_design.recovery.gap_table import GapTable
@@ -159,8 +159,7 @@ def bounds_from_record(
     >>> round(found.factor, 6), found.verify()
     (0.5, True)
     """
-    if not isinstance(grow, str) or grow not in GROWS:
-        raise ArgumentError(f"`grow` must be one of {', '.join(map(repr, GROWS))}, got {grow!r}.")
+    _checks.word("grow", grow, GROWS)
     readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
     program = RecordProgram(readings)
     factor, enough, gains = program.least_multiple(GROWS[grow])

@@ -306,8 +306,7 @@ class PeriodicSchedule(_Sampled):
 
 
 def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
-    if closed not in ("both", "left", "right", "neither"):
-        raise ArgumentError(f'`closed` must be "both", "left", "right" or "neither", got {closed!r}.')
+    _checks.word("closed", closed, ("both", "left", "right", "neither"))
     low = times >= start if closed in ("both", "left") else times > start
     high = times <= stop if closed in ("both", "right") else times < stop
     return np.asarray(low & high)

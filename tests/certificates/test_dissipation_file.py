@@ -401,7 +401,7 @@ def test_who_needs_samples_is_told_that_there_are_none():
 def test_wrong_arguments_are_refused():
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
         DetectabilityCertificate("oscillator", [[1.0]], 1.0, 1.0, 1.0)
-    with pytest.raises(ArgumentError, match="`method` must be one of riccati, lmi, proof, given, got str 'sdp'"):
+    with pytest.raises(ArgumentError, match="`method` must be one of riccati, lmi, proof, given, got 'sdp'"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, method="sdp")
     with pytest.raises(ArgumentError, match="`margin` must not be negative"):
         DetectabilityCertificate(SCALAR, [[1.0]], 1.0, 1.0, 1.0, margin=-0.1)

@@ -464,7 +464,7 @@ def test_constraints_say_what_they_hold_and_refuse_what_they_cannot():
     assert "outer" in str(held)
     assert held.explain() == "Constraints on x, w."
     assert Constraints().explain() == "No constraints."
-    with pytest.raises(ArgumentError, match="`w_model` must be one of 'outer', 'constant', got 'zoh'"):
+    with pytest.raises(ArgumentError, match='`w_model` must be "outer" or "constant", got \'zoh\''):
         Constraints(w_model="zoh")
     with pytest.raises(ArgumentError, match=r"`engine` must be one of .* got ndarray"):
         Constraints(engine=np.eye(2))

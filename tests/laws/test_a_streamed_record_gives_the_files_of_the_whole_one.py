@@ -119,7 +119,7 @@ def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
             settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipsoids", "words"
         )
     assert list((tmp_path / "out").iterdir()) == []
-    with pytest.raises(ArgumentError, match="`radii` must be one of intervals, ellipsoids, got 'ellipses'"):
+    with pytest.raises(ArgumentError, match='`radii` must be "intervals" or "ellipsoids", got \'ellipses\''):
         following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipses", "")
 
 

@@ -115,7 +115,7 @@ def test_plain_data_is_exact():
         (lambda: Schedule([1.0]).in_unit("h"), "`time_unit` is missing"),
         (lambda: Schedule.from_gaps([-1.0]), r"`gaps` must not be negative, got gaps\[0\] = -1.0"),
         (lambda: Schedule.from_gaps([1.0, 0.0]), r"`gaps` must be positive, got gaps\[1\] = 0.0"),
-        (lambda: Schedule([1.0]).between(0.0, 1.0, "closed"), '`closed` must be "both", "left", "right" or "neither"'),
+        (lambda: Schedule([1.0]).between(0.0, 1.0, "closed"), "`closed` must be one of both, left, right, neither"),
         (lambda: Schedule([1.0]).between(0.0, np.nan), "`stop` must be finite, got nan"),
         (lambda: PeriodicSchedule([]), "`gaps` must not be empty"),
         (lambda: PeriodicSchedule([1e-9, 2e7]), "`gaps` must be told apart from zero beside the period"),

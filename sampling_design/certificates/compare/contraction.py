@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch
 from sampling_design.certificates.exact.certificate import Certificate
@@ -45,8 +46,7 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     ArgumentError
         If the cost is unknown.
     """
-    if cost not in ("certificate", "paper"):
-        raise ArgumentError(f'`cost` must be "certificate" or "paper", got {cost!r}.')
+    _checks.word("cost", cost, ("certificate", "paper"))
     problem = _problem(certificate, 2.0 if cost == "paper" else 1.0)
     ends = "both" if cost == "paper" else "right"
     seen = certificate.schedule.between(start, start + length, closed=ends).times

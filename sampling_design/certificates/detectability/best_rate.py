@@ -145,8 +145,7 @@ def certify_detectability(
 def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) -> None:
     if plant.n_states == 0:
         raise ArgumentError("`plant` must have at least one state: without states there is nothing to detect.")
-    if method not in ("riccati", "lmi"):
-        raise ArgumentError(f'`method` must be "riccati" or "lmi", got {method!r}.')
+    _checks.word("method", method, ("riccati", "lmi"))
     if (c_w is None) != (c_y is None):
         raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
 

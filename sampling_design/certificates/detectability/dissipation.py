@@ -87,8 +87,7 @@ class DetectabilityCertificate(Record):
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
-        if not isinstance(self.method, str) or self.method not in METHODS:
-            raise ArgumentError(f"`method` must be one of {', '.join(METHODS)}, got {_checks.described(self.method)}.")
+        _checks.word("method", self.method, METHODS)
         n, p = self.plant.n_states, self.plant.n_outputs
         object.__setattr__(self, "P", _checks.definite("P", self.P, n))
         for key in ("eta", "c_w", "c_y"):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._linalg import unit_diagonal
 from sampling_design._record import Record, short
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.errors import CertificateError
 from sampling_design.evidence import Claim
 from sampling_design.plants.plant import Plant
 
@@ -141,8 +141,7 @@ def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | No
     CertificateError
         If `length` is too short for the theorem.
     """
-    if theorem not in ("sharp", "paper"):
-        raise ArgumentError(f'`theorem` must be "sharp" or "paper", got {theorem!r}.')
+    _checks.word("theorem", theorem, ("sharp", "paper"))
     eta, P1, P2 = certificate.eta, certificate.P1, certificate.P2
     lam = certificate.lam_proven if theorem == "sharp" else certificate.lam_samples_proven
     factor = 1.0 if theorem == "sharp" else 2.0

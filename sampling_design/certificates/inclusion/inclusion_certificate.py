@@ -146,10 +146,9 @@ class InclusionCertificate(SampledCertificate):
         CertificateError
             If `length` is too short for the theorem.
         """
+        _checks.word("theorem", theorem, ("sharp", "arrival", "paper"))
         if theorem == "paper":
             return horizon_of(self, "paper", length)
-        if theorem not in ("sharp", "arrival"):
-            raise ArgumentError(f'`theorem` must be "sharp", "arrival" or "paper", got {theorem!r}.')
         lost = _TWO_TRAJECTORIES * (self.lam_proven if theorem == "sharp" else 1.0)
         minimum = float(np.log(lost)) / self.eta
         default = max(self.d_max, minimum + float(np.log(_CONTRACTION)) / self.eta)

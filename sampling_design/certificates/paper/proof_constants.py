@@ -199,8 +199,7 @@ def constants_from_proof(
     >>> round(proof.horizon, 1)
     44.3
     """
-    if variant not in _CHAINS:
-        raise ArgumentError(f'`variant` must be "paper" or "tightened", got {variant!r}.')
+    _checks.word("variant", variant, _CHAINS)
     if not plant.n_states:
         raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
     schedule = meet(plant, schedule)

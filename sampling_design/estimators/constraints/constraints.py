@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
-from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 
 SetLike: TypeAlias = "ConvexSet | tuple[npt.ArrayLike, npt.ArrayLike] | None"
@@ -64,9 +63,7 @@ class Constraints(Record):
         if self.check_spacing is not None:
             object.__setattr__(self, "check_spacing", _checks.positive("check_spacing", self.check_spacing))
         for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
-            if not isinstance(value, str) or value not in get_args(known):
-                words = ", ".join(map(repr, get_args(known)))
-                raise ArgumentError(f"`{key}` must be one of {words}, got {_checks.described(value)}.")
+            _checks.word(key, value, get_args(known))
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _said(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]

@@ -112,8 +112,7 @@ class OpenLoopEstimator(OnlineEstimator):
     ) -> None:
         if plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
-        if input_side not in ("right", "left"):
-            raise ArgumentError(f'`input_side` must be "right" or "left", got {input_side!r}.')
+        _checks.word("input_side", input_side, ("right", "left"))
         self.plant, self.weights, self.input_side = plant, weights, input_side
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift.of(self.table)

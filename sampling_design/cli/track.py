@@ -178,6 +178,11 @@ def _bounds(
     return NoiseBounds(w_bound=found["w_bound"], v_bound=found["v_bound"], initial_error=found["initial_error"])
 
 
+FAMILY_STATES = 8
+"""Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with
+their sixth power, two seconds for six, minutes for eleven."""
+
+
 def _from_gaps(
     settings: Settings,
     plant: sd.Plant,
@@ -196,7 +201,8 @@ def _from_gaps(
     seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
     rate = _rate(settings, plant, eta, longest)
     chosen: Tree = {"eta": rate, "progress": progress, **_weights(plant, rate, bounds)}
-    if np.isfinite(record.y[measured]).all():
+    asked = plant.n_states <= FAMILY_STATES
+    if asked and np.isfinite(record.y[measured]).all():
         family = sd.GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
             return sd.certify(plant, family, **chosen), f"Guarantee for all schedules with {seen}."
@@ -210,7 +216,10 @@ def _from_gaps(
         certificate = sd.certify(plant, own, **chosen)
     except (MathematicsError, SolverError) as error:
         return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
-    return certificate, f"Guarantee for the file's own times only, certified to its last time ({seen})."
+    words = f"Guarantee for the file's own times only, certified to its last time ({seen})."
+    if not asked:
+        words += f" For all schedules with such gaps ask `certify --gap-range`: {plant.n_states} states take it long."
+    return certificate, words
 
 
 def _estimator(

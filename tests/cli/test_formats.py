@@ -13,7 +13,6 @@ from sampling_design.planning.requirement_file import requirement_and_plant
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)
-SATELLITE = EXAMPLES / "plants" / "satellite.toml"
 COMMANDS = {
     "info": (OSCILLATOR,),
     "plan": (EXAMPLES / "plans" / "oscillator.toml",),
@@ -27,7 +26,7 @@ COMMANDS = {
     "verify": ("certificate.json",),
     "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
     "survive": (OSCILLATOR, "certificate.json"),
-    "estimate": (SATELLITE, EXAMPLES / "data" / "satellite.csv", "--horizon", 3000),
+    "estimate": (OSCILLATOR, "readings.csv", "--horizon", 3),
     "validate": (OSCILLATOR, "schedule.csv", "--runs", 3),
     "log": (OSCILLATOR, "schedule.csv", "readings.csv"),
 }

@@ -304,3 +304,14 @@ def test_a_plant_without_inputs_can_be_followed(shell, tmp_path):
     sd.write_plant(sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["level"]), path)
     (tmp_path / "data.csv").write_text("time,level\n" + "".join(f"{t},{float(np.cos(t))!r}\n" for t in TIMES))
     assert shell("estimate", path, tmp_path / "data.csv").code == 0
+
+
+def test_a_family_is_not_sought_in_passing_for_many_states(shell, tmp_path, monkeypatch):
+    """The oscillator counts as large here; of eleven states the search took minutes and gigabytes."""
+    monkeypatch.setattr("sampling_design.cli.track.FAMILY_STATES", 1)
+    readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])
+    result = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
+    assert result.code == 0, result.err
+    told = " ".join(result.err.split())
+    assert "Guarantee for the file's own times only" in told
+    assert "ask `certify --gap-range`: 2 states take it long" in told

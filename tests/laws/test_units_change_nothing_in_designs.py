@@ -24,9 +24,9 @@ CASES = {
         {
             "window": 6.0,
             "spacing": 0.3,
-            "samples": 4,
+            "samples": 3,
             "outputs": {"y1": {"cost": 1.0}, "y2": {"cost": 2.0}},
-            "cost_limit": 9.0,
+            "cost_limit": 8.0,
         },
     ),
     "impossible": (PAIR, {"window": 6.0, "spacing": 0.3, "samples": 1}),

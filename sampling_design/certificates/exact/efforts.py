@@ -11,8 +11,9 @@ LOOK_WORK = 2e6
 what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 4e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 2e6, 1.5e6
-"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds."""
+BALL_WORK, ONE_IN_BALLS = 4e6, 2e6
+"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds; later
+ones may take as much each."""
 LATER = 0.7
 """Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of
 the first ones, or what takes much work would never be proven."""
@@ -25,7 +26,7 @@ class Efforts:
 
     def __init__(self, share: float = 1.0) -> None:
         self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK)
-        self.balls, self.one = Work(share * BALL_WORK), ONE_CHECK
+        self.balls, self.one = Work(max(share * BALL_WORK, ONE_IN_BALLS)), ONE_CHECK
 
     def check(self) -> Work:
         """What the next check in floats may do."""

@@ -12,8 +12,8 @@ what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 4e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
 BALL_WORK, ONE_IN_BALLS = 4e6, 2e6
-"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds; later
-ones may take as much each."""
+"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds;
+later ones may take as much each."""
 LATER = 0.7
 """Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of
 the first ones, or what takes much work would never be proven."""

@@ -141,7 +141,7 @@ def test_no_proof_is_tried_twice(beyond, monkeypatch):
 
     def balls(data, budget, work):
         handed.append(data["lam"])
-        assert work.left == min(efforts.LATER * efforts.BALL_WORK, efforts.ONE_IN_BALLS)
+        assert work.left == efforts.ONE_IN_BALLS
         return still_open
 
     oscillator, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])

@@ -39,6 +39,10 @@ from sampling_design.validation.report import ValidationReport
 GAPS_IN_HORIZON = 10
 """Longest gaps in the horizon of an estimator that has no certificate."""
 
+FAMILY_STATES = 8
+"""Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with
+their sixth power, two seconds for six, minutes for eleven."""
+
 MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
 Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
 WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
@@ -176,11 +180,6 @@ def _bounds(
             settings.notice(f"{flag} not given: the plant's scales {short(signals.scales)} are used.")
         found[name] = signals.scales if given is None else given
     return NoiseBounds(w_bound=found["w_bound"], v_bound=found["v_bound"], initial_error=found["initial_error"])
-
-
-FAMILY_STATES = 8
-"""Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with
-their sixth power, two seconds for six, minutes for eleven."""
 
 
 def _from_gaps(

@@ -19,13 +19,11 @@ from sampling_design.cli.settings import Settings, record_table, save_picture, t
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.files import save_plan
+from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sheet import write_form, write_sheet
 from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
-
-WEEK = 7 * 1440
-"""Minutes after which a weekday alone is no date."""
 
 
 def plan(
@@ -168,7 +166,7 @@ def _times(result: Plan) -> Table:
     """The samples of one period."""
     calendar, unit = result.requirement.calendar, result.plant.time_unit
     rows, names = [], result.plant.outputs.names
-    form = "%a %H:%M" if result.minutes(result.schedule.period) <= WEEK else "%a %d %b %H:%M"
+    form = "%a %H:%M" if result.minutes(result.schedule.period) <= WEEK * 1440 else "%a %d %b %H:%M"
     for t, mask in zip(result.schedule.times, result.chosen[result.chosen.any(axis=1)], strict=True):
         when = f"{t:.6g}" if calendar is None else f"{calendar.local(result.minutes(float(t))):{form}}"
         rows.append([when, ", ".join(name for name, m in zip(names, mask, strict=True) if m)])

@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
@@ -22,9 +23,6 @@ Mask = npt.NDArray[np.bool_]
 
 NEAR = 0.998
 """A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
-
-WEEK = 7
-"""Days after which a weekday alone is no date."""
 
 TRIES = 12
 """Times proven, each a step of the raster earlier than the one before, until one is."""

@@ -15,6 +15,9 @@ from sampling_design.schedules.time_stamps import parse_date, time_zone
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+WEEK = len(DAYS)
+"""Days after which a weekday alone is no date."""
+
 _CLOCK = re.compile(r"([01]\d|2[0-3]):([0-5]\d)|24:00", re.ASCII)
 ALWAYS: WeekHours = dict.fromkeys(DAYS, (("00:00", "24:00"),))
 

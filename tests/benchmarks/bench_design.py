@@ -24,12 +24,14 @@ def once(benchmark, function):
 
 def test_satellite_12_samples(benchmark):
     requirement = Requirement(window=5554.0, period=5554.0, spacing=60.0, samples=12)
-    assert once(benchmark, lambda: design_schedule(library.satellite(), requirement)).sigma > 1.05
+    assert once(benchmark, lambda: design_schedule(library.satellite(), requirement)).sigma > 0.9
 
 
 def test_tidal_gauge_30_samples(benchmark):
     requirement = Requirement(window=720.0, period=720.0, spacing=5.0, samples=30, forbidden=daylight(30))
-    assert once(benchmark, lambda: design_schedule(library.tidal_gauge(), requirement, starts=3)).gap < 0.15
+    design = once(benchmark, lambda: design_schedule(library.tidal_gauge(), requirement, starts=3))
+    assert design.sigma > 0.084
+    assert design.gap < 0.12
 
 
 def oscillators(n):

@@ -19,6 +19,7 @@ from sampling_design.estimators.estimate_file import (
     EstimateColumns,
     EstimateTable,
     WrittenNumbers,
+    as_written,
     check_radii,
     numbers_of,
 )
@@ -52,7 +53,7 @@ def followed(
         if len(record) > CLOSELY and not estimator.radius_note:
             settings.notice(f"--radii not given: of {len(record)} rows the radii are those of ellipsoids.")
     kind, plant, folder = check_radii(radii), estimator.plant, settings.folder()
-    picture = None if folder is None else _picture(estimator, record, start)
+    picture = None if folder is None else _picture(estimator, record, start, kind == "centred")
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
         rows = EstimateTable(plant, folder / "estimates.csv", origin=origin, radii=kind) if folder else None
@@ -62,7 +63,7 @@ def followed(
                 open_files.enter_context(each)
         tally, last = Tally(plant.time_unit), None
         with settings.progress("estimate") as progress:
-            for estimate in _told(_each(estimator, record, picture), len(record), progress):
+            for estimate in _told(_each(estimator, record, picture, kind), len(record), progress):
                 last, t = estimate, estimate.t + start
                 tally.add(t, estimate)
                 if rows is not None or columns is not None:  # always where there is a picture
@@ -118,23 +119,25 @@ class _Extremes:
         """Nothing: radii are taken where they are written."""
 
 
-def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float) -> Following | _Extremes:
+def _picture(
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float, centred: bool
+) -> Following | _Extremes:
     if len(record) <= CLOSELY:
-        return Following(estimator)
+        return Following(estimator, centred=centred)
     first, last = float(record.times.min()) + start, float(record.times.max()) + start
     return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))
 
 
 def _each(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: Following | _Extremes | None
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: Following | _Extremes | None, kind: str
 ) -> Iterator[Estimate]:
-    """Estimates at every row."""
+    """Estimates at every row, as they stand beside radii of a kind."""
     for k, (t, y, u) in enumerate(record):
         if k % AHEAD == 0:
             estimator.expect(record.times[k : k + AHEAD])
         if picture is not None:
             picture.before(t)
-        estimate = estimator.update(t, y, u)
+        estimate = as_written(estimator.update(t, y, u), kind)
         if picture is not None:
             picture.after(t, estimate)
         yield estimate
@@ -150,7 +153,7 @@ def _told(estimates: Iterator[Estimate], count: int, progress: Progress) -> Iter
 
 
 def _own_radii(estimate: Estimate, kind: str) -> Array:
-    return estimate.radii if kind == "intervals" else estimate.ellipsoid_radii
+    return estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii
 
 
 def _last(plant: sd.Plant, estimate: Estimate, start: float, kind: str) -> RichTable:

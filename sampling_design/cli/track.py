@@ -77,7 +77,8 @@ def estimate(
     radii: Annotated[
         str | None,
         typer.Option(
-            help="intervals: as narrow as data and bounds allow; ellipsoids: wider, a hundred times faster. Default: "
+            help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
+            "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
             f"intervals up to {CLOSELY} rows, ellipsoids beyond."
         ),
     ] = None,

@@ -34,7 +34,7 @@ PIECE = 1 << 20
 TOGETHER = 512
 """Rows of columns that are written at a time."""
 
-RADII = ("intervals", "ellipsoids")
+RADII = ("intervals", "centred", "ellipsoids")
 
 
 class EstimateTable:
@@ -46,9 +46,9 @@ class EstimateTable:
     path : path
     origin : str, optional
         Date (ISO 8601) of time 0: then a column `date` comes first, to the microsecond.
-    radii : "intervals" or "ellipsoids"
-        Distance to the far end of the proven interval of each state, or half-widths of the ellipsoid, which cost
-        nothing.
+    radii : "intervals", "centred" or "ellipsoids"
+        Distance to the far end of the proven interval of each state; the same from the middle of the interval, which is
+        written for the estimate; or half-widths of the ellipsoid, which cost nothing.
 
     Examples
     --------
@@ -97,7 +97,8 @@ class EstimateTable:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add a row; `t` is the time that it gets, where that is not the estimate's own."""
-        self.put(estimate, numbers_of(estimate, self.radii, t))
+        written = as_written(estimate, self.radii)
+        self.put(written, numbers_of(written, self.radii, t))
 
     def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
         """Add a row of numbers that are texts already."""
@@ -141,7 +142,8 @@ class EstimateColumns:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add what is said of one estimate."""
-        self.put(estimate, numbers_of(estimate, self.radii, t))
+        written = as_written(estimate, self.radii)
+        self.put(written, numbers_of(written, self.radii, t))
 
     def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
         """Add what is said of one estimate, whose numbers are texts already."""
@@ -207,11 +209,16 @@ class WrittenNumbers(NamedTuple):
     cost: str
 
 
+def as_written(estimate: Estimate, kind: str) -> Estimate:
+    """Return the estimate that stands beside radii of a kind (`RADII`): itself, or moved into its interval's middle."""
+    return estimate.centred() if kind == "centred" else estimate
+
+
 def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> WrittenNumbers:
     """Return the numbers of an estimate, with radii of a kind (`RADII`), at its own time or another."""
     time = float(estimate.t if t is None else t)
     size, variances = estimate.radius, estimate.covariance.diagonal().tolist()
-    if kind == "intervals":
+    if kind != "ellipsoids":
         around = estimate.radii.tolist()
     elif math.isfinite(size) and size >= 0:  # as `ellipsoid_radii`, without its arrays
         size = math.sqrt(size)

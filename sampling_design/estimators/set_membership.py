@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -12,7 +10,7 @@ from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.kalman import KalmanFilter
-from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimate import Estimate, changed
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import State
 from sampling_design.plants.plant import Plant
@@ -97,4 +95,4 @@ class SetMembershipEstimator(KalmanFilter):
         if filtered.status == "prior":
             return filtered
         moved = filtered.centred()
-        return replace(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)
+        return changed(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)

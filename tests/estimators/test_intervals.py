@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.evidence import Evidence
 from sampling_design.recovery.interval import interval, prove
 from sampling_design.recovery.readings import Push, Row, StartError, gathered
 from sampling_design.recovery.record_program import RecordProgram
@@ -188,6 +189,29 @@ def test_an_estimate_moves_into_the_middle_of_its_interval(seed):
         assert moved.note == "Moved into the middle of what the data prove."
     record = sd.EstimateRecord.collect(plant, found)
     assert np.array_equal(record.centred().x, [estimate.centred().x for estimate in found])
+
+
+def test_programs_are_solved_once_for_radii_interval_and_middle(monkeypatch):
+    asked, own = [], Evidence.interval
+
+    def counted(evidence, *given):
+        asked.append(given)
+        return own(evidence, *given)
+
+    monkeypatch.setattr(Evidence, "interval", counted)
+    bounds = {"w_bound": 0.1, "v_bound": 0.3, "initial_error": 2.0}
+    kalman = sd.KalmanFilter(sd.Plant([[0.0]], [[1.0]]), **bounds)
+    first, later = kalman.update(0.0, [1.0]), kalman.update(1.0, [1.5])
+    for found in (later, later.centred(), later.centred().centred()):
+        assert np.array_equal(found.radii, later.interval().radii_from(found.x))
+    assert len(asked) == 1
+    assert not np.array_equal(first.radii, later.radii)
+    assert len(asked) == 2
+    later.interval([[2.0]])
+    assert len(asked) == 3
+    walk = sd.SetMembershipEstimator(sd.Plant([[0.0]], [[1.0]]), **bounds)
+    assert np.all(walk.update(0.0, [1.0]).radii > 0)
+    assert len(asked) == 4
 
 
 def test_what_cannot_be_moved_says_why():

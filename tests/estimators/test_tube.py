@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.tube import joined
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -42,3 +43,23 @@ def test_contradicting_data_have_no_tube():
     assert np.isnan(tube.upper).all()
     assert joined([]) is None
     assert joined([tube, tube]).times.tolist() == [1.0, 2.0, 1.0, 2.0]
+
+
+def test_a_centred_curve_is_the_middle_of_its_tube():
+    """From the middle of the interval at a sample on; where nothing is bounded it is the estimator's."""
+
+    def followed(estimator):
+        following = Following(estimator, points=3, centred=True)
+        for t, y in ((0.8, [0.6]), (2.1, [0.7])):
+            following.before(t)
+            following.after(t, estimator.update(t, y).centred())
+        return following.curve(sd.Measurements(PLANT, [0.8, 2.1], [[0.6], [0.7]]))
+
+    curve = followed(sd.KalmanFilter(PLANT, **GIVEN))
+    middle, x = curve.tube.middle, curve.estimates.x
+    assert np.array_equal(x[5:8], middle[5:])
+    assert np.allclose(x[4], middle[4], atol=0.05 * curve.estimates.radii[4])
+    assert not np.allclose(x[5:8], [sd.KalmanFilter(PLANT, **GIVEN).predict(t).x for t in curve.tube.times[5:]])
+    free = followed(sd.KalmanFilter(PLANT, w_bound=0.05, v_bound=0.2))
+    assert np.isinf(free.tube.upper[:4]).all()
+    assert np.array_equal(free.estimates.x[:4], np.zeros((4, 2)))

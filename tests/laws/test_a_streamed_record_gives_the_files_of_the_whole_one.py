@@ -83,7 +83,7 @@ def test_blocks_are_read_as_single_rows_are(tmp_path, monkeypatch, seed):
         assert read(path, monkeypatch, 7, plain=True) == read(path, monkeypatch, 10_000, plain=False)
 
 
-@pytest.mark.parametrize("radii", ["intervals", "ellipsoids"])
+@pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
 def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypatch, capsys, radii):
     monkeypatch.setattr(following, "CLOSELY", 5)
     path = drawn_file(np.random.default_rng(3), tmp_path / "y.csv", rows=12, awkward=False)
@@ -94,6 +94,8 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
         return sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
 
     whole = estimator().run(record)
+    if radii == "centred":
+        whole = whole.centred()
     moved = sd.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
     object.__setattr__(moved, "times", whole.times + start)
     if radii == "ellipsoids":
@@ -119,7 +121,7 @@ def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
             settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipsoids", "words"
         )
     assert list((tmp_path / "out").iterdir()) == []
-    with pytest.raises(ArgumentError, match='`radii` must be "intervals" or "ellipsoids", got \'ellipses\''):
+    with pytest.raises(ArgumentError, match="`radii` must be one of intervals, centred, ellipsoids, got 'ellipses'"):
         following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipses", "")
 
 

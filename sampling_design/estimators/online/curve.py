@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._checks import freeze
@@ -14,6 +15,8 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.estimators.online.tube import Tube, joined
 from sampling_design.estimators.records.measurements import Measurements
+
+Array = npt.NDArray[np.float64]
 
 POINTS_PER_GAP = 12
 """Points of the open loop between two samples."""
@@ -48,10 +51,13 @@ class EstimateCurve(Record):
 
 
 class Following:
-    """Collects a curve while an estimator goes along a record: `before` each sample, then `after` its estimate."""
+    """Collects a curve while an estimator goes along a record: `before` each sample, then `after` its estimate.
 
-    def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP):
-        self.estimator, self.count = estimator, points
+    `centred`: the curve is the middle of the tube, which goes with estimates that are in the middle of their intervals.
+    """
+
+    def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP, centred: bool = False):
+        self.estimator, self.count, self.centred = estimator, points, centred
         self.points, self.tubes, self.last = [estimator.predict(0.0)], list[Tube](), 0.0
 
     def before(self, t: float) -> None:
@@ -60,7 +66,10 @@ class Following:
             times = np.linspace(self.last, t, self.count + 1)
             ahead = [self.estimator.predict(s) for s in times]
             if ahead[0].proof is not None:
-                self.tubes.append(ahead[0].proof.tube(times, np.array([each.x for each in ahead])))
+                tube = ahead[0].proof.tube(times, np.array([each.x for each in ahead]))
+                self.tubes.append(tube)
+                if self.centred:
+                    ahead = [_moved(each, x) for each, x in zip(ahead, tube.middle, strict=True)]
             self.points += ahead[1:]
 
     def after(self, t: float, estimate: Estimate) -> None:
@@ -77,6 +86,11 @@ class Following:
             found = replace(found, times=freeze(found.times + start))
             tube = None if tube is None else replace(tube, times=tube.times + start)
         return EstimateCurve(found, tube, measurements)
+
+
+def _moved(estimate: Estimate, x: Array) -> Estimate:
+    """The estimate at x where that is known."""
+    return replace(estimate, x=freeze(np.where(np.isfinite(x), x, estimate.x)))
 
 
 @door

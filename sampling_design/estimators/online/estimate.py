@@ -147,6 +147,14 @@ class Estimate(Record):
         ArgumentError
             If the estimator was given no bound on w or on v.
         """
+        return self._of_states if of is None else self._proven(of)
+
+    @cached_property
+    def _of_states(self) -> Interval:
+        """The interval of the states: `radii` and `centred` need it, too."""
+        return self._proven(None)
+
+    def _proven(self, of: Wanted) -> Interval:
         if self.proof is None:
             raise ArgumentError(
                 "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
@@ -172,7 +180,7 @@ class Estimate(Record):
         """
         found = self.interval()
         if found.disproof is not None:
-            return replace(
+            return changed(
                 self,
                 status="bounds disproved",
                 radius=np.nan,
@@ -183,9 +191,9 @@ class Estimate(Record):
         known = np.isfinite(found.lower) & np.isfinite(found.upper)
         if not known.all():
             x = freeze(np.where(known, found.centre, self.x))
-            return replace(self, x=x, radius=np.inf, certified=False, on_schedule=False)
+            return changed(self, x=x, radius=np.inf, certified=False, on_schedule=False)
         box = freeze(np.diag(found.radii**2) * len(found.radii))
-        return replace(self, x=found.centre, covariance=box, radius=1.0, certified=True, on_schedule=False, note=MOVED)
+        return changed(self, x=found.centre, covariance=box, radius=1.0, certified=True, on_schedule=False, note=MOVED)
 
     @cached_property
     def Pi(self) -> Array:
@@ -278,7 +286,15 @@ def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
     """Return an estimate with what its interval is proven from."""
     found = object.__new__(Estimate)
     found.__dict__.update(estimate.__dict__, proof=proof)
-    found.__dict__.pop("radii", None)
+    for kept in ("radii", "_of_states"):
+        found.__dict__.pop(kept, None)
+    return found
+
+
+def changed(estimate: Estimate, **entries: object) -> Estimate:
+    """Return an estimate with other entries, but made from the same samples: the states' interval is what it was."""
+    found = replace(estimate, **entries)  # type: ignore[arg-type]  # each as its field says
+    found.__dict__.update({key: value for key, value in vars(estimate).items() if key == "_of_states"})
     return found
 
 

@@ -39,6 +39,12 @@ class Tube:
     lower: Array
     upper: Array
 
+    @property
+    def middle(self) -> Array:
+        """Halfway between the ends (N, n); not finite where they are not."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray((self.lower + self.upper) / 2)
+
 
 def open_tube(program: RecordProgram, times: Array, x: Array) -> Tube:
     """Return the tube over increasing times, as `_opened`; infinite where a flow overflows."""

@@ -10,7 +10,8 @@ Every other number is kept with a bound of its error, and integrals of norms lie
 its chord plus (s - a)(b - s)/2 sup|p''|.
 
 Nothing is known of a start without a root: then g(s) must be 0. Gains near those of the file make it so; by how much
-more they may cost is added. What is read as a mean is a row of a longer state: x and its integral, 0 at `since`.
+more they may cost is added. A state that drives neither a wanted row nor a reading has g = 0 whatever the gains. What
+is read as a mean is a row of a longer state: x and its integral, 0 at `since`.
 """
 
 import math
@@ -162,6 +163,7 @@ class Backward:
         g, zero = np.zeros((len(self.A), count + extra)), np.zeros(count + extra)
         g[:n, :count] = (targets * self.d[:n]).T
         columns = Columns(*long(g), *(zero.copy() for _ in range(5)))
+        self.touched = self.driving(g.any(axis=1))
         every = np.vstack([gains, -np.eye(R)[:extra]])
         at = R
         self.fly(columns, c.times[-1], c.t)
@@ -195,6 +197,15 @@ class Backward:
             else:
                 squares += (gain * one.size) ** 2
         columns.noise += np.sqrt(squares) * LOOSE
+
+    def driving(self, wanted: Array) -> Array:
+        """Which entries of the costates may differ from 0: of states that drive what is wanted or read."""
+        found, size = wanted.copy(), self.c.plant.n
+        for one in (one for some in self.c.readings for one in some):
+            found[:size] |= one.row != 0
+        while not np.array_equal(more := found | (self.A[found] != 0).any(axis=0), found):
+            found = more
+        return found
 
     def questions(self, gain: Array) -> int:
         """How many of the columns are questions, the others being single rows."""
@@ -300,9 +311,10 @@ class Backward:
 
     def closed(self, columns: Columns, shown: Array, doubt: Array, count: int) -> Found:
         """Change the gains a little, so that nothing of the start is left: the single rows say what that may cost."""
-        n = self.c.plant.n
-        rows, wrong = columns.g[:n, count:], columns.wrong[:n, count:]
-        rest, off = columns.g[:n, :count], columns.wrong[:n, :count]
+        at = np.flatnonzero(self.touched[: self.c.plant.n])
+        n = len(at)
+        rows, wrong = columns.g[at, count:], columns.wrong[:, count:][at]
+        rest, off = columns.g[at, :count], columns.wrong[:, :count][at]
         if not (rest.any() or off.any()):
             return self.found(columns, shown, doubt, np.zeros(count))
         usable = np.array([not one.below for some in self.c.readings for one in some], dtype=bool)

@@ -39,6 +39,13 @@ HELD = 1e-13
 NOTHING = 1e-10
 """A rest below this share of the gains' terms counts as none where the start is free: rounding."""
 
+UNSEEN = 1e-11
+"""A direction of a free start of which rows show less than this, each in units of what it shows most, is not seen: what
+rounding makes of a mode that no output sees. An end that is infinite for it is no false claim."""
+
+UNKNOWN = 1e-6
+"""Share of a target, run back to a free start, in directions that are not seen, from which on it is unbounded."""
+
 LEAST = 1e-12
 """Eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates."""
 
@@ -331,6 +338,27 @@ class RecordProgram:
             return np.zeros_like(rows), self.L
         return np.asarray(np.linalg.pinv(rows.T, rcond=HELD) / self.unit[:, None]), self.L
 
+    @cached_property
+    def _unseen(self) -> Array:
+        """(n, m) directions of the start that no row shows."""
+        flow, seen = np.eye(len(self.table.D)), []
+        for k, (a, b) in enumerate(zip(self.readings.offsets[:-1], self.readings.offsets[1:], strict=True)):
+            flow = self.F[k - 1] @ flow if k else flow
+            seen.append(self.H[a:b] @ flow)
+        rows = np.vstack(seen)
+        size = np.linalg.norm(rows, axis=1)
+        if not np.isfinite(size).all():
+            return np.zeros((len(flow), 0))
+        values, right = np.linalg.svd(rows[size > 0] / size[size > 0, None])[1:]
+        return np.asarray(right[np.count_nonzero(values > UNSEEN) :].T)
+
+    def _open(self, c: Array) -> bool:
+        """Whether a target holds something of a free start that no gains can take away."""
+        if not self._unseen.size:
+            return False
+        begun = self._costates(c, np.zeros(len(self.H)))[1]
+        return bool(np.linalg.norm(begun @ self._unseen) > UNKNOWN * np.linalg.norm(begun))
+
     def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
         """(K-1, n) costates just after each gap, and the rest at the start."""
         steps = self._per_time(self.H * gains[:, None])
@@ -376,7 +404,8 @@ class RecordProgram:
         if read.start.root is not None:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
         else:
-            start = 0.0 if np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains) else np.inf
+            closed = np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains) and not self._open(c)
+            start = 0.0 if closed else np.inf
         return Budget(float(gains @ read.shown), start, w, self._noise(gains))
 
     def _noise(self, gains: Array) -> float:

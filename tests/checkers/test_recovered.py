@@ -332,6 +332,25 @@ def test_the_first_sample_alone_proves_what_it_shows(plant):
         proven(data)
 
 
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_a_part_that_no_reading_shows_leaves_the_others_proven(size):
+    """What drives nothing that is read or wanted has no gains' rest; let it drive a reading, and nothing is proven."""
+    A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.5 * size, 0.0, -0.3]])
+    plant, rng = sd.Plant(A, [[1.0, 0.0, 0.0]], G=np.diag([1.0, 1.0, size])), np.random.default_rng(0)
+    record = [(1.7e9 + t, [np.sin(t) + rng.uniform(-0.1, 0.1)], None) for t in np.cumsum(rng.uniform(0.4, 1.2, 9))]
+    found = interval(plant, record, w_bound=0.05, v_bound=0.2)
+    assert np.isfinite(found.radii).tolist() == [True, True, False]
+    data = found._sealed()
+    assert check(data)["verdict"] == "proven"
+    data["plant"]["matrices"]["A"][0][2] = 1e-9 / size
+    with pytest.raises(Undecided, match="rounding is as large as what is left"):
+        proven(data)
+    data["plant"]["matrices"]["A"][0][2] = 0.0
+    data["upper"][1] -= found.radii[1] / 2
+    with pytest.raises(Refused, match="the gains prove the upper end of row 1 only up to"):
+        proven(data)
+
+
 def test_three_samples_of_four_states_prove_the_one_that_is_read():
     found, truth = adversarial_run("helicopter_he1", 2001)
     assert found.holds(truth)

@@ -160,3 +160,20 @@ def test_exact_readings_say_that_the_program_is_degenerate():
 def test_one_zero_state_plant_of_no_dynamics_has_its_mode_named():
     found = interval(sd.Plant([[0.0]], [[0.0]]), [(0.0, [0.05], None)], w_bound=0.1, v_bound=0.1)
     assert "nothing that was read shows 0" in found.explain()
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["apart", "in other coordinates"])
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_a_mode_that_nothing_shows_is_unbounded_in_all_units(size, turned):
+    """A solver's last digits are no proof: gains of 1e18 would leave of it a share that looks like rounding."""
+    A, C = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.5, 0.0, -0.3]]), np.array([[1.0, 0.0, 0.0]])
+    T = np.array([[1.0, 2.0, 0.3], [0.0, 1.0, 0.5], [0.2, 0.1, 1.0]]) if turned else np.eye(3)
+    T = np.diag([1.0, 1.0, size]) @ T
+    back = np.linalg.inv(T)
+    plant, rng = sd.Plant(T @ A @ back, C @ back, G=T), np.random.default_rng(0)
+    record = [(1.7e9 + t, [np.sin(t) + rng.uniform(-0.1, 0.1)], None) for t in np.cumsum(rng.uniform(0.4, 1.2, 9))]
+    found = interval(plant, record, w_bound=0.05, v_bound=0.2, of=back)
+    assert np.isinf(found.lower[2])
+    assert np.isinf(found.upper[2])
+    assert np.all(found.radii[:2] < 1.0)
+    assert found.verify()

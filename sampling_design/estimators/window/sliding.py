@@ -41,6 +41,14 @@ CANCELLED = 1e-4
 LARGEST = 1e150
 """Residuals beyond this, in units of their weights, are not weighed here: their squares overflow in sums."""
 
+SETTLED = 1e-2
+"""Share of the reference's cost below which the least cost is found with fewer digits, so that nodes to come take their
+estimates for references: nearer to the optimum than what was predicted for them, at a tenth of an update each."""
+
+FAR_OFF = 1e12
+"""Sum of the references' squares, in units of their weights, over the least cost, from which on rounding of a reference
+may be seen in its ninth digit: nodes to come take their estimates for references then, too."""
+
 HISTORIES = 64
 """Histories of one estimator that are remembered side by side."""
 
@@ -92,7 +100,8 @@ class Optimum(NamedTuple):
 class SlidingBand:
     """The nodes of one history as columns of the normal equations, oldest first.
 
-    Unknown is the deviation from a reference: what is predicted for the newest node, what was estimated for the others.
+    Unknown is the deviation from a reference: what was predicted for a node from the estimate before it; where costs
+    cancel (`SETTLED`), and where a history is begun anew, what was estimated for it.
     """
 
     def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
@@ -103,7 +112,7 @@ class SlidingBand:
         self._known: list[Arriving] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, Heard] = {}
-        self._zero = 0.0
+        self._zero, self._cancelling = 0.0, False
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
@@ -129,7 +138,8 @@ class SlidingBand:
     def append(self, new: Arriving, reference: Array, predicted: bool = False) -> bool:
         """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed.
 
-        `predicted`: the reference is where the gap leads from that of the node before, so that it costs nothing.
+        `predicted`: the reference is where the gap leads from the estimate of the node before. If that is the node's
+        reference, the gap costs nothing.
         """
         k = len(self._known)
         if k == len(self._own):
@@ -155,7 +165,10 @@ class SlidingBand:
         weighed = self._weighed(k, d)
         self._sums[k, 1], self._sums[k, 2], self._sums[k, 3] = kind.energy * d, 0.0, read.dot(read)
         self._pushed[k] = 0.0
-        return weighed and (predicted or self._joined(k, d))
+        if not predicted:
+            return weighed and self._joined(k, d)
+        last, estimated = self._reference[k - 1], self.nodes[k - 1].x
+        return weighed and (last is estimated or self._joined(k, d, last - estimated))
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
@@ -168,13 +181,19 @@ class SlidingBand:
         sums[k, 0], sums[k, 4] = square * d, held.dot(held)
         return square < LARGEST**2
 
-    def _joined(self, k: int, d: float) -> bool:
-        """Put down what the gap before the newest node costs between references; False where that overflows."""
+    def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
+        """Put down what the gap before the newest node costs between references; False where that overflows.
+
+        `ahead`: by how much the reference before is off from the state that leads to the newest one, where known.
+        """
         new = self._known[k]
         if not k or new.flow is None or new.flow.joint is None:
             return True
         n = self._n
-        moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
+        if ahead is None:
+            moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
+        else:
+            moved = new.flow.F.dot(ahead)
         g = (moved * d).dot(new.flow.joint[n:])
         self._pull[k - 1] += g[:n]
         self._pushed[k] = g[n:]
@@ -182,10 +201,17 @@ class SlidingBand:
         return math.isfinite(cost)
 
     def settle(self, node: Node) -> bool:
-        """Take the estimate of the newest node for its reference; False where that cannot be weighed."""
+        """Take in what was estimated for the newest node; False where that cannot be weighed."""
         self.nodes.append(node)
-        self._reference[-1] = node.x
-        k, d = len(self._known) - 1, math.exp(self._eta * (node.t - self._zero))
+        return not self._cancelling or self._moved_to(node)
+
+    def _moved_to(self, node: Node) -> bool:
+        """Take the estimate of the newest node for its reference."""
+        k, eta, zero = len(self._known) - 1, self._eta, self._zero
+        self._reference[k] = node.x
+        if k:  # without what the gap from there has pulled
+            self._weighed(k - 1, math.exp(eta * (self._known[k - 1].t - zero)))
+        d = math.exp(eta * (node.t - zero))
         return self._weighed(k, d) and self._joined(k, d)
 
     def ends_with(self, node: Node) -> bool:
@@ -251,6 +277,7 @@ class SlidingBand:
             return None
         deviation, last_factor, root, gain = found
         cost = size - gain
+        self._cancelling = not (cost > SETTLED * gain and cost * FAR_OFF > kept * end)
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))

@@ -10,6 +10,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
 from sampling_design.recovery.interval import interval, read_record
+from sampling_design.recovery.readings import Mean
 from sampling_design.recovery.record_program import RecordProgram
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
@@ -177,3 +178,18 @@ def test_a_mode_that_nothing_shows_is_unbounded_in_all_units(size, turned):
     assert np.isinf(found.upper[2])
     assert np.all(found.radii[:2] < 1.0)
     assert found.verify()
+
+
+def test_zeros_say_before_there_are_data_what_data_will_be_worth():
+    """Theorem D: the largest error is that of readings all zero; a mean of x' = w leaves T/2 of w and its v."""
+    walk = sd.Plant([[0.0]], [[1.0]])
+    plan = [(2.0, [Mean(0.0, since=0.5)], None)]
+    found = interval(walk, plan, w_bound=0.2, v_bound=0.3, prior_time=0.0)
+    assert found.upper == pytest.approx([0.3 + 0.2 * 1.5 / 2], rel=1e-6)
+    assert found.lower == pytest.approx(-found.upper, rel=1e-6)
+    plant, times = sd.library.oscillator(), [0.4, 1.1, 2.6, 3.0]
+    given = {"w_bound": 0.02, "v_bound": 0.1}
+    promised = sd.accuracy(plant, sd.Schedule(times), initial_error=1.0, start=0.0, **given)
+    zeros = interval(plant, [(t, [0.0], None) for t in times], initial_error=1.0, prior_time=0.0, **given)
+    assert np.all(zeros.upper <= promised.at_samples[:, -1] * (1 + 1e-6))
+    assert np.all(zeros.upper >= promised.at_samples[:, -1] * (1 - 0.01))

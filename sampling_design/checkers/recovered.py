@@ -25,7 +25,7 @@ from .interval_file import OfInterval
 from .long_numbers import UNIT, doubles, long, long_flow, product
 from .numbers import EPS, safe
 from .outcome import Refused, Undecided
-from .strict import Array
+from .strict import Array, Mask
 from .work import Work
 
 PANEL = 1 / 128  # length of a panel times |A|, at most
@@ -163,7 +163,7 @@ class Backward:
         g, zero = np.zeros((len(self.A), count + extra)), np.zeros(count + extra)
         g[:n, :count] = (targets * self.d[:n]).T
         columns = Columns(*long(g), *(zero.copy() for _ in range(5)))
-        self.touched = self.driving(g.any(axis=1))
+        self.touched = self.driving(np.any(g != 0, axis=1))
         every = np.vstack([gains, -np.eye(R)[:extra]])
         at = R
         self.fly(columns, c.times[-1], c.t)
@@ -198,7 +198,7 @@ class Backward:
                 squares += (gain * one.size) ** 2
         columns.noise += np.sqrt(squares) * LOOSE
 
-    def driving(self, wanted: Array) -> Array:
+    def driving(self, wanted: Mask) -> Mask:
         """Which entries of the costates may differ from 0: of states that drive what is wanted or read."""
         found, size = wanted.copy(), self.c.plant.n
         for one in (one for some in self.c.readings for one in some):

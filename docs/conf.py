@@ -18,9 +18,14 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 import house_pages  # noqa: E402
 import make_pages  # noqa: E402
 from lost_pictures import lost_pictures  # noqa: E402
+from proven_pages import collect, open_certificates  # noqa: E402
 from sphinx.errors import ExtensionError  # noqa: E402
 
 import sampling_design  # noqa: E402
+
+CERTIFICATES = HERE / "_build" / "certificates"
+if not os.environ.get("DOCS_FAST"):
+    collect(HERE.parent, CERTIFICATES)
 
 project = "sampling_design"
 author = "The sampling_design maintainers"
@@ -151,6 +156,15 @@ def every_picture_is_there(app, exception):
         raise ExtensionError(f"pictures are missing on {told}: was a matplotlib backend set for the notebooks?")
 
 
+def every_certificate_is_proven(app, exception):
+    """Fail the build where a page makes a certificate that balls do not prove."""
+    if exception is not None or app.builder.format != "html" or os.environ.get("DOCS_FAST"):
+        return
+    told = open_certificates(CERTIFICATES)
+    if told:
+        raise ExtensionError("certificates of the pages are not proven: " + "; ".join(told))
+
+
 def searches_show_words(app, pagename, templatename, context, doctree):
     """Give the search page what turns formulas into words, after the search itself."""
     if pagename == "search":
@@ -162,4 +176,5 @@ def setup(app):
     make_pages.write_all(HERE)
     app.connect("html-page-context", searches_show_words)
     app.connect("build-finished", every_picture_is_there)
+    app.connect("build-finished", every_certificate_is_proven)
     app.connect("autodoc-process-docstring", escape_mathematics, priority=100)

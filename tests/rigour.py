@@ -1,16 +1,12 @@
 """Every certificate that a test run makes is decided in ball arithmetic, and the test that made it fails otherwise.
 
-`watch` wraps the functions of the package that make certificates (`MAKERS`): whatever they return is written as a file,
-once per content. After each test the plugin `Rigour` decides the files that are new. A certificate that is not proven
-fails the test, unless the test says so: `@pytest.mark.unproven("undecided", "why")`, which must then be true.
-A process that a test starts (a notebook's kernel, the arena) calls `watch` itself; the folder is in its environment.
+After each test the plugin `Rigour` decides the certificates that are new in the folder (`tests/kept_certificates.py`).
+One that is not proven fails the test, unless the test says so: `@pytest.mark.unproven("undecided", "why")`, which must
+then be true.
 """
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import importlib
 import json
 import os
 import shutil
@@ -21,74 +17,10 @@ from typing import Any
 
 import pytest
 
-MAKERS = {
-    "certificates.certify": ("certify_given", "_Proof.closed"),
-    "certificates.families.certify_family": ("certified", "without_states"),
-    "certificates.paper.proof_constants": ("ProofConstants.certificate",),
-    "certificates.inclusion.search": ("accepted",),
-    "certificates.detectability.best_rate": ("proven",),
-}
-"""Functions that return a finished certificate; a law walks the package for constructors outside of them."""
-FOLDER = "SAMPLING_DESIGN_CERTIFICATES"
-"""Environment variable: where the certificates of this process go."""
+from tests.kept_certificates import BUDGET, FOLDER, watch
+
 LEAST = 300
 """A run of the whole suite that makes fewer distinct certificates has lost its collector."""
-BUDGET = 60.0
-"""Seconds for one certificate; the slowest takes a few."""
-
-
-def content(data: dict[str, Any]) -> str:
-    """What a certificate states, as a key: all of its file but who made it and in how many seconds."""
-    stated = {key: value for key, value in data.items() if key not in ("digest", "tool", "solver")}
-    return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
-
-
-def keep(certificate: Any) -> None:
-    """Write a certificate into this process's folder, unless it is there."""
-    data = certificate.to_dict()
-    path = Path(os.environ[FOLDER]) / f"{content(data)}.json"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partly = path.with_suffix(f".{os.getpid()}")
-        partly.write_text(json.dumps(data))
-        partly.replace(path)
-
-
-def watch() -> None:
-    """Keep from now on what the makers return, if the environment says where."""
-    if FOLDER not in os.environ:
-        return
-    for module, names in MAKERS.items():
-        for name in names:
-            *inner, last = name.split(".")
-            holder: Any = importlib.import_module(f"sampling_design.{module}")
-            for part in inner:
-                holder = getattr(holder, part)
-            if not hasattr(getattr(holder, last), "watched"):
-                setattr(holder, last, _watched(getattr(holder, last)))
-
-
-def _watched(maker: Any) -> Any:
-    @functools.wraps(maker)
-    def made(*arguments: Any, **options: Any) -> Any:
-        certificate = maker(*arguments, **options)
-        keep(certificate)
-        return certificate
-
-    made.watched = True  # type: ignore[attr-defined]
-    return made
-
-
-def check_proven(folder: Path, least: int) -> list[dict[str, Any]]:
-    """Assert that at least so many certificates were written into a folder and that each is proven; return them."""
-    from sampling_design.certificates.rigorous.decide import verify_rigorously
-
-    made = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
-    assert len(made) >= least, f"{len(made)} certificates were made, {least} at least were expected"
-    for data in made:
-        found = verify_rigorously(data, BUDGET)
-        assert found.verdict == "proven", f"{data['claim']}: {found.verdict}: {found.reason}"
-    return made
 
 
 class Rigour:

@@ -21,7 +21,10 @@ KERNEL = {"kernelspec": {"display_name": "Python 3", "language": "python", "name
 ASK_SECONDS = 3
 PATIENCE = 120
 """Seconds after which a kernel is asked anew, and all that it may spend on being asked anew."""
-WATCH = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r}); from tests import rigour; rigour.watch()"
+WATCH = f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from tests.kept_certificates import watch; watch(); del watch
+"""
 """What a notebook runs before its own cells: its certificates are kept, where the environment asks for it."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Certificate, PeriodicSchedule, Plant
-from tests import rigour
+from tests import kept_certificates, rigour
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "sampling_design"
@@ -42,7 +42,7 @@ def given(factor=1.0):
 
 @pytest.fixture
 def judge(tmp_path, monkeypatch):
-    monkeypatch.setenv(rigour.FOLDER, str(tmp_path / "main"))
+    monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path / "main"))
     return rigour.Rigour(tmp_path, "main")
 
 
@@ -61,7 +61,7 @@ def test_certificates_are_made_by_the_watched_functions_only():
     seen = 0
     for path in sorted(PACKAGE.rglob("*.py")):
         module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-        makers = {name.split(".")[-1] for name in rigour.MAKERS.get(module, ())}
+        makers = {name.split(".")[-1] for name in kept_certificates.MAKERS.get(module, ())}
         for function, kind in constructors(path):
             seen += 1
             proven_here = kind == "DetectabilityCertificate" and "proven" in makers
@@ -86,13 +86,13 @@ def test_every_watched_function_is_wrapped_where_its_module_looks_it_up():
 def test_what_is_wrong_fails_and_what_is_right_is_counted_once(judge):
     assert judge.judge("none") == ""
     for _ in range(2):
-        rigour.keep(given())
+        kept_certificates.keep(given())
         assert judge.judge("right") == ""
         assert [v["verdict"] for v in judge.verdicts()] == ["proven"]
-    rigour.keep(given(20.0))
+    kept_certificates.keep(given(20.0))
     assert "is refuted: (1 + margin) P1 <= Pi(t) fails by" in judge.judge("wrong")
     assert judge.judge("the one after it") == ""
-    rigour.keep(given(20.0))
+    kept_certificates.keep(given(20.0))
     assert "is refuted" in judge.judge("wrong again")
     assert sorted(v["verdict"] for v in judge.verdicts()) == ["proven", "refuted"]
 
@@ -100,9 +100,9 @@ def test_what_is_wrong_fails_and_what_is_right_is_counted_once(judge):
 def test_two_runs_of_a_maker_are_one_certificate(judge, tmp_path):
     one = given()
     other = dataclasses.replace(one, solver=dataclasses.replace(one.solver, seconds=17.0))
-    assert rigour.content(one.to_dict()) == rigour.content(other.to_dict())
+    assert kept_certificates.content(one.to_dict()) == kept_certificates.content(other.to_dict())
     assert one.to_dict()["digest"] != other.to_dict()["digest"]
-    assert rigour.content(one.to_dict()) != rigour.content(given(1.0 + 1e-15).to_dict())
+    assert kept_certificates.content(one.to_dict()) != kept_certificates.content(given(1.0 + 1e-15).to_dict())
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_two_runs_of_a_maker_are_one_certificate(judge, tmp_path):
     ],
 )
 def test_a_test_that_states_the_verdict_must_be_right(factor, mark, complaint, judge):
-    rigour.keep(given(factor))
+    kept_certificates.keep(given(factor))
     found = judge.judge("marked", *mark)
     assert complaint in found
     assert bool(complaint) == bool(found)
@@ -146,9 +146,9 @@ def test_a_whole_run_with_too_few_fails(count, testpaths, deselected, before, fa
 
 def test_files_stay_only_where_something_is_not_proven(tmp_path, monkeypatch):
     for name, factor in (("right", 1.0), ("wrong", 20.0)):
-        monkeypatch.setenv(rigour.FOLDER, str(tmp_path / name / "main"))
+        monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path / name / "main"))
         plugin = rigour.Rigour(tmp_path / name, "main")
-        rigour.keep(given(factor))
+        kept_certificates.keep(given(factor))
         plugin.judge(name)
         plugin.pytest_unconfigure()
     assert not (tmp_path / "right").exists()
@@ -157,12 +157,12 @@ def test_files_stay_only_where_something_is_not_proven(tmp_path, monkeypatch):
 
 def test_a_folder_with_too_few_or_wrong_ones_is_refused(judge, tmp_path):
     with pytest.raises(AssertionError, match="0 certificates were made, 1 at least were expected"):
-        rigour.check_proven(judge.folder, 1)
-    rigour.keep(given())
-    assert len(rigour.check_proven(judge.folder, 1)) == 1
-    rigour.keep(given(20.0))
+        kept_certificates.check_proven(judge.folder, 1)
+    kept_certificates.keep(given())
+    assert len(kept_certificates.check_proven(judge.folder, 1)) == 1
+    kept_certificates.keep(given(20.0))
     with pytest.raises(AssertionError, match="refuted"):
-        rigour.check_proven(judge.folder, 1)
+        kept_certificates.check_proven(judge.folder, 1)
 
 
 LIE = """

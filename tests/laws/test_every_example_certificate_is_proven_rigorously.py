@@ -1,20 +1,18 @@
-"""Law: every certificate of an example plant, script, executed page or command is proven in ball arithmetic.
+"""Law: every certificate of an example plant, script or command is proven in ball arithmetic.
 
-Those of the scripts and notebooks are judged where these are run, those of all other tests by `tests/rigour.py`.
+Those of the scripts are judged where these are run, those of pages and notebooks by the documentation's build
+(`docs/proven_pages.py`), those of all other tests by `tests/rigour.py`.
 """
 
-import re
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, certify, read_plant, split_modes, write_schedule
 from sampling_design.observability.count.default_window import default_window
-from tests import rigour
-from tests.examples.notebooks import run_cell
+from tests import kept_certificates
 
 ROOT = Path(__file__).parents[2]
 PLANTS = sorted((ROOT / "examples" / "plants").glob("*.toml"))
@@ -23,49 +21,20 @@ SAMPLES = {"tidal_gauge": 14}
 
 @pytest.mark.parametrize("path", PLANTS, ids=lambda path: path.stem)
 def test_the_certificate_is_a_theorem_about_its_numbers(path, monkeypatch, tmp_path):
-    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
+    monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path))
     plant = read_plant(path)
     window = default_window(split_modes(plant)) or 4 / float(np.linalg.norm(plant.A, 2))
     count = SAMPLES.get(path.stem, 6)
     gaps = np.full(count, window / count) * np.linspace(0.8, 1.2, count)
     certificate = certify(plant, PeriodicSchedule(gaps, time_unit=plant.time_unit), eta=1 / window)
-    (proven,) = rigour.check_proven(tmp_path, 1)
+    (proven,) = kept_certificates.check_proven(tmp_path, 1)
     assert proven == certificate.to_dict()
 
 
-@pytest.mark.parametrize(("name", "least"), [("index", 2), ("tour", 3), ("exercises", 1)])
-def test_pages_that_the_documentation_executes(name, least, monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv(rigour.FOLDER, str(tmp_path))
-    monkeypatch.chdir(ROOT / "docs")
-    monkeypatch.syspath_prepend(ROOT / "docs")
-    names = {"__name__": "__page__"}
-    with plt.rc_context():
-        for number, cell in enumerate(cells(name)):
-            run_cell(cell, f"{name}.md, cell {number}", names)
-        plt.close("all")
-    rigour.check_proven(tmp_path, least)
-
-
-def test_the_pages_are_all_that_make_certificates():
-    executed = {
-        path.stem for path in (ROOT / "docs").glob("*.md") if any("certify" in cell for cell in cells(path.stem))
-    }
-    # the gallery draws one record of every kind; the documentation's build runs it, and takes most of a minute
-    assert executed == {"index", "tour", "exercises", "gallery"}
+def test_the_scripts_are_all_that_make_certificates():
     scripts = {path.name for path in (ROOT / "examples").glob("*.py") if "certify" in path.read_text()}
     elsewhere = {"thyroid.py"}  # tests/nonlinear/test_example.py runs it
     assert {name for name in scripts if not name.startswith("0")} == elsewhere
-    assert {path.name for path in (ROOT / "docs").glob("*.py") if "certify" in path.read_text()} == {"pictures.py"}
-    assert "pictures.one_picture()" in cells("index")[0]
-
-
-def cells(name):
-    """The code cells of a page, without options and magic."""
-    found = re.findall(
-        r"```\{code-cell\} python\n(.*?)```", (ROOT / "docs" / f"{name}.md").read_text(), flags=re.DOTALL
-    )
-    bare = (re.sub(r"\A---\n.*?^---\n", "", cell, flags=re.DOTALL | re.MULTILINE) for cell in found)
-    return [re.sub(r"^[:%].*$", "", cell, flags=re.MULTILINE) for cell in bare]
 
 
 MAKING = {
@@ -85,7 +54,7 @@ MAKING = {
 def test_commands_make_proven_certificates(name, monkeypatch, tmp_path, capsys):
     from sampling_design.cli import main
 
-    monkeypatch.setenv(rigour.FOLDER, str(tmp_path / "made"))
+    monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path / "made"))
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     orbit = PeriodicSchedule(np.full(12, 5554 / 12), first=0.0, time_unit="s")
@@ -96,4 +65,4 @@ def test_commands_make_proven_certificates(name, monkeypatch, tmp_path, capsys):
         with pytest.raises(SystemExit) as stop:
             main()
         assert not stop.value.code, capsys.readouterr().err
-    rigour.check_proven(tmp_path / "made", 1)
+    kept_certificates.check_proven(tmp_path / "made", 1)

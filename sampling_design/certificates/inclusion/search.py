@@ -196,7 +196,7 @@ class InclusionSearch(PosedMembers):
 
 
 def accepted(made: InclusionCertificate) -> InclusionCertificate:
-    """A certificate that was proven, on its way out: where all of them can be watched (tests/rigour.py)."""
+    """A certificate that was proven, on its way out: where all of them can be watched (tests/kept_certificates.py)."""
     return made
 
 

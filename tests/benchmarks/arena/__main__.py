@@ -10,7 +10,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tests import rigour
+from tests import kept_certificates
 
 from . import nonlinear, page, proving, radii, records, scaling, searching, seeing, windows
 
@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", choices=TASKS, action="append", help="run this task alone; may be repeated")
     parser.add_argument("-o", type=Path, default=DOCS, metavar="DIR", help="where the page goes (default: docs)")
     chosen = parser.parse_args(arguments)
-    rigour.watch()
+    kept_certificates.watch()
     (chosen.o / "figures").mkdir(parents=True, exist_ok=True)
     tables, before = [], time.process_time()
     for name in chosen.only or TASKS:

@@ -232,6 +232,7 @@ class SampleChain:
         count, r, found = len(self), self.determined, []
         for j in range(count):
             mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
+            flown: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
             for steps in range(PERIODS * count):
                 sample = self.samples[at]
                 gains = sample.K.T @ mu
@@ -241,12 +242,14 @@ class SampleChain:
                 if left > GROWN:
                     raise too_far()
                 if steps and left < CONTRACTED:
+                    for gap, columns in flown.items():
+                        every = self.gaps[gap].panels.integral(np.hstack(columns), self.bounds.w_ball)
+                        cost += every.reshape(len(columns), r).sum(axis=0)
                     found.append((steps, cost, np.abs(mu[:r])))
                     break
                 at = (at - 1) % count
-                gap = self.gaps[at]
-                cost += gap.panels.integral(mu, self.bounds.w_ball)
-                mu = gap.F.T @ mu
+                flown.setdefault(at, []).append(mu)
+                mu = self.gaps[at].F.T @ mu
             else:
                 raise UndecidedError(
                     f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."

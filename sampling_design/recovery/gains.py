@@ -35,6 +35,7 @@ def evaluated(
 ) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
     total, g, scale = 0.0, mu[:, None], float(np.linalg.norm(mu))
+    flown: dict[int, list[Array]] = {}  # one integral for all columns that a gap carries: a chain may go round
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = chain.samples[nodes[k]], gains[k][:, None]
         total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
@@ -42,9 +43,10 @@ def evaluated(
         scale += float(np.linalg.norm(step))
         g = g - step
         if k:
-            gap = chain.gaps[nodes[k - 1]]
-            total += float(gap.panels.integral(g, chain.bounds.w_ball)[0])
-            g = gap.F.T @ g
+            flown.setdefault(nodes[k - 1], []).append(g)
+            g = chain.gaps[nodes[k - 1]].F.T @ g
+    for j, columns in flown.items():
+        total += float(chain.gaps[j].panels.integral(np.hstack(columns), chain.bounds.w_ball).sum())
     if isinstance(start, StartSet):
         total += start.support(g[:, 0], scale)
     else:

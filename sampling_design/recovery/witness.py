@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -91,19 +90,23 @@ class AccuracyWitness(Record):
         flows = expm_batch(joint, np.diff(self.edges))[:, :n]
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
-        x = z[-1]
-        for k, (a, b) in enumerate(pairwise(ends)):
-            ahead, blocks = np.eye(n), np.zeros((b - a, n, q))
-            for cell in range(b - 1, a - 1, -1):
-                blocks[cell - a] = ahead @ flows[cell, :, n:]
-                ahead = ahead @ flows[cell, :, :n]
-            x = ahead @ z[k] + np.einsum("mnq,mq->n", blocks, w[a:b])
-            if k + 1 < len(z):
-                terms = np.abs(ahead) @ np.abs(z[k]) + np.einsum("mnq,mq->n", np.abs(blocks), np.abs(w[a:b]))
-                flat = np.swapaxes(blocks, 0, 1).reshape(n, -1)
-                change = np.linalg.lstsq(flat / terms.clip(1e-300)[:, None], (z[k + 1] - x) / terms.clip(1e-300))[0]
-                left = np.abs(z[k + 1] - x - flat @ change)
-                w[a:b] += change.reshape(-1, q) if np.all(left <= CLOSED * terms) else np.nan
+        cells = np.diff(ends)
+        for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is flown from its own state
+            at = np.flatnonzero(cells[:-1] == count)
+            inside = ends[at][:, None] + np.arange(count)
+            ahead, flat = _flown(flows[inside])
+            moved = np.einsum("kij,kj->ki", ahead, z[at]) + np.einsum(
+                "kij,kj->ki", flat, w[inside].reshape(len(at), -1)
+            )
+            terms = np.einsum("kij,kj->ki", np.abs(ahead), np.abs(z[at]))
+            terms += np.einsum("kij,kj->ki", np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
+            unit, left = terms.clip(1e-300), z[at + 1] - moved
+            change = _least_change(flat / unit[:, :, None], left / unit)
+            open_still = np.abs(left - _times(flat, change))
+            change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
+            w[inside] += change.reshape(len(at), count, q)
+        ahead, flat = _flown(flows[None, ends[-2] :])
+        x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
 
     def scales(self) -> Array:
@@ -143,6 +146,34 @@ class AccuracyWitness(Record):
             "outputs": self.outputs.astype(int).tolist(),
             "value": self.value,
         }
+
+
+def _flown(flows: Array) -> tuple[Array, Array]:
+    """Flow over whole gaps (K, n, n), and what a constant w in each of their cells adds (K, n, m q); m cells each.
+
+    `flows` (K, m, n, n + q) are those of the cells.
+    """
+    count, m, n = flows.shape[:3]
+    ahead, blocks = np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, m, flows.shape[3] - n))
+    for cell in range(m - 1, -1, -1):
+        blocks[:, :, cell] = ahead @ flows[:, cell, :, n:]
+        ahead = ahead @ flows[:, cell, :, :n]
+    return ahead, blocks.reshape(count, n, -1)
+
+
+def _least_change(rows: Array, wanted: Array) -> Array:
+    """The shortest solutions (K, m) of rows (K, n, m) x = wanted (K, n), in the sense of least squares."""
+    if not rows.size:
+        return np.zeros((len(rows), rows.shape[2]))
+    U, s, V = np.linalg.svd(rows, full_matrices=False)
+    shown = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
+    part = np.divide(_times(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=shown)
+    return _times(np.swapaxes(V, 1, 2), part)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """One product (K, n) of each matrix (K, n, m) and its vector (K, m)."""
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
 
 
 def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
@@ -205,7 +236,9 @@ def physical(row: Array, opened: Open, strike: Strike, offset: int) -> AccuracyW
             u = np.sign(mean)
         edges.append(now + d[1:])
         w.append(u[::-1] * scale)
-    outputs = np.array([np.isin(np.arange(chain.plant.n_outputs), chain.samples[j].outputs) for j in nodes])
+    measured = np.zeros((len(chain), chain.plant.n_outputs), dtype=bool)
+    for j in set(nodes):
+        measured[j, chain.samples[j].outputs] = True
     return AccuracyWitness(
         plant=chain.plant,
         row=freeze(row),
@@ -216,6 +249,6 @@ def physical(row: Array, opened: Open, strike: Strike, offset: int) -> AccuracyW
         states=freeze(
             sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])
         ),
-        outputs=outputs,
+        outputs=measured[nodes],
         value=float(abs(reached) + opened.below[offset]),
     )

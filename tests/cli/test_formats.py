@@ -2,11 +2,12 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
-from sampling_design import plan
+from sampling_design import certify, plan, read_plant, read_schedule
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import requirement_and_plant
 
@@ -40,20 +41,22 @@ NAMED = {
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory):
-    """A plan file, made once."""
+def made(tmp_path_factory):
+    """The files that commands read, made once."""
+    made = tmp_path_factory.mktemp("made")
+    (made / "schedule.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.3\n")
+    (made / "requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
+    (made / "readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
     requirement, model = requirement_and_plant(EXAMPLES / "plans" / "oscillator.toml")
-    return save_plan(plan(model, requirement), tmp_path_factory.mktemp("plan") / "plan.json").read_text()
+    save_plan(plan(model, requirement, certificate=False, robustness=False), made / "plan.json")
+    certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv")).save(made / "certificate.json")
+    return made
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, shell, planned):
+def folder(tmp_path, monkeypatch, made):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    Path("schedule.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.3\n")
-    Path("requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
-    Path("readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
-    assert shell("certify", OSCILLATOR, "schedule.csv", "-o", ".").code == 0
-    Path("plan.json").write_text(planned)
     return tmp_path
 
 

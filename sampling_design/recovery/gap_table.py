@@ -204,7 +204,8 @@ class _Stacked:
         d = self.step
         both = np.matmul(self._rows, g[:, :, None]).reshape(self._shape)
         p, curved = both[:, 0], both[:, 1]
-        steep = self.third * np.linalg.norm(g, axis=1)[:, None]
+        size = np.linalg.norm(g, axis=1)[:, None]
+        steep = np.where(size > 0, self.third * size, 0.0)  # the bound may be infinite
         if ball:
             value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
         else:

@@ -27,6 +27,9 @@ TOLERANCE = 1e-6
 DIFFUSE = 1e6
 """Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
 
+BEYOND = 1e150
+"""A covariance that grows beyond it is as good as infinite: what it is made of would overflow."""
+
 EXACT = 1e-6
 """Size given to an exact reading, in units of what w does to it over a gap: for scaling only."""
 
@@ -69,6 +72,9 @@ DISPROVED = 1e-9
 
 LEVELS = 3
 """Levels of cells."""
+
+GROWN = 1e3
+"""Growth over a gap from which on the solver's last digits decide: its gains are then fed back, and others are tried."""
 
 SPREADS = ("all", "w", "v")
 """Which bounds may grow: all of them, that on w alone, those on v alone."""
@@ -160,8 +166,10 @@ class RecordProgram:
         gains, identity = np.zeros((len(H), n)), np.eye(n)
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
-                with np.errstate(over="ignore", invalid="ignore"):  # beyond all numbers no gain is any use
+                with np.errstate(over="ignore", invalid="ignore"):
                     P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
+                if not np.abs(P).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
+                    P = np.eye(n) * BEYOND
             if b > a:
                 own = H[a:b]
                 seen = own @ P
@@ -176,7 +184,9 @@ class RecordProgram:
         """Coordinates x = D L z in which states that are possible are of size one: a root of its covariance."""
         P = self._filter[1]
         size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(P / np.outer(size, size))
+        with np.errstate(over="ignore"):
+            alike = np.clip(P / size[:, None] / size, -1.0, 1.0)
+        values, vectors = np.linalg.eigh(alike)
         return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, LEAST * len(P))))
 
     @cached_property
@@ -221,18 +231,23 @@ class RecordProgram:
         c, added = self._ahead(t, row)
         attained, gains, ahead = self._solved(c, level)
         found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
+        if self._grown and not found.bound - added - attained <= CLOSED * found.width:
+            for other in self._fed_back(c, gains, ahead):
+                found = min(found, self.upper(t, row, other), key=lambda end: end.value)
         short = found.bound - added - attained
         return replace(found, short=short if np.isfinite(short) else 0.0)
 
     def _plainest(self, t: float, row: Array, found: End) -> End:
         """Gains of the last readings alone, where they leave exactly nothing of a free start and prove as much.
 
-        With fewer readings than states no change of gains takes away the rest that rounding leaves.
+        With fewer readings than states no change of gains takes away the rest that rounding leaves; where gaps let it
+        grow, nothing else is worth much.
         """
         read = self.readings
         last = np.flatnonzero((read.nodes == len(read.times) - 1) & ~read.below)
         few = np.count_nonzero(~read.below) < len(row)
-        if read.start.root is not None or t > read.times[-1] or not (few and last.size):
+        asked = self._grown or (few and read.start.root is None)
+        if t > read.times[-1] or not (asked and last.size):
             return found
         own, gains = read.H[last, : row.size], np.zeros(len(read.H))
         gains[last] = np.round(np.linalg.lstsq(own.T, row, rcond=None)[0], PLAIN)
@@ -288,8 +303,7 @@ class RecordProgram:
         """
         unit, read = self.unit, self.readings
         gains = np.where(read.below, np.maximum(gains, 0.0), gains)
-        meant = np.linalg.solve(self.L.T, ahead.T).T if len(ahead) else ahead
-        begun = np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
+        meant, begun = self._meant(c, ahead)
         open_ = begun - self._per_time(self.H * gains[:, None])
         open_[1:] -= meant
         e, errors = np.zeros(len(c)), np.zeros_like(begun)
@@ -297,8 +311,39 @@ class RecordProgram:
             errors[k] = e
             e = self._offset(k, open_[k], e)
         errors[0] = e
-        gains = gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit
-        if read.start.root is None:
+        return self._left_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
+
+    def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
+        """The costates (K-1, n) that multipliers of gaps stand for just after each gap, and those (K, n) before times."""
+        meant = np.linalg.solve(self.L.T, ahead.T).T if len(ahead) else ahead
+        return meant, np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
+
+    @cached_property
+    def _grown(self) -> bool:
+        """Whether a gap lets the state grow so much that rounding matters."""
+        return bool(np.abs(self.F).max(initial=0.0) > GROWN)
+
+    def _fed_back(self, c: Array, gains: Array, ahead: Array) -> list[Array]:
+        """The solver's gains, and the filter's alone, corrected by the filter's wherever the costate as it is *computed*
+        parts from the one that was meant: rounding that one gap makes grow is met at the next sample.
+        """
+        read, found = self.readings, []
+        filter_ = np.where(read.below[:, None], 0.0, self._filter[0] / self.unit[:, None])
+        solved = np.where(read.below, np.maximum(gains, 0.0), gains), self._meant(c, ahead)[1]
+        nothing = np.zeros_like(gains), np.zeros_like(solved[1])
+        for start, meant in (solved, nothing):
+            own, g = start.copy(), c
+            for k in range(len(meant) - 1, -1, -1):
+                rows = slice(*read.offsets[k : k + 2])
+                own[rows] += filter_[rows] @ (g - meant[k])
+                g = g - (self.H[rows] * own[rows, None]).sum(axis=0)
+                g = g.dot(self.F[k - 1]) if k else g
+            found.append(self._left_nothing(c, own))
+        return found
+
+    def _left_nothing(self, c: Array, gains: Array) -> Array:
+        """Gains after the least change that takes away what they leave of a free start."""
+        if self.readings.start.root is None:
             for _ in range(2):
                 rest, scale = self._costates(c, gains)[1], self._terms(c, gains)
                 if np.linalg.norm(self.L.T @ rest) <= NOTHING * 1e-3 * scale:

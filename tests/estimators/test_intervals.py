@@ -45,6 +45,20 @@ def test_every_estimator_says_what_the_record_says(maker):
     assert estimate.interval("velocity").upper[0] == found.upper[1]
 
 
+@pytest.mark.parametrize("growth", [36.0, 60.0, 100.0])
+def test_whatever_grows_between_samples_it_is_never_wider_than_the_ellipsoid(growth):
+    """Up to e^100 a gap: covariance times radius is no number, their roots are."""
+    for A, C in (([[growth]], [[1.0]]), ([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])):
+        estimator = sd.MovingHorizonEstimator(sd.Plant(A, C), horizon=3.0, initial_error=1.0, **GIVEN)
+        estimate = followed(estimator, [(t, [0.01], None) for t in np.arange(1.0, 6.0)])
+        found, half = estimate.interval(), estimate.ellipsoid_radii
+        assert estimate.certified
+        assert np.all(found.upper <= estimate.x + half * (1 + 1e-12))
+        assert np.all(found.lower >= estimate.x - half * (1 + 1e-12))
+        assert found.upper[0] <= 0.01 + 0.2 * (1 + 1e-6)  # that of the reading alone
+        assert found.verify()
+
+
 def test_without_a_first_error_there_is_an_interval_but_no_ellipsoid():
     estimate = followed(MAKERS["filter"]())
     assert not estimate.certified

@@ -55,6 +55,22 @@ def test_one_state_by_hand():
     assert found.upper == pytest.approx([1.5], abs=1e-6)
 
 
+@pytest.mark.parametrize("growth", [5.0, 10.0, 20.0, 30.0])
+def test_growth_between_samples_hides_nothing_that_doubles_hold(growth):
+    """By hand: what grows was as good as nothing a gap ago, so the other state was read within .1, then and now."""
+    plant = sd.Plant(np.diag([growth, -1.0]), [[1.0, 1.0]])
+    found = interval(
+        plant, [(t, [0.0], None) for t in np.arange(1.0, 6.0)], w_bound=0.1, v_bound=0.1, initial_error=1, prior_time=0
+    )
+    rounding = 1e-14 * np.exp(growth)
+    assert np.all(found.radii <= [0.21, 0.101] + rounding)
+    assert np.all(found.radii >= [0.19, 0.095])
+    assert found.verify()
+    for e in (growth, 60.0, 400.0):  # a reading of the state itself
+        alone = interval(sd.Plant([[e]], [[1.0]]), [(0.0, [0.0], None), (1.0, [0.5], None)], w_bound=1, v_bound=0.1)
+        assert alone.upper == pytest.approx([0.6], rel=1e-6)
+
+
 def test_inputs_and_a_prior_move_it():
     free = interval(OSCILLATOR, RECORD, **GIVEN)
     driven, x = [], np.zeros(2)

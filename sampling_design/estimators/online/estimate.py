@@ -69,8 +69,8 @@ class Contradiction(NamedTuple):
 class ProvesIntervals(Protocol):
     """What an interval is proven from."""
 
-    def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array] | None) -> Interval:
-        """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, radius times covariance)."""
+    def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array, float] | None) -> Interval:
+        """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, covariance, radius)."""
         ...
 
     def tube(self, times: Array, x: Array) -> Tube:
@@ -159,7 +159,7 @@ class Estimate(Record):
             raise ArgumentError(
                 "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
             )
-        return self.proof.interval(self.t, of, (self.x, self.radius * self.covariance) if self.certified else None)
+        return self.proof.interval(self.t, of, (self.x, self.covariance, self.radius) if self.certified else None)
 
     def centred(self) -> Estimate:
         """Return this estimate moved into the middle of its interval: no other has a smaller largest error.

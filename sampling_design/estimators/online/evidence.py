@@ -69,8 +69,8 @@ class Evidence:
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 
-    def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array] | None = None) -> Interval:
-        """Return the interval of wanted rows at t; `ellipsoid` (x, covariance times radius) holds the state, too."""
+    def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array, float] | None = None) -> Interval:
+        """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
         if self._program is None:
             self._program = self.assumed.program(self._readings())
         program, rows = self._program, wanted_rows(self.assumed.plant, of)
@@ -78,9 +78,8 @@ class Evidence:
             program = self.assumed.program(self._readings(t))
         outer = None
         if ellipsoid is not None:
-            x, Y = ellipsoid
-            z = rows.matrix @ x
-            reach = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", rows.matrix, Y, rows.matrix), 0.0))
+            x, covariance, radius = ellipsoid
+            z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
             outer = np.array([z - reach, z + reach]).T
         return prove(program, t, rows, outer)
 
@@ -123,6 +122,17 @@ class Evidence:
                 size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
                 rows += rows_told(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs))
         return tuple(rows)
+
+
+def _deviations(rows: Array, Y: Array) -> Array:
+    """sqrt(c'Yc) of each row, also where the squares of its terms overflow."""
+    size = np.sqrt(np.maximum(np.diag(Y), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    terms = rows * size
+    largest = np.abs(terms).max(axis=1, initial=0.0)
+    shares = terms / np.where(largest > 0, largest, 1.0)[:, None]
+    square = np.einsum("ri,ij,rj->r", shares, Y / unit[:, None] / unit, shares)
+    return np.asarray(largest * np.sqrt(np.maximum(square, 0.0)))
 
 
 def _root(Y: Array) -> Array:

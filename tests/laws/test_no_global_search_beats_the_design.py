@@ -3,6 +3,8 @@
 The long run, with ten times the design's own time, is `tests/benchmarks/bench_design_search.py`.
 """
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.optimize import differential_evolution, shgo
@@ -18,12 +20,18 @@ CASES = {
 }
 
 
+@functools.cache
+def designed(name):
+    plant, window, spacing, count = CASES[name]
+    return design_schedule(plant, Requirement(window=window, period=window, spacing=spacing, samples=count))
+
+
 @pytest.mark.parametrize("search", ["evolution", "shgo"])
 @pytest.mark.parametrize("name", CASES)
 def test_global_search_stays_below(name, search):
     plant, window, spacing, count = CASES[name]
     own = plant.scaled()  # where a plant has scales its sigma is judged in them
-    design = design_schedule(plant, Requirement(window=window, period=window, spacing=spacing, samples=count))
+    design = designed(name)
 
     def cost(cube):
         shares = -np.log(np.clip(cube, 1e-9, 1 - 1e-9))

@@ -22,7 +22,9 @@ UNSTABLE = ([[2.0, 1.0], [0.0, 0.1]], [[1.0, 0.3]])
 
 def designed(case, window, spacing, samples, **more):
     A, C = case
-    return design_schedule(Plant(A, C), Requirement(window=window, spacing=spacing, samples=samples, **more), starts=4)
+    return design_schedule(
+        Plant(A, C), Requirement(window=window, spacing=spacing, samples=samples, **more), starts=4, branches=40
+    )
 
 
 @pytest.mark.parametrize("case", [OSCILLATOR, INTEGRATOR, UNSTABLE])

@@ -20,7 +20,7 @@ CASES = {
         {"window": 4.0, "spacing": 0.4, "samples": {"at_most": 4}},
     ),
     "outputs": (
-        PAIR,
+        Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.3, 1.0]]),
         {
             "window": 6.0,
             "spacing": 0.3,

@@ -74,7 +74,7 @@ LEVELS = 3
 """Levels of cells."""
 
 GROWN = 1e3
-"""Growth over a gap from which on the solver's last digits decide: its gains are then fed back, and others are tried."""
+"""Growth over a gap from which on the solver's last digits decide: its gains are then fed back, others tried."""
 
 SPREADS = ("all", "w", "v")
 """Which bounds may grow: all of them, that on w alone, those on v alone."""
@@ -314,7 +314,7 @@ class RecordProgram:
         return self._left_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
-        """The costates (K-1, n) that multipliers of gaps stand for just after each gap, and those (K, n) before times."""
+        """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
         meant = np.linalg.solve(self.L.T, ahead.T).T if len(ahead) else ahead
         return meant, np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
 
@@ -324,8 +324,9 @@ class RecordProgram:
         return bool(np.abs(self.F).max(initial=0.0) > GROWN)
 
     def _fed_back(self, c: Array, gains: Array, ahead: Array) -> list[Array]:
-        """The solver's gains, and the filter's alone, corrected by the filter's wherever the costate as it is *computed*
-        parts from the one that was meant: rounding that one gap makes grow is met at the next sample.
+        """The solver's gains, and the filter's alone, corrected where the *computed* costate parts from what was meant.
+
+        So rounding that one gap makes grow is met at the next sample.
         """
         read, found = self.readings, []
         filter_ = np.where(read.below[:, None], 0.0, self._filter[0] / self.unit[:, None])

@@ -34,6 +34,8 @@ Array = npt.NDArray[np.float64]
 
 CLOSELY = 1000
 """Rows up to which radii are those of intervals unless told, and the picture shows every gap between samples."""
+FEW = 4
+"""States up to which that holds; of more it is fewer rows, since the work of one grows with the cube of the states."""
 TOLD = 1000
 """Times that the progress of a record is told."""
 
@@ -48,11 +50,7 @@ def followed(
     guarantee: str,
 ) -> Tally:
     """Estimate at every row of `record`, whose times count from `start`; write and show what was asked for."""
-    if radii is None:
-        radii = "intervals" if len(record) <= CLOSELY else "ellipsoids"
-        if len(record) > CLOSELY and not estimator.radius_note:
-            settings.notice(f"--radii not given: of {len(record)} rows the radii are those of ellipsoids.")
-    kind, plant, folder = check_radii(radii), estimator.plant, settings.folder()
+    kind, plant, folder = check_radii(radii or _usual(settings, estimator, record)), estimator.plant, settings.folder()
     picture = None if folder is None else _picture(estimator, record, start, kind == "centred")
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
@@ -93,6 +91,25 @@ def followed(
     return tally
 
 
+def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.Measurements) -> str:
+    """The kind of radii where none was asked for, with a notice where it is the wider one."""
+    n = estimator.plant.n_states
+    if _closely(record, n):
+        return "intervals"
+    if not estimator.radius_note:
+        states = f" and {n} states" if n > FEW else ""
+        settings.notice(
+            f"--radii not given: of {len(record)} rows{states} the radii are those of ellipsoids; --radii intervals "
+            "are narrower and take longer."
+        )
+    return "ellipsoids"
+
+
+def _closely(record: sd.Measurements, states: int) -> bool:
+    """Whether every row can be looked at closely in bearable time."""
+    return len(record) * max(1.0, states / FEW) ** 3 <= CLOSELY
+
+
 class _Extremes:
     """The extremes over stretches of time, of a record of many rows."""
 
@@ -122,7 +139,7 @@ class _Extremes:
 def _picture(
     estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float, centred: bool
 ) -> Following | _Extremes:
-    if len(record) <= CLOSELY:
+    if _closely(record, estimator.plant.n_states):
         return Following(estimator, centred=centred)
     first, last = float(record.times.min()) + start, float(record.times.max()) + start
     return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))

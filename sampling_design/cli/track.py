@@ -18,7 +18,7 @@ from sampling_design._record import short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
-from sampling_design.cli.following import CLOSELY, followed
+from sampling_design.cli.following import CLOSELY, FEW, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import (
@@ -79,7 +79,7 @@ def estimate(
         typer.Option(
             help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
             "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
-            f"intervals up to {CLOSELY} rows, ellipsoids beyond."
+            f"intervals up to {CLOSELY} rows (of more than {FEW} states: fewer), ellipsoids beyond."
         ),
     ] = None,
 ) -> None:

@@ -324,3 +324,16 @@ def test_a_family_is_not_sought_in_passing_for_many_states(shell, tmp_path, monk
     told = " ".join(result.err.split())
     assert "Guarantee for the file's own times only" in told
     assert "ask `certify --gap-range`: 2 states take it long" in told
+
+
+def test_of_many_states_fewer_rows_are_looked_at_closely(shell, tmp_path, monkeypatch):
+    """Two states count as many here; of eleven a row took a second."""
+    readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])
+    before = shell("estimate", OSCILLATOR, readings, "--initial-error", "2", "--json")
+    monkeypatch.setattr("sampling_design.cli.following.FEW", 0.2)
+    after = shell("estimate", OSCILLATOR, readings, "--initial-error", "2", "--json")
+    assert "--radii" not in before.err
+    assert "of 5 rows and 2 states the radii are those of ellipsoids; --radii intervals" in " ".join(after.err.split())
+    narrow, wide = (np.array(json.loads(found.out)["radii"]) for found in (before, after))
+    assert np.all(narrow <= wide * (1 + 1e-12))
+    assert np.any(narrow < wide)

@@ -315,7 +315,7 @@ class RecordProgram:
 
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
-        meant = np.linalg.solve(self.L.T, ahead.T).T if len(ahead) else ahead
+        meant = np.asarray(np.linalg.solve(self.L.T, ahead.T).T) if len(ahead) else ahead
         return meant, np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
 
     @cached_property

@@ -97,6 +97,9 @@ def test_bearings_of_an_orbit_are_taken_near_its_ends():
     assert found.even_accuracy == pytest.approx(0.0229, rel=0.02)
     assert found.gain > 0.3
     assert "% less" in found.explain()
+    coarse = design_along(orbit(0.6), 5, prior=[0.1] * 4, v=[0.07], candidates=25)
+    assert (coarse.accuracy, coarse.even_accuracy) == pytest.approx((0.0948, 0.1240), rel=1e-3)
+    assert coarse.sigma[0] < coarse.even_sigma[0] / 5  # along one trajectory sigma is another question
     ensemble = [orbit(e) for e in (0.5, 0.7)]
     for criterion in ("mean", "worst"):
         many = design_along(ensemble, 5, prior=[0.1] * 4, v=[0.01], candidates=9, criterion=criterion)

@@ -235,19 +235,44 @@ def to_json(data: Mapping[str, object]) -> str:
 def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
     """Yield the text of `to_json` piece by piece, for data that are larger than their text should be held.
 
-    An array is written as the list of its numbers, null where one is not finite; no list of them is held for long.
+    A vector is written as the list of its numbers, null where one is not finite; no list of them is held for long.
     """
-    pieces = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False, default=_listed).iterencode(data)
-    while block := "".join(islice(pieces, PIECES)):
-        yield block
-    yield "\n"
+    arrays: list[npt.NDArray[np.float64]] = []
+
+    def kept(value: object) -> str:
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{type(value).__name__} has no JSON")
+        arrays.append(value)
+        return _ARRAY
+
+    tokens = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False, default=kept).iterencode(data)
+    depth, held = "", list[str]()
+    for token in tokens:
+        if arrays:  # the token that stands for the vector that was met last
+            yield "".join(held)
+            held = []
+            yield from _listed(arrays.pop(), depth)
+            continue
+        if "\n" in token:
+            depth = token[token.rindex("\n") :]
+        held.append(token)
+        if len(held) >= PIECES:
+            yield "".join(held)
+            held = []
+    yield "".join([*held, "\n"])
 
 
-def _listed(value: object) -> list[float | None]:
-    """The numbers of an array, as a file holds them."""
-    if not isinstance(value, np.ndarray):
-        raise TypeError(f"{type(value).__name__} has no JSON")
-    return [number if math.isfinite(number) else None for number in value.tolist()]
+_ARRAY = ""  # what stands for a vector until its numbers are written
+
+
+def _listed(values: npt.NDArray[np.float64], depth: str) -> Iterator[str]:
+    """The numbers of a vector as a file holds them, on lines of their own one step in from `depth`."""
+    mark = f"{depth}  "
+    for low in range(0, values.size, PIECES):
+        numbers = values[low : low + PIECES].tolist()
+        texts = [repr(number) if math.isfinite(number) else "null" for number in numbers]
+        yield ("[" if low == 0 else ",") + mark + f",{mark}".join(texts)
+    yield f"{depth}]" if values.size else "[]"
 
 
 def from_json(text: str, where: str) -> Tree:

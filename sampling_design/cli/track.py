@@ -335,15 +335,15 @@ def log(
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
-    taken = np.isfinite(record.y)
-    times, rows = np.unique(record.times[taken.any(axis=1)], return_index=True)
+    times, taken = _samples(record)
+    del record  # its numbers are not held beside those of the comparison
     with settings.progress("sigma") as progress:
         result = sd.compare_schedule(
             plant,
             schedule,
             times,
             length,
-            outputs=taken[taken.any(axis=1)][rows] if times.size else None,
+            outputs=taken if times.size else None,
             retained=split.retained,
             budget=settings.budget,
             progress=progress,
@@ -353,6 +353,17 @@ def log(
         settings.write_json(folder / "log.json", result.contents())
         settings.wrote(save_picture(result, folder / "log.png"))
     settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())
+
+
+def _samples(record: sd.Measurements) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Times at which something was measured, in order, and which outputs were."""
+    taken = np.isfinite(record.y)
+    measured = taken.any(axis=1)
+    times, taken = record.times[measured], taken[measured]
+    if np.all(times[1:] > times[:-1]):
+        return times, taken
+    times, rows = np.unique(times, return_index=True)
+    return times, taken[rows]
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

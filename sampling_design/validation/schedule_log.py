@@ -25,6 +25,9 @@ Progress = Callable[[float, str], None]
 STRETCH = 4000
 """Samples whose windows are judged at a time: what is held does not grow with the record."""
 
+MATCHED = 50_000
+"""Planned samples that are matched at a time, for the same reason."""
+
 AROUND = 400
 """Samples on either side of the worst window of a long record whose windows are shown."""
 
@@ -72,7 +75,8 @@ class ScheduleLog(Record):
     @property
     def extra(self) -> Array:
         """Actual times that were not planned."""
-        spare = np.setdiff1d(np.arange(len(self.actual)), self.match)
+        spare = np.ones(len(self.actual), dtype=bool)
+        spare[self.match[self.match >= 0]] = False
         return np.asarray(self.actual.times[spare])
 
     @property
@@ -294,20 +298,33 @@ def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
 
 
 def _matched(planned: Array, actual: Array) -> npt.NDArray[np.intp]:
-    """Pair each planned time with the nearest actual one within half of the gaps around it, none twice."""
-    gaps = np.diff(planned)
-    before, after = np.append(np.inf, gaps) / 2, np.append(gaps, np.inf) / 2
-    if gaps.size:
-        before[0], after[-1] = after[0], before[-1]
-    after_it = np.searchsorted(actual, planned).clip(0, actual.size - 1)
-    before_it = (after_it - 1).clip(0)
-    near = np.where(np.abs(actual[before_it] - planned) <= np.abs(actual[after_it] - planned), before_it, after_it)
-    away = actual[near] - planned
-    fits = np.flatnonzero((-before <= away) & (away < after))
-    _, first = np.unique(near[fits], return_index=True)  # of several that are nearest to one sample the first has it
+    """Pair each planned time with the nearest actual one within half of the gaps around it, none twice.
+
+    A stretch at a time. Of several that are nearest to one sample, which are neighbours, the first has it.
+    """
     match = np.full(planned.size, -1, dtype=np.intp)
-    match[fits[first]] = near[fits[first]]
+    last = -1
+    for low in range(0, planned.size, MATCHED):
+        index = np.arange(low, min(low + MATCHED, planned.size))
+        t = planned[index]
+        after_it = np.searchsorted(actual, t).clip(0, actual.size - 1)
+        before_it = (after_it - 1).clip(0)
+        near = np.where(np.abs(actual[before_it] - t) <= np.abs(actual[after_it] - t), before_it, after_it)
+        away = actual[near] - t
+        fits = np.flatnonzero((-_half_before(planned, index) <= away) & (away < _half_before(planned, index + 1)))
+        found = near[fits]
+        new = np.diff(found, prepend=last) > 0
+        match[index[fits[new]]] = found[new]
+        last = int(found[-1]) if found.size else last
     return match
+
+
+def _half_before(planned: Array, index: npt.NDArray[np.intp]) -> Array:
+    """Half of the gap that ends at each planned sample; the first gap before the first one, the last after the last."""
+    if planned.size < 2:
+        return np.full(index.size, np.inf)
+    end = index.clip(1, planned.size - 1)
+    return np.asarray((planned[end] - planned[end - 1]) / 2)
 
 
 def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:

@@ -157,7 +157,9 @@ def test_inputs_are_added_without_a_copy_of_those_before():
         second[2]
 
 
-def test_planned_samples_are_matched_as_one_by_one():
+@pytest.mark.parametrize("together", [1, 3, 50_000])
+def test_planned_samples_are_matched_as_one_by_one(monkeypatch, together):
+    monkeypatch.setattr(schedule_log, "MATCHED", together)
     rng = np.random.default_rng(0)
     for _ in range(200):
         planned = np.unique(np.round(rng.uniform(0, 10, rng.integers(1, 12)), 1))
@@ -210,7 +212,9 @@ def test_json_in_pieces_is_the_json(monkeypatch):
     monkeypatch.setattr(_files, "PIECES", 3)
     data = {"a": [1.0, 2.5e-300], "b": {"c": None, "d": ["ä", True]}}
     assert "".join(_files.json_pieces(data)) == to_json(data)
-    assert "".join(_files.json_pieces({"a": np.array([1.0, np.nan])})) == to_json({"a": [1.0, None]})
+    listed = {"a": [1.0, None], "b": {"c": [], "d": [[-0.0, 1.0, 2.0, 3.0], {}]}}
+    arrays = {"a": np.array([1.0, np.nan]), "b": {"c": np.zeros(0), "d": [np.array([-0.0, 1.0, 2.0, 3.0]), {}]}}
+    assert "".join(_files.json_pieces(arrays)) == to_json(listed)
     with pytest.raises(TypeError, match="set has no JSON"):
         list(_files.json_pieces({"a": {1.0}}))
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch
+from sampling_design._linalg import TAYLOR_DEGREE, TAYLOR_RADIUS, exponential_terms, expm_batch
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +26,7 @@ NARROWER = 1e-11
 """Relative: cells are that much narrower than the spacing, so that rounding never decides on which side of a jump one
 ends."""
 
+_NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
 ROUNDING = 1e-9
@@ -46,9 +47,11 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     """Evaluate g on the pieces between `edges`, which must hold every jump of g.
 
     With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
-    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|.
+    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|. Y is carried to nodes, a
+    few to each unit of 1/|A|; on the pieces between them rows Ce^{Au} alone are worked out, n times as cheap.
     """
     rows, period = problem.rows, problem.period
+    A, C = rows.A, rows.C
     left, middle, width = edges[:-1], (edges[:-1] + edges[1:]) / 2, np.diff(edges)
     jumps = jump_times(problem, starts)
     bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints]), 0.0, period))
@@ -56,23 +59,42 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     used, home = np.unique(home, return_inverse=True)
     ends = np.append(bases, period)
     Y0 = _held(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
-    step = expm_batch(rows.A, left - bases[used][home])
-    Y = step @ Y0[home] @ np.swapaxes(step, 1, 2)
-    across = expm_batch(rows.A, width)
-    A, C = rows.A, rows.C
-    first = A @ Y + Y @ A.T
-    second = A @ first + first @ A.T
-    third = A @ second + second @ A.T
-    size = np.sqrt(A.shape[0]) * np.linalg.norm(third, axis=(1, 2))
+    norm = float(np.linalg.norm(A, 2))
+    apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
+    ahead = np.floor((left - bases[used][home]) / apart)  # nodes from the base, for each piece
+    place = np.stack([home.astype(float), ahead])
+    (base, count), node = np.unique(place, axis=1, return_inverse=True)
+    node = node.reshape(-1)
+    step = expm_batch(A, count * apart)
+    Y = step @ Y0[base.astype(np.intp)] @ np.swapaxes(step, 1, 2)
+    third = Y
+    for _ in range(3):
+        third = A @ third + third @ A.T
+    size = np.linalg.norm(third, axis=(1, 2))[node]
+    begin = left - bases[used][home] - ahead * apart
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
-        growth = np.where(size > 0, np.exp(2 * np.linalg.norm(A, 2) * width), 1.0)
+        growth = np.where(size > 0, np.exp(2 * norm * (begin + width)), 1.0)
     sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
+    c, held = _rows(A, C, begin), Y[node]
+    first, seen = c @ A, c @ held
+    bend = 2 * np.sum(seen * (first @ A) + (first @ held) * first, axis=2)
+    end = _rows(A, C, begin + width)
     return Profile(
         edges,
-        _forms(C, Y),
-        _forms(C, across @ Y @ np.swapaxes(across, 1, 2)),
-        np.maximum(-_forms(C, second), 0.0) + sharpness,
+        np.sum(seen * c, axis=2),
+        np.sum((end @ held) * end, axis=2),
+        np.maximum(-bend, 0.0) + sharpness,
     )
+
+
+def _rows(A: Array, C: Array, after: Array) -> Array:
+    """C e^{Au} for every u of `after`, (N, p, n)."""
+    norm = float(np.linalg.norm(A, 1))
+    if norm * float(np.max(after, initial=0.0)) > TAYLOR_RADIUS:
+        return np.asarray(C @ expm_batch(A, after))
+    terms = C @ exponential_terms(A, norm or 1.0, TAYLOR_DEGREE + 1)
+    powers = np.vander(after * (norm or 1.0), TAYLOR_DEGREE + 1, increasing=True)
+    return np.asarray((powers @ terms.reshape(TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))
 
 
 def peaks(g: Profile) -> Array:

@@ -43,7 +43,10 @@ STARTS = 8
 """Starts that are refined by default."""
 
 BRANCHES = 20
-"""Boxes of schedules that are cut in two by default, to narrow the upper bound."""
+"""Boxes of schedules that are cut in two by default, to narrow the upper bound: of eight states, fewer of more."""
+
+PATIENCE = 150
+"""Boxes that are cut by default where the gap is wide otherwise, as long as that helps."""
 
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
@@ -51,6 +54,7 @@ MOST_TRIED = 100
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent already
 _PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent
+_PLAIN_STATES = 8  # up to which a cut takes little time
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
 
@@ -61,7 +65,7 @@ def design_schedule(
     *,
     rng: np.random.Generator | None = None,
     starts: int = STARTS,
-    branches: int = BRANCHES,
+    branches: int | None = None,
     rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
@@ -79,10 +83,11 @@ def design_schedule(
         Draws the random starts. Default: seeded with 0.
     starts : int
         Starts that are refined, beside the even and the rounded ones.
-    branches : int
+    branches : int, optional
         Boxes of schedules that are cut in two to narrow the upper bound, where it is not more samples than that;
         0 keeps the plain relaxations' bound. More cuts, a narrower bound: the satellite's gap falls from 5 % to
-        2.7 % with the default, to 1.8 % with 100 and to 1.1 % with 400.
+        2.7 % with 20, to 1.8 % with 100 and to 1.1 % with 400. Default: 20 (of more than eight states fewer, each of
+        which takes longer), and up to 150 as long as the gap is above 3 % and falls.
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
@@ -129,7 +134,7 @@ def design_schedule(
     """
     wanted = Requirement() if requirement is None else requirement
     starts = _checks.whole("starts", min(starts, _MOST_STARTS), 1)
-    branches = _checks.whole("branches", min(branches, _MOST_STARTS))
+    cuts = None if branches is None else _checks.whole("branches", min(branches, _MOST_STARTS))
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     if _checks.positive("rtol", rtol) >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
@@ -149,7 +154,7 @@ def design_schedule(
         zero_count=count,
         seed=int((np.random.default_rng(0) if rng is None else rng).integers(2**63)),
         starts=starts,
-        branches=branches,
+        branches=cuts,
         rtol=rtol,
         seconds=seconds,
         progress=progress,
@@ -239,7 +244,7 @@ class _Run:
     zero_count: ZeroCountBound
     seed: int
     starts: int
-    branches: int
+    branches: int | None
     rtol: float
     seconds: float
     progress: Progress | None
@@ -272,7 +277,8 @@ class _Run:
             if best is not None and sized.bound.value <= best.sigma:
                 continue
             try:
-                found = self.searched(sized, low + 0.15 * (high - low), high)
+                known = 0.0 if best is None else best.sigma
+                found = self.searched(sized, low + 0.15 * (high - low), high, known)
             except (InfeasibleRequirementError, SolverError) as error:  # room and money for this count was not found
                 refused = refused or error
                 continue
@@ -290,8 +296,8 @@ class _Run:
         late = time.perf_counter() > self.began + self.seconds
         return replace(best, upper_bound=top, other_counts=others, status="budget" if late else best.status)
 
-    def searched(self, sized: Sized, low: float, high: float) -> ScheduleDesign:
-        """Search and prove where the bound is known already."""
+    def searched(self, sized: Sized, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
+        """Search and prove where the bound is known already; none below a sigma that is `known` needs narrowing."""
         middle, near = low + 0.5 * (high - low), low + 0.95 * (high - low)
 
         def inner(fraction: float, message: str) -> None:
@@ -309,7 +315,9 @@ class _Run:
             found, chosen = affordable(problem, found, sized.relaxation, deadline, enough)
         tied = self.tied(sized, rng, found.sigma, deadline)
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
-        bound = narrowed(problem, sized.inner, reached, self.branches, deadline, cutting)
+        target = max(reached, known / sized.canon.size)
+        steps, most = _cuts(problem, self.branches)
+        bound = narrowed(problem, sized.inner, target, steps, deadline, cutting, most=most)
         bound = sized.bound if bound is sized.inner else bound.brought_back(sized.canon)
         time_left = time.perf_counter() <= deadline
         self.say(near, "proving sigma over all window positions")
@@ -421,6 +429,15 @@ class _Run:
         needed = int(np.ceil(0.98 * ratio**2))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
+
+
+def _cuts(problem: DesignProblem, asked: int | None) -> tuple[int, int]:
+    """How many boxes are cut, and how many at most where the gap stays wide."""
+    if asked is not None:
+        return asked, asked
+    n = problem.plant.n_states
+    share = min(1.0, (_PLAIN_STATES * (_PLAIN_STATES + 1) / (n * (n + 1))) ** 2)  # as inequalities have rows
+    return int(BRANCHES * share), int(PATIENCE * share)
 
 
 def _status(sigma: float, bound: float, finished: bool) -> str:

@@ -40,6 +40,8 @@ _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows t
 _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
 _CLEARLY = 0.9  # of the relaxation's bound: below, the parts of the box need no relaxation
+_WIDE = 0.03  # of the target: a bound farther away is worth more cuts
+_LOOK, _HELPS = 10, 0.05  # cuts after which a wide gap must have fallen by that share of itself
 _LOCAL_COST = 0.06  # of a cut: such a bound takes a fraction of a relaxation's time
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 
@@ -71,9 +73,11 @@ def narrowed(
     deadline: float = np.inf,
     progress: Progress | None = None,
     rtol: float = 1e-3,
+    most: int | None = None,
 ) -> UpperBound:
     """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
 
+    Up to `most` cuts are made as long as the bound is farther than `_WIDE` from the target and comes nearer.
     Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
     bounds are near anyway where samples are many. Boxes know no price of cost: under a limit each choice of what the
     samples measure is bounded by itself, unless there are too many.
@@ -87,9 +91,19 @@ def narrowed(
     tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline)
     if tree is None:
         return bound
-    while tree.spent < steps and time.perf_counter() <= deadline and tree.cut():
+    limit, looked = float(steps), (0.0, np.inf)
+    while time.perf_counter() <= deadline:
+        away = tree.value / target - 1 if target > 0 else 0.0
+        if tree.spent >= looked[0] + _LOOK:
+            looked, helps = (tree.spent, away), away <= (1 - _HELPS) * looked[1]
+            if tree.spent >= steps and not helps:
+                break
+        if tree.spent >= limit and away > _WIDE:
+            limit = float(max(steps, most or 0))
+        if tree.spent >= limit or (tree.spent >= steps and away <= _WIDE) or not tree.cut():
+            break
         if progress:
-            progress(min(tree.spent / steps, 1.0), f"bound {tree.value:.6g}, found {target:.6g}")
+            progress(min(tree.spent / limit, 1.0), f"bound {tree.value:.6g}, found {target:.6g}")
     return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
 
 

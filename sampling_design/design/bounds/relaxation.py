@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,10 +19,6 @@ TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
 
 _JUST_BEFORE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
-_WHOLE = 8  # states up to which inequalities are posed as they are
-_DIRECTIONS, _ADDED, _TURNS = 6, 3, 8  # beyond: directions of each window at first, added at each turn, and turns
-_SHORT = 1e-3  # of the value: a window that sees so little less than it is seen well enough
-_NEW = 1e-3  # of a direction: less beside the others is none
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 
 
@@ -143,89 +138,23 @@ def solve_relaxation(
     tolerance: float = TOLERANCE,
 ) -> Relaxation:
     """Maximise t subject to sum w = count, rows w <= limits, w >= 0 and the windows' inequalities."""
+    rows = problem.rows
     N = times.size
+    cost = np.zeros(N + 1)
+    cost[-1] = -1.0
     total = np.append(np.ones(N), 0.0)[None, :]
     bounded = np.hstack([np.vstack([linear[0], -np.eye(N)]), np.zeros((linear[0].shape[0] + N, 1))])
     blocks: list[tuple[str, Array, Array]] = [
         ("zero", total, np.array([count])),
         ("nonnegative", bounded, np.concatenate([linear[1], np.zeros(N)])),
     ]
-    whole = problem.plant.n_states <= _WHOLE
-    solved = _whole if whole else _in_subspaces
-    found, Z = solved(problem, blocks, grams, constant, count, seconds, tolerance)
+    roof = _conic.svec(rows.N)[:, None]
+    for m in range(starts.size):
+        blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
+    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds)
+    Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
-    return Relaxation(
-        times, weights, starts, feasible_multipliers(problem, Z)[0], found.x[-1] / problem.rows.unit, found.record
-    )
-
-
-Solved = tuple[_conic.ConeSolution, Sequence[Array]]
-Blocks = list[tuple[str, Array, Array]]
-
-
-def _whole(
-    problem: DesignProblem,
-    blocks: Blocks,
-    grams: Array,
-    constant: Array,
-    count: float,
-    seconds: float | None,
-    tolerance: float,
-) -> Solved:
-    """Every window's inequality as it is."""
-    cost = np.zeros(grams.shape[1] + 1)
-    cost[-1] = -1.0
-    roof = _conic.svec(problem.rows.N)[:, None]
-    seen = [("psd", np.hstack([-_conic.svec(G).T, roof]), _conic.svec(c)) for G, c in zip(grams, constant, strict=True)]
-    found = _conic.solve_cone_program(cost, [*blocks, *seen], tolerance=tolerance, budget=seconds)
-    return found, found.z[2:]
-
-
-def _in_subspaces(
-    problem: DesignProblem,
-    blocks: Blocks,
-    grams: Array,
-    constant: Array,
-    count: float,
-    seconds: float | None,
-    tolerance: float,
-) -> Solved:
-    """Every window's inequality on the directions that it sees least, to which those are added that turn out so.
-
-    An inequality of n states has n(n+1)/2 rows, and a step of the solver costs their cube; few directions have a say.
-    """
-    rows, N = problem.rows, grams.shape[1]
-    ends = time.perf_counter() + (np.inf if seconds is None else seconds)
-    cost = np.zeros(N + 1)
-    cost[-1] = -1.0
-    seen = constant + np.einsum("mjab,j->mab", grams, np.full(N, count / N))
-    V = [_apart(problem, v) for v in rows.least_seen(seen, _DIRECTIONS)]
-    for turn in range(_TURNS):
-        posed = []
-        for m, v in enumerate(V):
-            inner = np.swapaxes(v, 0, 1) @ grams[m] @ v
-            roof = _conic.svec(v.T @ rows.N @ v)[:, None]
-            posed.append(("psd", np.hstack([-_conic.svec(inner).T, roof]), _conic.svec(v.T @ constant[m] @ v)))
-        left = None if seconds is None else max(ends - time.perf_counter(), 0.0)
-        found = _conic.solve_cone_program(cost, [*blocks, *posed], tolerance=tolerance, budget=left)
-        Z = [v @ z @ v.T for v, z in zip(V, found.z[2:], strict=True)]
-        if turn == _TURNS - 1 or time.perf_counter() > ends:
-            break
-        seen = constant + np.einsum("mjab,j->mab", grams, np.clip(np.nan_to_num(found.x[:N]), 0.0, None))
-        short = np.flatnonzero(rows.least(seen)[0] * rows.unit < found.x[-1] * (1 - _SHORT))
-        if not short.size:
-            break
-        for m, more in zip(short, rows.least_seen(seen[short], _ADDED), strict=True):
-            V[m] = _apart(problem, np.hstack([V[m], more]))
-    return found, Z
-
-
-def _apart(problem: DesignProblem, directions: Array) -> Array:
-    """The same directions at right angles as states of the plant, less those that others hold."""
-    S = problem.rows.S / np.sqrt(problem.rows.unit)
-    states, triangle = np.linalg.qr(S @ directions)
-    kept = np.abs(np.diagonal(triangle)) > _NEW
-    return np.asarray(np.linalg.solve(S, states[:, kept]))
+    return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)
 
 
 def feasible_multipliers(problem: DesignProblem, found: Sequence[Array]) -> tuple[Array, float]:

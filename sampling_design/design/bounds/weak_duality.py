@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import TAYLOR_DEGREE, TAYLOR_RADIUS, exponential_terms, expm_batch
+from sampling_design._linalg import TAYLOR_DEGREE, TAYLOR_RADIUS, expm_batch, exponential_terms
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]

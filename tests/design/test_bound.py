@@ -90,6 +90,28 @@ def test_every_bound_exceeds_the_plain_sum(window, period):
             assert turns[origin] <= zone_bound(case, starts, Z, zones) ** 2 * (1 + 1e-8)
 
 
+def test_what_windows_see_is_the_plain_sum_at_both_ends_of_every_piece():
+    rng = np.random.default_rng(3)
+    case = problem(window=9.0)
+    starts, Z = multipliers(case, rng, 6)
+    edges = bound.piece_edges(case.period, np.concatenate([bound.jump_times(case, starts), [0.301, 3.3]]))
+    g = bound.profile(case, starts, Z, edges)
+    for k in range(0, edges.size - 1, 3):
+        inside = (edges[[k, k + 1]] + 1e-9 * np.array([1, -1]) * case.period)[:, None]
+        left, right = (plain_sum(case, starts, Z, t) for t in inside)
+        assert [g.left[k].sum(), g.right[k].sum()] == pytest.approx([left, right], rel=1e-6)
+    bend = g.bend.sum(axis=1)
+    for k in range(edges.size - 1):  # a chord with the remainder lies above the form inside its piece
+        at = edges[k] + np.linspace(0.0, 1.0, 9)[1:-1] * (edges[k + 1] - edges[k])
+        fine = bound.profile(case, starts, Z, np.unique([*edges, *at]))
+        inner = np.sum(fine.left, axis=1)[(fine.edges[:-1] > edges[k]) & (fine.edges[:-1] < edges[k + 1])]
+        share = np.linspace(0.0, 1.0, 9)[1:-1]
+        chord = (1 - share) * g.left[k].sum() + share * g.right[k].sum()
+        assert np.all(
+            inner <= (chord + share * (1 - share) / 2 * (edges[k + 1] - edges[k]) ** 2 * bend[k]) * (1 + 1e-9)
+        )
+
+
 @pytest.mark.parametrize("forbidden", [[[1.2, 1.6]], [[0.0, 0.5], [1.0, 1.5], [2.0, 2.5], [3.0, 3.5]]])
 def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
     rng = np.random.default_rng(11)

@@ -8,6 +8,8 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Requirement, Signals, design_schedule, library, window_sigma
 from sampling_design.design.bounds.evidence import UpperBound
+from sampling_design.design.design import _cuts
+from sampling_design.design.problem.posing import pose
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 
 
@@ -202,3 +204,11 @@ def test_a_strongly_unstable_plant_does_not_break_the_solver():
     assert design.split.retained.n_states == 2
     assert design.gap < 0.15
     assert design.verify()
+
+
+@pytest.mark.parametrize(("states", "cuts"), [(2, (20, 150)), (8, (20, 150)), (11, (5, 44)), (20, (0, 4))])
+def test_cuts_that_take_longer_are_fewer(states, cuts):
+    rule = Requirement(window=4.0, spacing=0.1, samples=4)
+    problem = pose(Plant(np.zeros((states, states)), np.eye(states)), rule.replace(period=4.0), 4)
+    assert _cuts(problem, None) == cuts
+    assert _cuts(problem, 7) == (7, 7)

@@ -5,8 +5,9 @@ import pytest
 from scipy.optimize import differential_evolution
 
 from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design.bounds import branching
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, placed_part
+from sampling_design.design.bounds.evidence import UpperBound, placed_part, slow_part, slow_states
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.posing import pose
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
@@ -104,3 +105,59 @@ def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, win
     assert {part.method for part in tight.parts} <= {"zones", "averaged", "local"}
     assert tight.value_for(problem) == pytest.approx(tight.value)
     assert UpperBound(tight.value, tight.parts[1:]).value_for(problem) == np.inf  # one box less covers too little
+
+
+class Scripted:
+    """A tree of boxes whose bound falls as it is told, a cut at a time."""
+
+    def __init__(self, values):
+        self.values, self.spent, self.parts = values, 0, ()
+
+    @property
+    def value(self):
+        return self.values(self.spent)
+
+    def cut(self):
+        self.spent += 1
+        return True
+
+
+@pytest.mark.parametrize(
+    ("falls", "cuts"),
+    [
+        (lambda done: 1.0 + 0.5 * 0.9**done, 27),  # wide at first: until it is within 3 %
+        (lambda done: 1.02, 20),  # near enough: the plain number
+        (lambda done: 1.5 - 0.0001 * done, 20),  # hopeless: no more than that
+        (lambda done: 1.3 - 0.0021 * done, 129),  # slow, and it helps
+        (lambda done: 2.0 * 0.997**done, 150),  # for ever
+    ],
+)
+def test_a_wide_gap_is_cut_on_as_long_as_that_helps(monkeypatch, falls, cuts):
+    tree = Scripted(falls)
+    monkeypatch.setattr(branching, "_rooted", lambda *given: tree)
+    problem = pose(Plant(*OSCILLATOR), Requirement(window=4.0, period=4.0, spacing=0.4, samples=3), 3)
+    found = narrowed(problem, UpperBound(np.inf, ()), 1.0, 20, most=150)
+    assert tree.spent == cuts
+    assert found.value == falls(cuts)
+
+
+FAR_APART = ([[3.0, 1.0], [0.0, 0.02]], [[0.05, 1.0]])  # e^12 and e^.08 over a window of four
+
+
+@pytest.mark.parametrize("rules", [{}, {"forbidden": [[0.5, 1.5]]}, {"fixed": [0.0, 1.75]}])
+def test_states_that_grow_slowly_alone_bound_every_schedule(rules):
+    requirement = Requirement(window=4.0, period=4.0, spacing=0.4, samples=3, **rules)
+    problem = pose(Plant(*FAR_APART), requirement, 3)
+    found = slow_part(problem)
+    best, _ = best_on_grid(*FAR_APART, 4.0, 4.0, 0.4, 3, 16, **rules)
+    assert best <= found.value * (1 + 1e-9)
+    assert found.value_for(problem) == pytest.approx(found.value)
+    least = 0.9999 * np.linalg.norm([1 / 2.98, 1.0])  # of such a state: its output is a constant that hardly grows
+    assert found.value <= 1.02 * np.sqrt(3) * (1 - 0.05 / 2.98) * np.exp(0.08) / least
+
+
+def test_modes_that_grow_alike_are_not_told_apart():
+    for A, C in (SPIRAL, OSCILLATOR, INTEGRATOR, ([[2.0, 1.0], [0.0, 2.0]], [[1.0, 0.0]])):
+        assert slow_part(pose(Plant(A, C), Requirement(window=9.0, period=4.0, spacing=0.4, samples=3), 3)) is None
+    fast = pose(Plant(*FAR_APART), Requirement(window=4.0, period=4.0, spacing=0.4, samples=3), 3)
+    assert np.allclose(np.abs(slow_states(fast)[:, 0]), np.array([1 / 2.98, 1.0]) / np.linalg.norm([1 / 2.98, 1.0]))

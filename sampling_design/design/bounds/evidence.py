@@ -16,15 +16,16 @@ from sampling_design._record import Plain
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
-from sampling_design.design.bounds.relaxation import Relaxation, grams_at
+from sampling_design.design.bounds.relaxation import Relaxation, grams_at, relax_placed
 from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
-from sampling_design.design.bounds.zone_bound import ZoneRelaxation, relax_zones, zone_bound
+from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import SIDES, Side, covered, region_of, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 Method = Literal["placed", "alone", "averaged", "zones", "local"]
@@ -34,6 +35,8 @@ _LEAST_SECONDS = 0.05  # granted to one relaxation when the time is up already
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _JUST_BESIDE = 1e-9  # of the period: a window that starts this much later no longer holds the sample
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
+_FAR = 4.0  # exponent by which modes grow more than others over a window: from there on these are looked at alone
+_MANY_STATES = 12  # beyond a relaxation takes seconds: one side of zones, and of it the windows that matter anyway
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
 
 
@@ -351,6 +354,39 @@ def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart
     return min(parts, key=lambda p: p.value)
 
 
+def slow_part(problem: DesignProblem, deadline: float = np.inf) -> BoundPart | None:
+    """Bound from the states that grow slowly alone, where others grow by far more; None where there are none such.
+
+    Whoever starts among them stays there, so that they are a smaller plant with the same schedules, of which no window
+    is seen better. The multipliers of the whole plant have to balance growth that leaves a solver no digits.
+    """
+    slow = slow_states(problem)
+    if slow is None or time.perf_counter() > deadline:
+        return None
+    A, C = slow.T @ problem.plant.A @ slow, problem.plant.C @ slow
+    smaller = replace(problem, plant=Plant(A, C), costs=None, cost_limit=np.inf)
+    seconds = max((deadline - time.perf_counter()) / 3, _LEAST_SECONDS) if np.isfinite(deadline) else None
+    found = relax_placed(smaller, seconds=seconds)
+    part = placed_part(smaller, found, deadline)
+    bare = replace(part, weights=slow @ part.weights @ slow.T)
+    bare = replace(bare, value=bare.value_for(problem))
+    return _priced(problem, bare, 0.0) if problem.is_costly else bare
+
+
+def slow_states(problem: DesignProblem) -> Array | None:
+    """Basis (n, m) at right angles of the modes that grow by far less over a window than the next; None without."""
+    from scipy.linalg import schur
+
+    grown = np.sort(np.linalg.eigvals(problem.plant.A).real) * problem.window
+    steps = np.diff(grown) * (grown[1:] > 0)
+    if not steps.size or steps.max() < _FAR:
+        return None
+    place = int(np.argmax(steps))
+    border = (grown[place] + grown[place + 1]) / (2 * problem.window)
+    _, basis, count = schur(problem.plant.A, sort=lambda real, imaginary=0.0: real < border)
+    return np.asarray(basis[:, :count]) if 0 < count < len(grown) else None
+
+
 def zone_part(
     problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, deadline: float = np.inf
 ) -> tuple[BoundPart, ZoneRelaxation] | None:
@@ -359,7 +395,12 @@ def zone_part(
     if tight is None:
         return None
     relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, deadline)
-    return _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side), relaxed
+    part = _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side)
+    slow = slow_states(problem)
+    if slow is not None:
+        bare = replace(part, weights=slow @ (slow.T @ part.weights @ slow) @ slow.T)
+        part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
+    return part, relaxed
 
 
 def local_part(
@@ -427,10 +468,14 @@ def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.
 def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
     """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
     found = [(placed_part(problem, placed, deadline),), *_placed_by_itself(problem)]
+    slow = slow_part(problem, deadline)
+    found += [] if slow is None else [(slow,)]
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
-        for side in sides(problem) if sides(problem) != ("sorted",) else ():
+        many = problem.plant.n_states > _MANY_STATES
+        hints = matters(problem, placed) if many else None
+        for side in sides(problem)[: 1 if many else 2] if sides(problem) != ("sorted",) else ():
             if time.perf_counter() <= deadline:
-                root = zone_part(problem, regions(problem, side)[0], side, deadline=deadline)
+                root = zone_part(problem, regions(problem, side)[0], side, hints, deadline)
                 found += [] if root is None else [(root[0],)]
     bounds = [UpperBound(max(part.value for part in parts), parts) for parts in found]
     return min(bounds, key=lambda bound: bound.value)

@@ -83,8 +83,19 @@ def measured(entry: dict) -> Measured:
     return Measured(name, entry["param"] or "", entry["stats"]["median"], entry["stats"]["rounds"])
 
 
+def beside(page: str) -> dict[str, list[str]]:
+    """What stands after the table of each section of the page: words of people and links, which stay."""
+    found = {}
+    for section in page.split("\n## ")[1:]:
+        title, *lines = section.rstrip().split("\n")
+        last = max((k for k, line in enumerate(lines) if line.startswith("|")), default=len(lines) - 1)
+        found[title] = lines[last + 1 :]
+    return found
+
+
 def main() -> None:
-    """Write the page."""
+    """Write the page; what people wrote after a table stays there."""
+    kept = beside(TARGET.read_text() if TARGET.exists() else "")
     lines = ["# Benchmarks", "", "Made by `python tests/benchmarks/report.py` with the `test` extra installed, "]
     lines[-1] += f"on {date.today()}."
     lines += [""]
@@ -94,6 +105,7 @@ def main() -> None:
         summary = (path.read_text().split('"""')[1].strip().splitlines() or [""])[0]
         title = path.stem.removeprefix("bench_").replace("_", " ").capitalize()
         lines += ["", f"## {title}", "", summary, "", *table([measured(entry) for entry in run(path)])]
+        lines += kept.get(title, [])
     TARGET.write_text("\n".join(lines) + "\n")
 
 

@@ -194,7 +194,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
-        if self._v_bound is None or not any(each.since is None for each in sample.told):
+        if not sample.told or self._v_bound is None or all(each.since is not None for each in sample.told):
             return None
         noise = np.broadcast_to(self._v_bound, feedthrough.shape)
         found = np.array([np.full(feedthrough.size, -np.inf), np.full(feedthrough.size, np.inf)])

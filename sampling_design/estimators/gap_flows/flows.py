@@ -197,8 +197,10 @@ class FlowTable:
 
     def known(self, gaps: Sequence[float]) -> None:
         """See to it that the flows of some gaps are known, in one batch."""
-        if not all(gap in self._table for gap in gaps):
-            self.get(gaps)
+        for gap in gaps:
+            if gap not in self._table:
+                self.get(gaps)
+                return
 
     def one(self, gap: float) -> GapFlow:
         """Return the flow of a gap."""

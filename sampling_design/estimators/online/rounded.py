@@ -34,7 +34,9 @@ def moved(bound: float, held: float) -> float:
 
 def passed(node: Node, flow: GapFlow, drift: Array, x: Array) -> Array:
     """The sizes of the numbers that x was computed from, along a gap from a node."""
-    return np.asarray(np.maximum(abs(x), flow.size.dot(abs(node.x)) + abs(drift)))
+    led: Array = flow.size.dot(abs(node.x))
+    led += abs(drift)
+    return np.maximum(abs(x), led, out=led)
 
 
 def in_units_of(Y: Array, size: Array, half: Array | None = None) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from typing import Any
 
 MAKERS = {
     "certificates.certify": ("certify_given", "_Proof.closed"),
+    "certificates.exact.precise": ("_proven",),
     "certificates.families.certify_family": ("certified", "without_states"),
     "certificates.paper.proof_constants": ("ProofConstants.certificate",),
     "certificates.inclusion.search": ("accepted",),

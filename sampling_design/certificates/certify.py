@@ -17,8 +17,9 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import BEYOND, LATER, LOOK_WORK, Efforts
+from sampling_design.certificates.exact.efforts import ATTEMPTS, BEYOND, FINER, HIGHER, LATER, LOOK_WORK, ROOM, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
@@ -47,16 +48,6 @@ if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
-
-FINER = 4
-"""How much finer the second look for a missed peak is than the first."""
-HIGHER = 1 + 1e-6
-"""By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
-ATTEMPTS = 8
-"""How often a window that the checker found may raise lambda before the proof is given up."""
-ROOM = (1.003, 1.03, 1.3, 3.0)
-"""Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
-its own rounding leaves no other proof."""
 
 
 def certify_given(
@@ -409,6 +400,7 @@ def chosen(
         else:
             _require(plant, schedule, eta, canon)
             bounds = (eta * canon.time, eta * canon.time)
+        plain, between = canon, bounds
         sizes = settled_sizes(canon, bounds[0])
         if sizes is None:  # the disturbance is so weak or strong that no balance with it can be followed
             canon = canonical(plant, schedule, weights, driven=False)
@@ -416,11 +408,17 @@ def chosen(
         canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
         longer, canon = canon.time, evened(canon)
         bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
-        found = choose_weights(canon, bounds, budgets, progress)
-        return [
-            _best_proven((plant, schedule, weights), canon, choices, eta, budget, began)
-            for choices, budget in zip(found, budgets, strict=True)
-        ]
+        problem = plant, schedule, weights
+        try:
+            found = zip(choose_weights(canon, bounds, budgets, progress), budgets, strict=True)
+            return [_best_proven(problem, canon, choices, eta, budget, began) for choices, budget in found]
+        except UndecidedError as error:
+            if slip(plain):  # dates are asked for their origin, and not followed from time 0
+                raise
+            try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
+                return [precisely_chosen(problem, plain, between, eta, budget) for budget in budgets]
+            except UndecidedError:
+                raise error from None
 
 
 def _best_proven(

@@ -18,7 +18,7 @@ from sampling_design import (
     tradeoff_curve,
 )
 from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import efforts, weight_choice
+from sampling_design.certificates.exact import efforts, precise, weight_choice
 from sampling_design.certificates.exact.canonical import canonical, evened
 from sampling_design.certificates.paper import proof_constants
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
@@ -80,6 +80,7 @@ def test_what_fails_at_every_rate_is_undecided(monkeypatch):
         raise SolverError("the information did not settle", status="unsettled")
 
     monkeypatch.setattr(weight_choice.WindowSet, "of", unsettled)
+    monkeypatch.setattr(precise, "find_spec", lambda name: None)
     with pytest.raises(UndecidedError, match="at no rate that was tried could the information"):
         certify(OSCILLATOR, EACH)
 

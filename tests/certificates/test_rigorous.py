@@ -15,7 +15,7 @@ from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, cert
 from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, Unproven, noise
-from sampling_design.certificates.rigorous.ball_proof import BallWindows, settled
+from sampling_design.certificates.rigorous.ball_proof import settled
 from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.errors import CertificateError, MissingExtraError
@@ -366,9 +366,8 @@ def test_a_recursion_that_grows_has_no_family():
     with balls.precision():
         weights = BallWeights(made_up)
         frame = ScheduleFrame(weights, BallTimes(made_up["times"], 1), weights.P2, "aliased")
-        flows = BallWindows(frame, Clock(60.0)).flows
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
-            settled(frame, flows, 1e-2, Clock(60.0))
+            settled(frame, 1e-2, Clock(60.0))
 
 
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):

@@ -12,7 +12,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import efforts, riccati, weight_choice
+from sampling_design.certificates.exact import efforts, precise, riccati, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -158,10 +158,13 @@ def test_no_proof_is_tried_twice(beyond, monkeypatch):
     assert handed == ([tried[1]] if beyond else [tried[0]])
 
 
-def test_what_cannot_be_followed_is_undecided_with_its_reason(monkeypatch):
-    """Chains of integrators and a growing one, driven by one disturbance: at these rates nothing settles in doubles."""
-    monkeypatch.setattr(weight_choice, "SLOWER", ())
-    monkeypatch.setattr(weight_choice, "SCAN", 2)
+def test_what_doubles_cannot_follow_is_certified_in_more_digits(monkeypatch):
+    """Chains of integrators and a growing one, driven by one disturbance: nothing settles in doubles."""
+    monkeypatch.setattr(precise, "ROOM", (1.0, 1.0, 3.0))  # the widest at once
     plant, schedule = drawn(331)
+    rate = 1 / float(np.mean(schedule.gaps))
+    made = certify(plant, schedule, eta=rate)
+    assert "binary digits" in made.solver.details["weights"]
+    monkeypatch.setattr(precise, "find_spec", lambda name: None)
     with pytest.raises(UndecidedError, match="the schedule is on the edge of what can be certified"):
-        certify(plant, schedule)
+        certify(plant, schedule, eta=rate)

@@ -17,6 +17,17 @@ later ones may take as much each."""
 LATER = 0.7
 """Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of
 the first ones, or what takes much work would never be proven."""
+PRECISE_WORK, PRECISE_PROOF = 4e6, 2e6
+"""Work of the search in more digits than doubles have, and of its proofs together; of one of them."""
+FINER = 4
+"""How much finer the second look for a missed peak is than the first."""
+HIGHER = 1 + 1e-6
+"""By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
+ATTEMPTS = 8
+"""How often a window that the checker found may raise lambda before the proof is given up."""
+ROOM = (1.003, 1.03, 1.3, 3.0)
+"""Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
+its own rounding leaves no other proof."""
 BEYOND = 16 * log(10)
 """ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
 

@@ -14,7 +14,7 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, slip
-from sampling_design.certificates.exact.window_gains import WindowSet
+from sampling_design.certificates.exact.window_gains import Windows, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.checkers.work import Work
@@ -99,7 +99,7 @@ class Choice:
 class Setting:
     """The windows of one rate, and what the noise budget asks of P1 there: P1 >= B/budget, B = b b'."""
 
-    windows: WindowSet
+    windows: Windows
     b: Array
     mean: Array
 
@@ -155,9 +155,14 @@ class WeightSearch:
             self.known[eta] = self._setting(eta)
         return self.known[eta]
 
+    def windows(self, eta: float) -> Windows:
+        """The windows of one rate."""
+        canon, one = self.canon, np.eye(self.canon.plant.n_states)
+        return WindowSet.of(window_problem(canon.plant, canon.schedule, one, *canon.weights, eta), self.work)
+
     def _setting(self, eta: float) -> Setting:
         canon, n = self.canon, self.canon.plant.n_states
-        windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta), self.work)
+        windows = self.windows(eta)
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
         along = rounded(np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0), self.roundness)
@@ -306,8 +311,8 @@ class _State:
         return slope
 
     def _constraints(self, T: Array, rate: float, log_lam: float) -> tuple[Array, Array]:
-        setting = self.search.setting(rate)
-        L = self.L @ T
+        setting, L = self.search.setting(rate), self.L @ T
+        assert isinstance(setting.windows, WindowSet)  # descents run in doubles
         logs, gradients = setting.windows.log_lambda(L)
         vectors, sizes, _ = np.linalg.svd(solve_triangular(setting.b, L, lower=True))
         sizes = np.maximum(sizes, 1e-150)

@@ -7,6 +7,7 @@ eigenvector e of L'YL (P2 = L L') the gradient of lambda in P2 is lambda a a' - 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,23 @@ SHARPNESS = 100.0
 PARTS = (0.5, 1.0)
 SET_UP = 1000
 """Work, about microseconds, of a set of windows before any is followed."""
+
+
+class Windows(Protocol):
+    """What first guesses ask of the windows of one rate, however many digits these are followed in."""
+
+    @property
+    def steady(self) -> Array | None:
+        """Y after each sample of the period in the long run; None for a finite schedule."""
+
+    def long_run(self, prior: Array) -> Array:
+        """Y in the long run; of a finite schedule, along its windows from P2^-1 = `prior`."""
+
+    def least_floor(self, size: Array) -> float:
+        """The largest eigenvalue of size Y size in the long run."""
+
+    def value(self, P: Array) -> float:
+        """ln lambda of P2 = P."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@
    gains: the two ends of the chord cover the cell.
 3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
 
-Floats propose cells, gains and the family; balls decide.
+Midpoints propose gains and the family; balls decide.
 """
 
 from __future__ import annotations
@@ -15,74 +15,100 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design._ball_flow import BallFlow, Clock, fallen, highest
-from sampling_design._balls import Ball, Matrix, definite, floats, matrix, raised
+from sampling_design._balls import BITS, Ball, Matrix, ball, definite, floats, raised
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
-
-Array = npt.NDArray[np.float64]
-FlowGuess = tuple[Array, Array]
 
 CELLS = 4
 """Start cells per gap at first."""
 HALVINGS = 40
 """Most halvings of a start cell."""
 PERIODS = 1000
-"""Periods along one window, or until a float recursion has settled."""
+"""Periods along one window, or until the recursion of midpoints has settled."""
 JUMP = 10
-"""After so many periods the float recursion jumps to where its present gains would settle: a period may gain little."""
+"""After so many periods it jumps to where its present gains would settle: a period may gain little."""
 DOUBLINGS = 40
 """The jump is as long as 2^DOUBLINGS periods."""
-INFLATIONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13, 1e-14)
-"""Noise added at every sample, where the target is I, to find the family: as much as the target bears.
+SETTLED = 1e-12
+"""What more of a jump no longer changes, relative."""
+BEYOND = 1e250
+"""What grows to this in a jump settles nowhere."""
+LOST = 1e6
+"""Where the target is I: what comes here does not come back, or not soon."""
+PROPOSALS = {
+    BITS: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13, 1e-14),
+    400: (1e-20, 1e-26, 1e-32, 1e-38),
+}
+"""Noise added at every sample, where the target is I, to find the family: as much as the target bears; and the digits.
 
 Y is concave in the noise: a share s of one under which Y reaches w leaves at least s w, and is not tried above 1/w.
+Nearly equal modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
 
 
-def settled(
-    frame: ScheduleFrame, flows: Sequence[FlowGuess], inflation: float, clock: Clock
-) -> tuple[list[Array], float]:
-    """Return Y after each sample of the last period with inflated noise, in floats, and its largest eigenvalue there.
+def settled(frame: ScheduleFrame, inflation: float, clock: Clock) -> tuple[list[Matrix], float]:
+    """Return Y after each sample of the last period with inflated noise, midpoints, and its largest eigenvalue there.
 
     Raises
     ------
     ArithmeticError
         If it leaves I behind by far, or does not settle.
     """
-    schedule, Y, I = frame.schedule, floats(frame.start), np.eye(frame.n)
-    kept: list[Array] = [I] * schedule.N
+    schedule, Y = frame.schedule, frame.start.mid()
     for turn in range(1, PERIODS + 1 if schedule.periodic else 2):
-        before, worst, whole = Y, 0.0, I
-        clock.check(60.0 * schedule.N)
-        for i, (F, W) in enumerate(flows):
-            Y = F @ Y @ F.T + W
-            worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
-            K = frame.gain(Y, i)
-            left = I - K @ frame.float_rows[i]
-            whole = left @ F @ whole
-            kept[i] = Y = left @ Y @ left.T + K @ frame.float_noises[i] @ K.T + inflation * I
-            worst = max(worst, float(np.linalg.eigvalsh(Y)[-1]))
-        if np.abs(Y - before).max() <= 1e-2 * inflation or not schedule.periodic:
+        clock.check((60 + frame.n**3 / 3) * schedule.N)
+        before, (kept, whole, worst) = Y, one_period(frame, Y, inflation)
+        Y = kept[-1]
+        if _size(Y - before) <= 1e-2 * inflation or not schedule.periodic:
             return kept, worst
-        if not worst < 1e6:
+        if not worst < LOST:
             break
         if turn % JUMP == 0:
-            Y = _rest(whole, before, Y)
+            Y = rest(whole, before, Y)
     raise ArithmeticError("the recursion does not settle")
 
 
-def _rest(whole: Array, before: Array, after: Array) -> Array:
+def one_period(frame: ScheduleFrame, Y: Matrix, inflation: float) -> tuple[list[Matrix], Matrix, float]:
+    """Y after each sample, the linear part of the period with these gains, and the largest eigenvalue; midpoints."""
+    kept, whole, worst, more = [], frame.identity, 0.0, ball(inflation) * frame.identity
+    for i, gap in enumerate(frame.schedule.gaps):
+        F, W = frame.flow.over(gap)
+        before = (F * Y * F.transpose() + W).mid()
+        K = frame.gain(before, i)
+        whole = ((frame.identity - K * frame.rows[i]) * F * whole).mid()
+        Y = _even(frame.with_gain(before, i, K)) + more
+        kept.append(Y)
+        worst = max(worst, _top(before), _top(Y))
+    return kept, whole, worst
+
+
+def rest(whole: Matrix, before: Matrix, after: Matrix) -> Matrix:
     """Where periods Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
-    if not np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1:
-        return after
-    found = after - whole @ before @ whole.T
+    found = after - whole * before * whole.transpose()
     for _ in range(DOUBLINGS):
-        found, whole = found + whole @ found @ whole.T, whole @ whole
-    return np.asarray((found + found.T) / 2)
+        more, whole = (whole * found * whole.transpose()).mid(), (whole * whole).mid()
+        found = _even(found + more)
+        if not _size(found) < BEYOND:
+            break
+        if _size(more) <= SETTLED * _size(found):
+            return found
+    return after
+
+
+def _even(M: Matrix) -> Matrix:
+    """The midpoints of a matrix that is symmetric but for rounding."""
+    return ((M + M.transpose()) / 2).mid()
+
+
+def _top(M: Matrix) -> float:
+    return float(np.linalg.eigvalsh(floats(M))[-1])
+
+
+def _size(M: Matrix) -> float:
+    return float(np.abs(floats(M)).max())
 
 
 class BallWindows:
@@ -90,11 +116,9 @@ class BallWindows:
 
     def __init__(self, frame: ScheduleFrame, clock: Clock) -> None:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
-        self.flows = [(floats(F), floats(W)) for F, W in (frame.flow.over(gap) for gap in self.schedule.gaps)]
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
         self.falling = BallFlow(frame.flow.A, fallen(frame.flow.slope(frame.start)))
         self.family: list[Matrix] | None = None
-        self.float_family: list[Array] = []
 
     def below_one(self, Y: Matrix, duration: Ball) -> bool:
         """Whether Y <= I is proven along `duration`."""
@@ -103,34 +127,36 @@ class BallWindows:
             self.reached = max(self.reached, float(top))
         return top is not None
 
-    def propose(self) -> None:
-        """Find and prove a family B_i that the recursion maps below itself and that stays below I."""
+    def propose(self, inflations: Sequence[float]) -> bool:
+        """Find and prove a family B_i that the recursion maps below itself and that stays below I, and that catches.
+
+        A finite schedule needs none.
+        """
         bearable = np.inf
-        for inflation in INFLATIONS:
+        for inflation in inflations:
             if inflation >= bearable:
                 continue
             try:
-                Z, worst = settled(self.frame, self.flows, inflation, self.clock)
+                Z, worst = settled(self.frame, inflation, self.clock)
             except (ArithmeticError, np.linalg.LinAlgError):
                 continue
             bearable = inflation / worst
             for power in POWERS if worst < 1 else ():
-                B = [z * worst**-power for z in Z]
-                if self.invariant([matrix((b + b.T) / 2) for b in B], B):
-                    return
+                if self.invariant([ball(worst**-power) * z for z in Z]):
+                    return True
+        return not self.schedule.periodic
 
-    def invariant(self, B: list[Matrix], guess: list[Array]) -> bool:
+    def invariant(self, B: list[Matrix]) -> bool:
         """Whether the family is proven; keep it if so."""
         frame, schedule, reached = self.frame, self.schedule, self.reached
         for i in range(schedule.N if schedule.periodic else schedule.N - 1):
             after = schedule.after(i)
-            F, W = self.flows[after]
-            K = frame.gain(F @ guess[i] @ F.T + W, after)
-            left = frame.with_gain(frame.flow.step(B[i], schedule.gaps[after]), after, K)
+            later = frame.flow.step(B[i], schedule.gaps[after])
+            left = frame.with_gain(later, after, frame.gain(later, after))
             if not (definite(B[after] - left) and self.below_one(B[i], schedule.gaps[after])):
                 self.reached = reached
                 return False
-        self.family, self.float_family = B, guess
+        self.family = B
         return True
 
     def caught(self, ends: list[Matrix], i: int) -> bool:
@@ -139,8 +165,6 @@ class BallWindows:
             return True
         if self.family is None:
             return False
-        if any(np.linalg.eigvalsh(self.float_family[i] - floats(Y))[0] < 0 for Y in ends):
-            return False
         return all(definite(self.family[i] - Y) for Y in ends)
 
     def follow(self, ends: list[Matrix], i: int) -> bool:
@@ -148,7 +172,7 @@ class BallWindows:
         frame, schedule = self.frame, self.schedule
         for _ in range(PERIODS * schedule.N):
             self.clock.check(200 + 3 * frame.n**3)
-            K = frame.gain(np.mean([floats(Y) for Y in ends], axis=0), i)
+            K = frame.gain(sum(ends[1:], ends[0]) / len(ends), i)
             ends = [raised(frame.with_gain(Y, i, K)) for Y in ends]
             if self.caught(ends, i):
                 return True

@@ -27,7 +27,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
     positive_definite,
     reading,
 )
-from sampling_design.certificates.rigorous.ball_proof import BallWindows
+from sampling_design.certificates.rigorous.ball_proof import PROPOSALS, BallWindows
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.inclusion_balls import inclusion
@@ -127,8 +127,9 @@ def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None
     *Assumptions.* The doubles in the file are the numbers meant; a periodic schedule is its gaps and its first time,
     without rounding of the sums. A weight is its symmetric part. *Claim.* "proven" and "refuted" are theorems.
     *Method.* `ball_proof` and, where that does not close, `refutation`; `family_rigorous` for families and
-    `dissipation_rigorous` for detectability. *Numerical aspects.* 160 bits; eigenvalues, gains and families are guessed
-    in floats and proven by the pivots of L D L' in balls.
+    `dissipation_rigorous` for detectability. *Numerical aspects.* 160 bits, 400 where no
+    family is found; eigenvalues are guessed in floats, gains and families in midpoints, and proven by the pivots of
+    L D L' in balls.
     """
     flint()
     began = time.perf_counter()
@@ -252,9 +253,6 @@ def flown(frame: ScheduleFrame, start: float, t: float) -> Matrix:
 
 def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -> float:
     """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
-    frame = make()
-    windows = BallWindows(frame, clock)
-    windows.propose()
     halved: list[int] = []
 
     def failed(depth: int) -> None:
@@ -262,13 +260,19 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
             halved.append(depth)
             refute(make, clock)
 
-    catches = windows.family is not None or not frame.schedule.periodic
-    if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
-        return 1.0 - windows.reached
+    for bits, inflations in PROPOSALS.items():
+        with precision(bits):
+            windows = BallWindows(make(), clock)
+            catches = windows.propose(inflations)
+            if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
+                return 1.0 - windows.reached
+        if catches:
+            break
     if not halved:
         refute(make, clock, samples_only)
-    why = "it is tight or nearly so" if catches else "no bound that holds over all periods was found"
-    raise Unproven(UNDECIDED, frame.inequality, f"{frame.inequality} could not be decided: {why}")
+    name, why = windows.frame.inequality, "it is tight or nearly so"
+    why = why if catches else "no bound that holds over all periods was found"
+    raise Unproven(UNDECIDED, name, f"{name} could not be decided: {why}")
 
 
 def of_family(data: Tree, clock: Clock) -> Decision:

@@ -19,7 +19,6 @@ from sampling_design._balls import (
     flint,
     floats,
     largest,
-    matrix,
     positive_part,
     spectral,
     symmetric,
@@ -83,9 +82,9 @@ class BallIntervals:
         bulge = flow.reach(length) * positive_part(largest(-flow.second(Y)))
         ends = [Y, end]
         if which is not None:
-            K = frame.gain((floats(Y) + floats(end)) / 2, which)
+            K = frame.gain((Y + end) / 2, which)
             ends = [frame.with_gain(part, which, K) for part in ends]
-            slope = spectral(frame.identity - matrix(K) * frame.rows[which]) ** 2
+            slope = spectral(frame.identity - K * frame.rows[which]) ** 2
         return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
 
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:

@@ -1,0 +1,227 @@
+"""Weights for windows that doubles lose: long runs and lambdas in `BITS` binary digits (extra `rigorous`).
+
+Nearly equal modes behind few outputs leave a covariance of condition 1e30, and the plant is certified all the same: by
+a round P2, whose own windows are followed in more digits. These are midpoints of balls, and so proposals; what they
+propose is proven in balls.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import __version__
+from sampling_design._balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
+from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights
+from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
+from sampling_design.certificates.exact.efforts import PRECISE_PROOF, PRECISE_WORK, ROOM
+from sampling_design.certificates.exact.weight_choice import Choice, WeightSearch
+from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
+from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.checkers.work import Work
+from sampling_design.errors import SolverError, UndecidedError
+from sampling_design.evidence import SolverRecord
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import AnySchedule
+
+Array = npt.NDArray[np.float64]
+
+BITS = 400
+"""Binary digits: a hundred decimal ones beside those that conditions of 1e45 lose."""
+LONGEST = 2000
+"""Samples that are followed until the long run is reached."""
+SHARE = 1e-4
+"""Share of every state's variance that is added before a covariance becomes a weight: P2 is then no harder than 1e5."""
+REACHED = 1e-6
+"""Change of every state's variance in a period, relative, at which it is."""
+MERGED = 3e-2, 1e-3
+"""A window is followed no further that is below the long run and these shares of the long run and of its own start."""
+CELLS = 4
+"""Parts of a gap, for starts and for times."""
+STEPS = 200
+"""Samples along one window."""
+STEP_WORK = 100, 1.0
+"""Work, about microseconds, of one sample: so much, and so much more for each n^3."""
+
+
+class PreciseWindows:
+    """The windows of a plant in internal units at one rate, P2 left open: what a search asks of `WindowSet`."""
+
+    def __init__(self, canon: Canonical, eta: float, work: Work) -> None:
+        plant, (Qw, R, Qv) = canon.plant, canon.weights
+        self.n, self.work = plant.n_states, work
+        matrices = {"A": plant.A, "C": plant.C, "G": plant.G}
+        with precision(BITS):
+            weights = BallWeights(
+                {"plant": {"matrices": matrices}, "P2": np.eye(self.n), "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
+            )
+            self.times = BallTimes(times_to_dict(canon.schedule), plant.n_outputs)
+            self.frame = ScheduleFrame(weights, self.times, identity(self.n), "search")
+            self.cycle = self._settled() if self.times.periodic else []
+        self.steady = np.array([floats(Y) for Y in self.cycle]) if self.cycle else None
+
+    def _settled(self) -> list[Matrix]:
+        """Y after each sample of the period in the long run."""
+        Y = self.frame.start
+        for turn in range(1, LONGEST // self.times.N + 2):
+            self._spend(2 * self.times.N)
+            before, (kept, whole, _) = Y, one_period(self.frame, Y, 0.0)
+            Y = kept[-1]
+            size = np.sqrt(np.abs(np.diagonal(floats(Y))))
+            if np.all(np.abs(floats(Y - before)) <= REACHED * size * size[:, None]):
+                return kept
+            if turn % JUMP == 0:
+                Y = rest(whole, before, Y)
+        raise SolverError("the information did not settle: the schedule is on the edge of what can be certified.")
+
+    def _spend(self, samples: int) -> None:
+        self.work.spend(samples * (STEP_WORK[0] + STEP_WORK[1] * self.n**3))
+
+    def starts(self, cells: int) -> list[tuple[int, Ball, bool]]:
+        """First sample, time to it, and whether it starts at a sample: all of those, and `cells` - 1 in each gap."""
+        times = self.times
+        ends = [(i, gap, True) for i, gap in enumerate(times.gaps)] + [(0, times.first, True)]
+        inner = [(i, reach * k / cells, False) for i, reach in enumerate(times.reach) for k in range(1, cells)]
+        return ends + inner
+
+    def _window(self, X: Matrix, i: int, remaining: Ball, parts: int) -> Iterator[Matrix]:
+        """Y at so many times of each gap of the window that starts with X, `remaining` before sample i."""
+        frame, times, Y, duration = self.frame, self.times, X, remaining
+        for _ in range(STEPS):
+            self._spend(parts)
+            for k in range(1, parts + 1):
+                later = frame.flow.step(Y, duration * k / parts).mid()
+                yield later
+            Y = frame.sampled(later, i).mid()
+            if times.periodic:
+                above = self.cycle[i] * ball(1 + MERGED[0]) + X * ball(MERGED[1])
+                if definite(above - Y):
+                    return
+            elif i + 1 == times.N:
+                return
+            i = times.after(i)
+            duration = times.gaps[i]
+
+    def _later(self, parts: int) -> Iterator[Matrix]:
+        """The long run at so many times of each gap."""
+        for i, Y in enumerate(self.cycle):
+            gap = self.times.gaps[self.times.after(i)]
+            for k in range(1, parts + 1):
+                yield self.frame.flow.step(Y, gap * k / parts)
+
+    def long_run(self, prior: Array) -> Array:
+        """Y in the middle and at the end of gaps in the long run; finite: along the windows from P2^-1 = `prior`."""
+        with precision(BITS):
+            found = [floats(Y) for Y in self._later(2)]
+            if not found:
+                found = [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(matrix(prior), i, r, 2)]
+        return np.array(found)
+
+    def least_floor(self, size: Array) -> float:
+        """The largest eigenvalue of size Y size in the long run; finite: of the windows without prior error."""
+        Y = self.long_run(np.zeros((self.n, self.n)))
+        return float(np.linalg.eigvalsh(Y * size * size[:, None])[:, -1].max())
+
+    def value(self, P: Array) -> float:
+        """ln lambda of P2 = P, looked at before samples."""
+        return float(np.log(max(self.peaks(P, 2, 1))))
+
+    def peaks(self, P: Array, cells: int = CELLS, parts: int = CELLS) -> tuple[float, float]:
+        """The largest lambda met over all starts, and over those at samples."""
+        with precision(BITS):
+            form = matrix(P)
+            X, L = form.inv().mid(), cholesky(form)
+            if L is None:
+                raise np.linalg.LinAlgError("P2 is not positive definite")
+            L = L.mid()
+
+            def top(Y: Matrix) -> float:
+                return float(np.linalg.eigvalsh(floats(L.transpose() * Y * L))[-1])
+
+            best = [1.0, max((top(Y) for Y in self._later(parts)), default=1.0)]
+            for i, remaining, at_sample in self.starts(cells):
+                value = max(top(Y) for Y in self._window(X, i, remaining, parts))
+                best[at_sample] = max(best[at_sample], value)
+        return max(best), best[1]
+
+
+class PreciseSearch(WeightSearch):
+    """The first guesses of the search, judged by windows in more digits than doubles have."""
+
+    def guesses(self, eta: float) -> list[Array]:
+        """One shape, between the inverse of the long-run covariance and the least P1: each costs much here."""
+        return super().guesses(eta)[1:2]
+
+    def windows(self, eta: float) -> PreciseWindows:
+        """The windows of one rate."""
+        return PreciseWindows(self.canon, eta, self.work)
+
+
+def precisely_chosen(
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
+    canon: Canonical,
+    bounds: tuple[float, float],
+    eta: float | None,
+    budget: float,
+) -> Certificate:
+    """A certificate at the first rate, of few within `bounds` and below (internal units), at which balls prove one.
+
+    P2 is the best of the first guesses; lambda is stated with `ROOM` above the largest that was met.
+
+    Raises
+    ------
+    UndecidedError
+        If balls prove none, or are not installed.
+    """
+    began = time.perf_counter()
+    rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
+    search, proofs = PreciseSearch(canon, SHARE, Work(PRECISE_WORK)), Work(PRECISE_WORK)
+    for rate in rates if find_spec("flint") else ():
+        choice = None if search.late or proofs.over else search.best_guess(rate, budget)
+        if choice is None:
+            continue
+        windows = search.setting(rate).windows
+        assert isinstance(windows, PreciseWindows)
+        met = windows.peaks(choice.P2)
+        stated = replace(choice, eta=rate / canon.time if eta is None else eta, P2=symmetrise(canon.outside(choice.P2)))
+        how = {"weights": f"a first guess under budget {budget:g}, followed in {BITS} binary digits"}
+        seconds = time.perf_counter() - began
+        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
+        try:
+            return _proven(problem, stated, met, solver, proofs)
+        except UndecidedError:
+            continue
+    raise UndecidedError("undecided: no proof closes in more digits than doubles have either.")
+
+
+def _proven(
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
+    choice: Choice,
+    met: tuple[float, float],
+    solver: SolverRecord,
+    proofs: Work,
+) -> Certificate:
+    """The certificate of this choice, in the plant's units, that balls prove with the least room above what was met."""
+    plant, schedule, (Qw, R, Qv) = problem
+    for room in ROOM[2:]:
+        lam, lam_samples = (room * value for value in met)
+        spare = {"lambda": f"{room:g} times the largest met: the proof needs the room"}
+        made = Certificate(
+            plant, schedule, P1=(1 - RESOLUTION) * choice.P2 / lam, P2=choice.P2, Qw=Qw, R=R, Qv=Qv, eta=choice.eta,
+            lam=lam, lam_samples=lam_samples, margin=STATED_MARGIN,
+            solver=replace(solver, details={**solver.details, **spare}),
+        )  # fmt: skip
+        verdict = verify_rigorously(made.to_dict(), np.inf, proofs.share(PRECISE_PROOF))
+        if verdict.passed:
+            return made
+        if proofs.over:
+            break
+    raise UndecidedError(f"undecided: {verdict.reason}.", verification=verdict, certificate=made)

@@ -127,7 +127,7 @@ class Scripted:
     [
         (lambda done: 1.0 + 0.5 * 0.9**done, 27),  # wide at first: until it is within 3 %
         (lambda done: 1.02, 20),  # near enough: the plain number
-        (lambda done: 1.5 - 0.0001 * done, 20),  # hopeless: no more than that
+        (lambda done: 1.5 - 0.0001 * done, 40),  # hopeless: once more, and no more than that
         (lambda done: 1.3 - 0.0021 * done, 129),  # slow, and it helps
         (lambda done: 2.0 * 0.997**done, 150),  # for ever
     ],

@@ -41,7 +41,7 @@ _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
 _CLEARLY = 0.9  # of the relaxation's bound: below, the parts of the box need no relaxation
 _WIDE = 0.03  # of the target: a bound farther away is worth more cuts
-_LOOK, _HELPS = 10, 0.05  # cuts after which a wide gap must have fallen by that share of itself
+_LOOK, _HELPS = 20, 0.05  # cuts after which a wide gap must have fallen by that share of itself
 _LOCAL_COST = 0.06  # of a cut: such a bound takes a fraction of a relaxation's time
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
 

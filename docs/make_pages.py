@@ -278,8 +278,9 @@ def command_page() -> str:
         for parameter in command.params:
             flags = parameter.opts if parameter.param_type_name == "option" else [parameter.name.upper()]
             told = (getattr(parameter, "help", None) or "").replace("|", "\\|")
-            shown = f" Default {parameter.default}." if isinstance(parameter.default, int | float | str) else ""
-            lines.append(f"| `{' '.join(flags)}` | {told}{'' if isinstance(parameter.default, bool) else shown} |")
+            plain = isinstance(parameter.default, int | float | str) and not isinstance(parameter.default, bool)
+            shown = f" Default {parameter.default}." if plain and parameter.default != "" else ""
+            lines.append(f"| `{' '.join(flags)}` | {told}{shown} |")
         lines.append("")
     return "\n".join(lines)
 

@@ -23,6 +23,17 @@ WIDE = """() => [...document.querySelectorAll('article *')].filter((node) => {
   return node.getBoundingClientRect().right > window.innerWidth + 1;
 }).map((node) => node.tagName + ' ' + node.textContent.slice(0, 60))"""
 
+# formulas that a phone cuts off: they reach beyond the screen, and nothing around them scrolls
+CUT = """() => [...document.querySelectorAll('article mjx-container')].filter((node) => {
+  if (node.closest('details:not([open])')) return false;
+  if (node.getBoundingClientRect().right <= window.innerWidth + 1) return false;
+  for (let around = node.parentElement; around.tagName !== 'ARTICLE'; around = around.parentElement) {
+    const style = getComputedStyle(around);
+    if (style.display !== 'inline' && ['auto', 'scroll'].includes(style.overflowX)) return false;
+  }
+  return true;
+}).map((node) => node.closest('p, li, td, dd, div').textContent.slice(0, 60))"""
+
 
 def settle(page, name, address=None):
     page.goto(address or (HTML / name).as_uri(), wait_until="load")
@@ -52,6 +63,7 @@ def test_a_page_shows_its_mathematics_and_asks_nobody(name, page, shot):
     shot(page, name.replace("/", "-").removesuffix(".html"))
     page.set_viewport_size(PHONE)
     assert page.evaluate(WIDE) == []
+    assert page.evaluate(CUT) == []
     shot(page, "phone-" + name.replace("/", "-").removesuffix(".html"))
 
 

@@ -146,7 +146,8 @@ class SamplingSet(Record):
         if not isinstance(self.schedule, PeriodicSchedule):
             return len(self.schedule)
         cycle = _least_period(self.schedule)
-        return cycle if self.first == self.schedule.gaps[0] else cycle + 1
+        off = abs(self.first - float(self.schedule.gaps[0]))
+        return cycle if off <= ROUNDING * self.schedule.period else cycle + 1
 
     def kappa(self, T: float) -> int:
         """Return the largest number of samples in any closed window of length `T` [time].
@@ -187,10 +188,10 @@ class SamplingSet(Record):
 
 def _least_period(schedule: PeriodicSchedule) -> int:
     """Return the least N' that divides N such that gaps and outputs repeat after N' samples."""
-    count = len(schedule)
+    count, rounding = len(schedule), ROUNDING * schedule.period
     mask = schedule.outputs
     for size in (d for d in range(1, count) if count % d == 0):
-        same = np.array_equal(schedule.gaps, np.roll(schedule.gaps, size))
+        same = np.all(np.abs(schedule.gaps - np.roll(schedule.gaps, size)) <= rounding)
         if same and (mask is None or np.array_equal(mask, np.roll(mask, size, axis=0))):
             return size
     return count

@@ -62,6 +62,19 @@ def test_a_periodic_sequence_has_one_set_per_sample_of_its_least_period(gaps, fi
     assert len(seen) == distinct
 
 
+def test_units_of_time_change_no_number_of_sets():
+    factors = 10.0 ** np.random.default_rng(0).uniform(-9, 9, 200)
+    for gaps, distinct in (
+        ([0.5, 1.1], 2),
+        ([0.3, 0.7, 0.3, 0.7], 2),
+        ([0.7, 0.7, 0.7], 1),
+        ([0.7, 0.7 * (1 + 1e-12)], 2),
+    ):
+        first = PeriodicSchedule(gaps)
+        moved = (PeriodicSchedule.from_times(c * first.times, c * first.period) for c in factors)
+        assert {SamplingSet(schedule).distinct for schedule in moved} == {distinct}
+
+
 def test_outputs_turn_with_the_samples():
     mask = [[1, 0], [0, 1], [1, 1]]
     K = SamplingSet(PeriodicSchedule([1.0, 2.0, 3.0], outputs=mask))

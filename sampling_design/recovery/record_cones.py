@@ -18,7 +18,7 @@ Index = npt.NDArray[np.intp]
 
 
 class RecordCones:
-    """States count as x = D L z; `H` (in D coordinates) and the readings in `unit`.
+    """States count as x = path + D L z, readings (`shown`) from `path`; `H` and `path` in D coordinates, in `unit`.
 
     Attributes
     ----------
@@ -32,6 +32,7 @@ class RecordCones:
     def __init__(
         self,
         readings: Readings,
+        path: Array,
         F: Array,
         cells: list[Array],
         D: Array,
@@ -41,6 +42,7 @@ class RecordCones:
         tolerance: float,
     ):
         self._readings, self._unit = readings, unit
+        self._shown = readings.shown - np.einsum("rn,rn->r", H, path[readings.nodes])
         self._K, self._n, self._q = len(readings.times), len(D), readings.G.shape[1]
         root = readings.start.root
         self._starts = 0 if root is None else root.shape[1]
@@ -59,7 +61,7 @@ class RecordCones:
             i = np.arange(self._n)[:, None]
             table.put(i, self._starts + i.T, np.eye(self._n))
             table.put(i, np.arange(self._starts), -np.asarray(np.linalg.solve(L, longer / D[:, None])))
-            table.more(np.zeros(self._n))
+            table.more(-np.asarray(np.linalg.solve(L, path[0])))
         self._seen(table, np.asarray(H @ L / unit[:, None]))
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
         interior = not self._exact.size  # without one the last digits of every step count
@@ -94,7 +96,7 @@ class RecordCones:
     def _seen(self, table: ConeTable, H: Array) -> None:
         """Readings and bounds: first what is exact, then what is linear, then what is round."""
         read = self._readings
-        y, size = read.shown / self._unit, read.size / self._unit
+        y, size = self._shown / self._unit, read.size / self._unit
         columns = self._starts + read.nodes[:, None] * self._n + np.arange(self._n)
         self._exact_at = table.block(self._exact, columns, H, y)
         table.end("zero")

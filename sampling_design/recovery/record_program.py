@@ -18,6 +18,7 @@ from sampling_design._conic import INFEASIBLE, UNBOUNDED
 from sampling_design.recovery.gap_table import GapTable, Quadrature
 from sampling_design.recovery.readings import Readings
 from sampling_design.recovery.record_cones import RecordCones
+from sampling_design.recovery.unknown import told_of_start, unseen
 
 Array = npt.NDArray[np.float64]
 
@@ -41,10 +42,6 @@ HELD = 1e-13
 
 NOTHING = 1e-10
 """A rest below this share of the gains' terms counts as none where the start is free: rounding."""
-
-UNSEEN = 1e-11
-"""A direction of a free start of which rows show less than this, each in units of what it shows most, is not seen: what
-rounding makes of a mode that no output sees. An end that is infinite for it is no false claim."""
 
 UNKNOWN = 1e-6
 """Share of a target, run back to a free start, in directions that are not seen, from which on it is unbounded."""
@@ -198,7 +195,7 @@ class RecordProgram:
         if level not in self._levels:
             cells = [gap.cells(level) for gap in self.gaps]
             self._levels[level] = RecordCones(
-                self.readings, self.F, cells, self.table.D, self.L, self.H, self.unit, TOLERANCE
+                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit, tolerance=TOLERANCE
             )
         return self._levels[level]
 
@@ -282,7 +279,7 @@ class RecordProgram:
             x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
         if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
             return nothing
-        return -float(cost @ x) * size, *posed.read(np.asarray(y * size, dtype=np.float64))
+        return -float(cost @ x) * size + float(c @ self._near[-1]), *posed.read(np.asarray(y * size, dtype=np.float64))
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""
@@ -374,29 +371,32 @@ class RecordProgram:
     @cached_property
     def _start_rows(self) -> tuple[Array, Array]:
         """The least change of gains that takes a rest away (for L'rest), and L."""
-        flow, seen = self.L.copy(), []
-        n = self.readings.plant.n_states
-        for k, (a, b) in enumerate(zip(self.readings.offsets[:-1], self.readings.offsets[1:], strict=True)):
-            flow = self.F[k - 1] @ flow if k else flow
-            seen.append(np.where(self.readings.below[a:b, None], 0.0, self.H[a:b]) @ flow)
-        rows = np.vstack(seen) / self.unit[:, None] if seen else np.zeros((0, n))
+        rows = (
+            np.where(self.readings.below[:, None], 0.0, told_of_start(self.H, self.F, self.readings.offsets, self.L))
+            / self.unit[:, None]
+        )
         if not np.isfinite(rows).all():
             return np.zeros_like(rows), self.L
         return np.asarray(np.linalg.pinv(rows.T, rcond=HELD) / self.unit[:, None]), self.L
 
     @cached_property
+    def _near(self) -> Array:
+        """(K, n) a trajectory without w near the readings: states count from it in a program.
+
+        Where states have grown to a million times of what is known of them, a solver's last digits would be seen.
+        """
+        path = np.zeros((len(self.readings.times), len(self.table.D)))
+        change, through = self._start_rows
+        with np.errstate(over="ignore", invalid="ignore"):
+            path[0] = through @ (change.T @ self.readings.shown)
+            for k, F in enumerate(self.F):
+                path[k + 1] = F @ path[k]
+        return path if np.isfinite(path).all() else np.zeros_like(path)
+
+    @cached_property
     def _unseen(self) -> Array:
         """(n, m) directions of the start that no row shows."""
-        flow, seen = np.eye(len(self.table.D)), []
-        for k, (a, b) in enumerate(zip(self.readings.offsets[:-1], self.readings.offsets[1:], strict=True)):
-            flow = self.F[k - 1] @ flow if k else flow
-            seen.append(self.H[a:b] @ flow)
-        rows = np.vstack(seen)
-        size = np.linalg.norm(rows, axis=1)
-        if not np.isfinite(size).all():
-            return np.zeros((len(flow), 0))
-        values, right = np.linalg.svd(rows[size > 0] / size[size > 0, None])[1:]
-        return np.asarray(right[np.count_nonzero(values > UNSEEN) :].T)
+        return unseen(told_of_start(self.H, self.F, self.readings.offsets, np.eye(len(self.table.D))))
 
     def _open(self, c: Array) -> bool:
         """Whether a target holds something of a free start that no gains can take away."""

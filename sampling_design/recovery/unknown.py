@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,10 @@ ALIAS = 1e-7
 
 UNSEEN = 1e-9
 """A direction counts as unseen if its samples are below this share of what the strongest direction shows."""
+
+HIDDEN = 1e-11
+"""A direction of a free start is hidden if rows, each of length one, show less than this of it: what rounding makes of
+a mode that no output sees. An end that is infinite for it is no false claim."""
 
 GROWN = 200.0
 """Logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes."""
@@ -213,3 +218,22 @@ def _hidden(
     _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)
     sizes = np.pad(sizes, (0, X.shape[1] - sizes.size)) if sizes.size < X.shape[1] else sizes
     return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)
+
+
+def told_of_start(H: Array, F: Array, offsets: npt.NDArray[np.intp], flow: Array) -> Array:
+    """What rows H (R, n), read at the ends of gaps F (K-1, n, n), say of the start, in the columns of `flow`."""
+    told = []
+    with np.errstate(over="ignore", invalid="ignore"):  # who asks looks whether it is finite
+        for k, (a, b) in enumerate(pairwise(offsets.tolist())):
+            flow = F[k - 1] @ flow if k else flow
+            told.append(H[a:b] @ flow)
+    return np.vstack(told) if told else np.zeros((0, flow.shape[1]))
+
+
+def unseen(told: Array) -> Array:
+    """Directions (n, m) of the start that no row (R, n) shows; none where they grow beyond all numbers."""
+    size = np.linalg.norm(told, axis=1)
+    if not np.isfinite(size).all():
+        return np.zeros((told.shape[1], 0))
+    values, right = np.linalg.svd(told[size > 0] / size[size > 0, None])[1:]
+    return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)

@@ -209,3 +209,21 @@ def test_zeros_say_before_there_are_data_what_data_will_be_worth():
     zeros = interval(plant, [(t, [0.0], None) for t in times], initial_error=1.0, prior_time=0.0, **given)
     assert np.all(zeros.upper <= promised.at_samples[:, -1] * (1 + 1e-6))
     assert np.all(zeros.upper >= promised.at_samples[:, -1] * (1 - 0.01))
+
+
+@pytest.mark.parametrize("known", [None, 0.5])
+def test_both_sides_meet_where_states_have_grown_far_beyond_what_is_known_of_them(known):
+    """The state reaches 1e5 times its interval; a program in absolute states lost half of the width there."""
+    plant, rng = sd.Plant([[0.0, 1.0], [4.0, 0.0]], [[1.0, 0.0]]), np.random.default_rng(3)
+    x, now, record = np.array([0.3, 0.4]), 0.0, []
+    for t in np.cumsum(rng.uniform(0.3, 0.9, 12)):
+        x, now = plant.transition(t - now) @ x, float(t)
+        record.append((now, x[:1] + rng.choice([-0.05, 0.05]), None))
+    readings = read_record(plant, record, 0.02, 0.05, known, None, 0.0)
+    program = RecordProgram(readings)
+    for row in np.eye(2):
+        up, down = program.solve(now, row)
+        half = (up.value + down.value) / 2
+        assert -down.value <= row @ x <= up.value
+        assert np.abs(row @ x) > 1e5 * half
+        assert max(up.short, down.short) <= 0.01 * half

@@ -24,7 +24,7 @@ UNSTABLE = ([[2.0, 1.0], [0.0, 0.1]], [[1.0, 0.3]])
 def designed(case, window, spacing, samples, cuts=8, **more):
     A, C = case
     return design_schedule(
-        Plant(A, C), Requirement(window=window, spacing=spacing, samples=samples, **more), starts=4, branches=40
+        Plant(A, C), Requirement(window=window, spacing=spacing, samples=samples, **more), starts=4, branches=cuts
     )
 
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -22,6 +23,35 @@ settings.register_profile(
 settings.load_profile("house")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--long`: what is marked so, and nothing else."""
+    parser.addoption("--long", action="store_true", help="run the tests that take long, and no others")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let every certificate that the tests make be decided in ball arithmetic."""
     rigour.register(config)
+    config.addinivalue_line("markers", "long: left out of a run of everything, and run by `--long`, as .ci/run does")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Tell the processes of a distributed run whether somebody named tests: they cannot see it."""
+    node.workerinput["everything"] = everything(node.config)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave long tests out of a run of everything; whoever names a test gets it."""
+    long = config.getoption("--long")
+    if not long and not everything(config):
+        return
+    rest = [item for item in items if (item.get_closest_marker("long") is not None) != long]
+    items[:] = [item for item in items if (item.get_closest_marker("long") is not None) == long]
+    if long:  # of the others it is no run of everything (tests/rigour.py)
+        config.hook.pytest_deselected(items=rest)
+
+
+def everything(config: pytest.Config) -> bool:
+    """Whether nobody named a test."""
+    told = getattr(config, "workerinput", {})
+    return bool(told.get("everything", config.args_source == config.ArgsSource.TESTPATHS))

@@ -110,6 +110,7 @@ def test_outputs_of_the_nominal_schedule_are_followed():
     assert thinned.verify().passed
 
 
+@pytest.mark.long
 def test_memory_is_grown_on_demand():
     # gaps up to 3.5 hold pi, but a long gap is followed by a short one
     which = SpacedWindows(4.0, 2, 0.5)
@@ -120,6 +121,7 @@ def test_memory_is_grown_on_demand():
         sd.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
 
 
+@pytest.mark.long
 def test_a_range_within_a_thousandth_of_half_a_turn_is_certified():
     # the slack of the usual margin is too small for the steps of the proof: the margin grows
     found = sd.certify(OSCILLATOR, GapRange(0.5, np.pi - 1e-3), eta=0.1)

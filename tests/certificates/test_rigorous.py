@@ -144,6 +144,7 @@ def test_a_witness_that_does_not_reach_its_ratio_is_refuted(made):
     assert late.verify(rigorous=True).inequality == "form"
 
 
+@pytest.mark.long
 def test_mutations_agree_with_the_riccati_oracle():
     rng = np.random.default_rng(5)
     originals = [
@@ -162,6 +163,7 @@ def test_mutations_agree_with_the_riccati_oracle():
     assert min(decided.values()) >= 8
 
 
+@pytest.mark.long
 @settings(max_examples=12)
 @given(seed=st.integers(0, 10_000), factor=st.sampled_from([1 + 1e-9, 1 + 1e-7, 1 + 1e-4]))
 def test_a_violated_inequality_is_never_accepted(seed, factor):

@@ -94,6 +94,7 @@ def verdict_by_scan(data):
     return None if worst > 1 - 2e-4 else True
 
 
+@pytest.mark.long
 def test_checker_agrees_with_the_riccati_oracle_on_mutations():
     rng = np.random.default_rng(20)
     originals = [json.loads(json.dumps(made.to_dict())) for made in certificates()]

@@ -37,6 +37,7 @@ def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after):
     assert "sampling-design: interrupted." in found.stderr
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_the_processes_that_share_the_work(tmp_path):
     code = "from sampling_design.cli import main; main()"
     command = [sys.executable, "-c", code, "pareto", str(SATELLITE), "--counts", "8-40", "--workers", "2"]

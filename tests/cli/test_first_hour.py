@@ -4,9 +4,12 @@ import re
 import shlex
 from pathlib import Path
 
+import pytest
+
 PAGE = (Path(__file__).parents[2] / "docs" / "first_hour.md").read_text()
 
 
+@pytest.mark.long
 def test_every_command_of_the_first_hour_runs(monkeypatch, tmp_path, shell):
     monkeypatch.chdir(tmp_path)
     measured = re.search(r"```text\n(time,.*?)```", PAGE, re.DOTALL)[1]

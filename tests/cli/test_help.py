@@ -5,11 +5,14 @@ import shlex
 from pathlib import Path
 from shutil import copytree
 
+import pytest
+
 from sampling_design.cli.app import app
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.long
 def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell):
     copytree(EXAMPLES, tmp_path / "examples")
     monkeypatch.chdir(tmp_path)

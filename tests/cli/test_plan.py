@@ -41,6 +41,7 @@ def test_info_says_when_nothing_needs_samples(shell):
     assert "faster decay" in result.out
 
 
+@pytest.mark.long
 def test_design_writes_table_picture_and_files(shell, tmp_path):
     folder = tmp_path / "out"
     result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", folder)
@@ -74,6 +75,7 @@ def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+@pytest.mark.long
 def test_design_narrows_the_bound_with_more_branches(shell):
     arguments = ("design", plant("triple_integrator"), REQUIREMENTS / "triple_integrator.toml", "--json", "--branches")
     bounds = [json.loads(shell(*arguments, count).out)["upper_bound"] for count in (0, 12)]

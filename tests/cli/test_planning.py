@@ -22,6 +22,7 @@ noise_bound = 0.2
 """
 
 
+@pytest.mark.long
 def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     (tmp_path / "wanted.toml").write_text(SMALL)
     out = tmp_path / "out"

@@ -53,6 +53,7 @@ READINGS = 12
 """Lines of an example file that are followed here; scripts and lectures follow them all."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["satellite", "three_compartment"])
 def test_estimate_on_an_example_file_holds_the_truth(shell, tmp_path, name):
     made = runpy.run_path(str(DATA / "make_measurements.py"))

@@ -35,6 +35,7 @@ def best_affordable(points, count, limit, forbidden=(), fixed=()):
     return best
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("limit", "more"), [(7.0, {}), (9.0, {}), (9.0, {"forbidden": [[1.1, 1.9]]}), (7.0, {"fixed": [0.0]})]
 )
@@ -55,6 +56,7 @@ def test_a_limit_that_does_not_bind_changes_nothing():
     assert rich.cost == 12.0
 
 
+@pytest.mark.long
 def test_more_money_never_sees_less():
     sigmas = [design_schedule(PLANT, asked(cost_limit=c), starts=1, branches=0).upper_bound for c in (7.0, 9.0, 12.0)]
     assert sigmas == sorted(sigmas)

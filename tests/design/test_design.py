@@ -60,6 +60,7 @@ def test_a_target_is_reached_with_the_fewest_samples():
     assert "4 is the fewest: the bound rules out 1.3 with 3" in design.notes[-1]
 
 
+@pytest.mark.long
 def test_the_narrowed_bound_rules_out_what_the_first_one_leaves_open():
     requirement = Requirement(window=10.0, period=10.0, spacing=0.5, target_sigma=0.445)
     chain = Plant(np.eye(3, k=1), [[1.0, 0.0, 0.0]])
@@ -151,6 +152,7 @@ def test_a_budget_cuts_relaxations_and_branches_of_a_large_design_too():
     assert design.verify()
 
 
+@pytest.mark.long
 def test_a_bound_never_grows_by_branching():
     requirement = Requirement(window=10.0, period=10.0, spacing=0.5, samples=6)
     plant = Plant(np.eye(3, k=1), [[1.0, 0.0, 0.0]])

@@ -24,6 +24,7 @@ def arena(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_quick_arena_writes_every_section_figure_and_version(arena):
     text = (arena / "arena.md").read_text()
     titles = ("Rows at given", "The least sigma", "The worst schedule", "The best periodic", "What a schedule proves")

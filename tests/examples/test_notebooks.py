@@ -83,6 +83,7 @@ def test_pictures_show_by_themselves_in_a_kernel():
     assert run("run", LECTURES[0]) >= 3
 
 
+@pytest.mark.long
 def test_every_exercise_has_its_solution_and_every_solution_holds():
     assert [path.name for path in SOLUTIONS] == [path.name for path in LECTURES]
     for lecture, solved in zip(LECTURES, SOLUTIONS, strict=True):

@@ -39,6 +39,7 @@ def test_withheld_days_lie_in_what_monthly_readings_prove(pole):
     assert found.worst < found.widest
 
 
+@pytest.mark.long
 def test_what_300_days_prove_and_198_do_not(pole):
     some, none = (p.coverage(pole, p.SCHEDULES[k], SCALE, 2) for k in (2, 3))
     assert some.inside == 1.0

@@ -12,6 +12,7 @@ FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("0*.py"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.stem)
 def test_script_runs_what_it_claims_holds_and_its_certificates_are_proven(path, capsys, monkeypatch, tmp_path):
     monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path))

@@ -292,6 +292,7 @@ def sweep_tables(periodic, folder, most=MOST, seed=0):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", CERTIFICATES)
 def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
     found = sweep_certificates(kind, tmp_path)

@@ -37,6 +37,7 @@ def test_every_drawn_schedule_keeps_the_family_certificate(plant, family):
     assert top >= certificate.lam / 3  # and the family's lambda is not far above what its schedules reach
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("plant", "family"), CASES, ids=lambda x: type(x).__name__)
 def test_the_family_certificate_is_a_certificate_of_every_drawn_schedule(plant, family):
     whole = sd.certify(plant, family, eta=0.3, P2=[[0.3, 0.05], [0.05, 0.2]])

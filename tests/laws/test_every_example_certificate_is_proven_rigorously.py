@@ -18,6 +18,7 @@ PLANTS = sorted((ROOT / "examples" / "plants").glob("*.toml"))
 SAMPLES = {"tidal_gauge": 14}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", PLANTS, ids=lambda path: path.stem)
 def test_the_certificate_is_a_theorem_about_its_numbers(path, monkeypatch, tmp_path):
     monkeypatch.setenv(kept_certificates.FOLDER, str(tmp_path))

@@ -26,6 +26,7 @@ def designed(name):
     return design_schedule(plant, Requirement(window=window, period=window, spacing=spacing, samples=count))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("search", ["evolution", "shgo"])
 @pytest.mark.parametrize("name", CASES)
 def test_global_search_stays_below(name, search):

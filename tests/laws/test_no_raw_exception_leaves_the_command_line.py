@@ -9,6 +9,7 @@ from sampling_design.cli.app import app
 from tests import command_lines
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_random_command_lines_end_in_order(seed, tmp_path, monkeypatch):
     lines = command_lines.drawn(10, seed)

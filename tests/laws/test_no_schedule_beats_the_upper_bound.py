@@ -46,6 +46,7 @@ def test_enumeration_with_forbidden_and_fixed_times():
     assert best <= design.sigma_attained * (1 + 1e-6) <= design.upper_bound * (1 + 2e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "window", "period", "samples"),
     [(PAIR, 4.0, 4.0, 8), (PAIR, 4.0, 3.0, 6), (OSCILLATOR, 3.0, 5.0, 7), (INTEGRATOR, 6.0, 4.0, 3)],
@@ -81,6 +82,7 @@ SPIRAL = ([[2.0, 1.5], [-1.5, 2.0]], [[1.0, 0.0]])
 CLOSED = [[0.0, 0.3], [1.0, 1.3], [2.0, 2.3], [3.0, 3.3]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "window", "rules"),
     [

@@ -1,6 +1,7 @@
 """More than k* distinct times in a closed window of length T make O_s full rank, wherever they are placed."""
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ rates = st.lists(st.integers(-100, 50).map(lambda k: k / 100), min_size=0, max_s
 positions = st.lists(st.integers(0, 1000).map(lambda k: k / 1000), min_size=14, max_size=14, unique=True)
 
 
+@pytest.mark.long
 @settings(max_examples=40)
 @given(frequencies, rates, st.floats(0.1, 6.0), positions, st.booleans(), st.booleans())
 def test_rank_is_full(frequencies, rates, T, positions, clustered, on_zeros):

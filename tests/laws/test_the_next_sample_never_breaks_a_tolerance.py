@@ -216,6 +216,7 @@ def swinging():
     return platform()
 
 
+@pytest.mark.long
 def test_no_run_breaks_a_tolerance(swinging):
     known = {}
     for begin, look in ((0.0, None), (2.8, 2.0)):

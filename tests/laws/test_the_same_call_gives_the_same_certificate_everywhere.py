@@ -33,6 +33,7 @@ def certified(**given):
     return dataclasses.replace(made, solver=dataclasses.replace(made.solver, seconds=0.0)).to_dict()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given", [{}, {"P2": np.eye(6)}], ids=["weights are sought", "a rate is sought"])
 def test_a_slow_clock_changes_no_bit(given, monkeypatch):
     monkeypatch.setattr(weight_choice, "SEARCH_WORK", 3e5)  # the search ends early, and at the same place

@@ -82,6 +82,7 @@ def test_lambda_over_the_whole_range_of_units(seed):
     assert there == pytest.approx(here, rel=EXACT)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [0.3, None], ids=["at a rate", "rate chosen"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_chosen_weights(seed, rate):

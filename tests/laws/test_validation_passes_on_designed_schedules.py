@@ -10,6 +10,7 @@ import sampling_design as sd
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["oscillator", "satellite", "cart_pendulum"])
 def test_every_promise_holds(name):
     plant = sd.read_plant(EXAMPLES / "plants" / f"{name}.toml")

@@ -35,6 +35,7 @@ def test_the_week_is_certified_at_the_papers_rate_and_horizon(design):
     assert certificate.horizon().length < EXAMPLE.HORIZON
 
 
+@pytest.mark.long
 def test_the_nonlinear_estimator_runs_on_it(tmp_path):
     page = EXAMPLE.compare(2, 1, tmp_path, pairs=3)
     assert "slower than 0.35 a day: 1 of 6 modes; slower than 1.5 a day: 2 of 6 modes" in page
@@ -47,6 +48,7 @@ def test_the_nonlinear_estimator_runs_on_it(tmp_path):
     assert (tmp_path / "certificate.json").exists()
 
 
+@pytest.mark.long
 def test_assumption_7_with_the_papers_weights_asks_for_more_than_5_days():
     # T4 and T3 drive TSH, whose scaled difference grows before the first sample is taken
     evidence = EXAMPLE.assumption_7(PATIENT, 24)

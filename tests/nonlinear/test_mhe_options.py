@@ -39,6 +39,7 @@ def last_error(times, **options):
     return scheme, found, np.abs(found.x - truth).max(axis=1)
 
 
+@pytest.mark.long
 def test_a_grid_that_is_too_coarse_is_refined():
     # horizon 40 s, so pieces of 2/3 s: three radians of the swing each
     times = np.arange(0.0, 6.0)

@@ -68,6 +68,7 @@ def test_angles_that_are_bounded_bear_longer_gaps():
     assert found[np.pi / 3] > 1.9
 
 
+@pytest.mark.long
 def test_a_growth_rate_known_to_a_third_bears_gaps_of_an_hour():
     """Cells judged by the norm of what their Jacobian is off, against the diagonal alone, leave this one open."""
     plant = examples.bioreactor().in_region([9.0, 0.4, 0.2], [10.0, 0.7, 0.4])

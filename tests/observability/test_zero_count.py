@@ -172,6 +172,7 @@ def test_doubt_about_clusters_takes_the_larger_order():
         assert zero_count_bound(Plant(A, C), 1.0).order == 3
 
 
+@pytest.mark.long
 @given(st.floats(1e-6, 1e6), st.floats(0.0, 20.0))
 def test_count_does_not_depend_on_the_unit_of_time(factor, duration):
     eigenvalues = np.array([0.0, 0.1 + 1j, 0.1 - 1j, -2.0])

@@ -18,6 +18,7 @@ def pair(week):
     return week, sd.plan(week.plant, more, certificate=False, robustness=False, search_seconds=0.3)
 
 
+@pytest.mark.long
 def test_figures_of_both_are_side_by_side(pair):
     found = pair[0].compare(pair[1], ("cheap", "close"))
     rows = {line.label: (line.first, line.second) for line in found.lines()}

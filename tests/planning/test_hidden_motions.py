@@ -102,6 +102,7 @@ def test_limits_that_leave_only_blind_choices_are_refused():
         bare(wanted(aim="most accurate", samples=2))
 
 
+@pytest.mark.long
 def test_a_search_that_judged_too_well_is_mended_or_says_so(monkeypatch):
     before = room._Planning._ratios
     monkeypatch.setattr(

@@ -54,6 +54,7 @@ def best_of_all(count):
     return min(truth(np.array(at) * 0.8, [[True, False]] * count, [1.0, 0.0]) for at in every(count))
 
 
+@pytest.mark.long
 def test_the_cheapest_plan_is_that_of_a_search_through_all_choices(found):
     count = next(k for k in range(1, 9) if best_of_all(k) <= 0.29)
     assert found.samples == count == found.bound.cost.value

@@ -41,9 +41,10 @@ CANCELLED = 1e-4
 LARGEST = 1e150
 """Residuals beyond this, in units of their weights, are not weighed here: their squares overflow in sums."""
 
-SETTLED = 1e-2
-"""Share of the reference's cost below which the least cost is found with fewer digits, so that nodes to come take their
-estimates for references: nearer to the optimum than what was predicted for them, at a tenth of an update each."""
+SETTLED = 1.0
+"""Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
+to come take their estimates for references: nearer to the optimum than what was predicted for them, at a tenth of an
+update each. A lower share would show in the dual bound, whose margin counts what is gained."""
 
 FAR_OFF = 1e12
 """Sum of the references' squares, in units of their weights, over the least cost, from which on rounding of a reference

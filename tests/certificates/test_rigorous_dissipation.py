@@ -49,6 +49,7 @@ def test_what_is_made_is_proven_with_the_slack_of_the_checker(name, method, tmp_
     assert min(oracle.least_eigenvalues(back.to_dict())) > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "key"),
     [

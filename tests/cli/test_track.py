@@ -265,6 +265,7 @@ def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
     assert rows_of(tmp_path / "estimates.csv")[1]["date"] == "2026-01-05T00:00:02.200000+00:00"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plant", ["oscillator", "tidal_gauge", "triple_integrator"])
 def test_two_rows_ten_thousand_years_apart_end_with_a_sentence(shell, tmp_path, plant):
     file = OSCILLATOR.parent / f"{plant}.toml"

@@ -44,6 +44,7 @@ def check(problem, seed=0, draws=12):
     return design
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_random_requirements(seed):
     design = check(random_problem(np.random.default_rng(seed)), seed)

@@ -16,6 +16,7 @@ def assert_agrees(design, A, C):
     assert scan <= design.upper_bound * (1 + 1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("period", [4.0, 3.0])
 def test_pair_of_oscillators(period):
     A = np.zeros((4, 4))

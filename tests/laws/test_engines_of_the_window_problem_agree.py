@@ -102,6 +102,7 @@ def apart(one, two, free):
     return np.max(np.abs(one.nodes - two.nodes) / np.sqrt(np.einsum("jik,jik->ji", maps, maps)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("options", SETS)
 def test_on_every_window(name, options):

@@ -55,6 +55,7 @@ def designed(plant, asked, c):
         return error
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_a_design_is_the_same_in_all_units(name):
     plant, asked = CASES[name]

@@ -89,6 +89,7 @@ def test_units_change_no_estimate(seed, name, given):
     np.testing.assert_allclose(again, cost, rtol=SAME)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("seed", range(3))
 def test_units_change_nothing_that_is_seen_of_detectability(seed, name):

@@ -45,10 +45,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     long = config.getoption("--long")
     if not long and not everything(config):
         return
-    rest = [item for item in items if (item.get_closest_marker("long") is not None) != long]
     items[:] = [item for item in items if (item.get_closest_marker("long") is not None) == long]
-    if long:  # of the others it is no run of everything (tests/rigour.py)
-        config.hook.pytest_deselected(items=rest)
 
 
 def everything(config: pytest.Config) -> bool:

@@ -122,5 +122,7 @@ def register(config: pytest.Config) -> None:
     root = Path(os.environ[FOLDER]).parent if worker else Path(tempfile.mkdtemp(prefix="certificates-"))
     os.environ[FOLDER] = str(root / (worker or "main"))
     config.addinivalue_line("markers", "unproven(verdict, why): a certificate of this test is known not to be proven")
-    config.pluginmanager.register(Rigour(root, worker or "main", bool(worker)), "rigour")
+    plugin = Rigour(root, worker or "main", bool(worker))
+    plugin.deselected = config.getoption("--long")  # of what takes long alone: no run of everything
+    config.pluginmanager.register(plugin, "rigour")
     watch()

@@ -30,7 +30,7 @@ from tests import mutants
 from tests.oracles import dissipation, families, inclusions
 from tests.oracles.files import facts_of_plant, facts_of_requirement, facts_of_schedule, facts_of_table, same
 
-MOST = 100
+MOST = 150
 """Mutants of one file, drawn at random; `sweep` takes more."""
 MOST_ORACLES = 6
 """Mutants of one file that are proven and state something else: so many are judged by an oracle and in balls."""

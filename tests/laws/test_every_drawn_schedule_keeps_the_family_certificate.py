@@ -1,6 +1,4 @@
-"""Random schedules of each certified family: the lambda of each, by plain recursion, is at most the family's."""
-
-import os
+"""100 random schedules of each certified family: the lambda of each, by plain recursion, is at most the family's."""
 
 import numpy as np
 import pytest
@@ -11,8 +9,6 @@ from tests.oracles.families import information, largest_lambda
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 INTEGRATOR = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
-DRAWN = int(os.environ.get("DRAWN_SCHEDULES", "30"))
-"""Of each family; a benchmark may ask for more."""
 CASES = [
     (OSCILLATOR, GapRange(0.5, 1.5)),
     (OSCILLATOR, GapRange(0.3, 3.0)),
@@ -23,13 +19,14 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("plant", "family"), CASES, ids=lambda x: type(x).__name__)
 def test_every_drawn_schedule_keeps_the_family_certificate(plant, family):
     certificate = sd.certify(plant, family, eta=0.3, P2=[[0.3, 0.05], [0.05, 0.2]])
     weights = (certificate.Qw, certificate.R, certificate.Qv)
     rng = np.random.default_rng(7)
     top = 0.0
-    for _ in range(DRAWN):
+    for _ in range(100):
         drawn = family.draw(rng, duration=5 * family.d_max)
         assert family.contains(drawn)
         top = max(top, largest_lambda(plant, weights, 0.3, certificate.P2, drawn.times[:6], starts=2, parts=2))
@@ -43,7 +40,7 @@ def test_the_family_certificate_is_a_certificate_of_every_drawn_schedule(plant, 
     whole = sd.certify(plant, family, eta=0.3, P2=[[0.3, 0.05], [0.05, 0.2]])
     weights = {key: getattr(whole, key) for key in ("P2", "Qw", "R", "Qv", "eta", "lam", "lam_samples")}
     rng = np.random.default_rng(9)
-    drawn = [family.draw(rng, duration=5 * family.d_max) for _ in range(DRAWN)]
+    drawn = [family.draw(rng, duration=5 * family.d_max) for _ in range(100)]
     for k, schedule in enumerate(drawn):
         single = Certificate.from_matrices(plant, schedule, P1=whole.P1, **weights)
         verdict = single.verify(rigorous=k % 10 == 0)

@@ -10,7 +10,7 @@ from tests import command_lines
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 def test_random_command_lines_end_in_order(seed, tmp_path, monkeypatch):
     lines = command_lines.drawn(10, seed)
     monkeypatch.chdir(tmp_path)

@@ -106,15 +106,16 @@ def ratios(name, kind, seed, runs, samples, form):
     return found, engines
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", [{}, {"arrival": "filtered"}, {"form": "paper"}], ids=["P2", "carried", "paper"])
-def test_random_constrained_windows(form):
+def test_three_hundred_random_constrained_windows(form):
     found, engines = [], set()
     for seed, name in enumerate(PLANTS):
         for kind in KINDS:
-            part, used = ratios(name, kind, seed, runs=1, samples=6, form=form)
+            part, used = ratios(name, kind, seed, runs=2, samples=6, form=form)
             found += part
             engines |= used
-    assert len(found) == 150
+    assert len(found) == 300
     assert {"active set", "conic"} <= engines
     assert np.max(found) <= 1.0
     assert np.median(found) > 0.05

@@ -16,7 +16,7 @@ from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import SamplingDesignError
 from tests.rescale import Units
 
-SEEDS = range(int(os.environ.get("UNIT_SEEDS", "4")))
+SEEDS = range(int(os.environ.get("UNIT_SEEDS", "6")))
 """A benchmark may ask for more."""
 EXACT = 1e-6
 SEARCHED = 2e-3

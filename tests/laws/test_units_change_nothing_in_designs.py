@@ -20,7 +20,7 @@ CASES = {
         {"window": 4.0, "spacing": 0.4, "samples": {"at_most": 4}},
     ),
     "outputs": (
-        Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.3, 1.0]]),
+        PAIR,
         {
             "window": 6.0,
             "spacing": 0.3,
@@ -93,6 +93,7 @@ def test_a_front_and_its_losses_are_the_same_in_all_units():
     assert np.sort(losses[1].bound) == pytest.approx(np.sort(losses[0].bound), rel=AGREE)
 
 
+@pytest.mark.long
 def test_where_units_differ_the_scaled_sigma_is_designed_and_named():
     plant, asked = CASES["outputs"]
     units = Units.drawn(np.random.default_rng(0), plant)

@@ -15,8 +15,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_every_promise_holds(name):
     plant = sd.read_plant(EXAMPLES / "plants" / f"{name}.toml")
     requirement = sd.read_requirement(EXAMPLES / "requirements" / f"{name}.toml")
-    schedule = sd.design_schedule(plant, requirement, starts=1, branches=0).schedule
-    report = sd.validate(plant, schedule, sd.certify(plant, schedule), runs=40)
+    schedule = sd.design_schedule(plant, requirement, budget=3.0).schedule
+    report = sd.validate(plant, schedule, sd.certify(plant, schedule), runs=100)
     assert report.passed, report.explain()
     assert not report.skipped
     found = {(f.claim, f.scenario): f for f in report.findings}

@@ -12,8 +12,8 @@ from sampling_design._balance import balance
 
 Array = npt.NDArray[np.float64]
 
-TAYLOR_DEGREE, TAYLOR_RADIUS = 18, 1.0
-"""Degree of the Taylor polynomials, and |A t / 2^s|_1 up to which they leave a remainder below eps/4."""
+_TAYLOR_DEGREE = 18
+_TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
 
 SHORT = 0.25
 """|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
@@ -37,7 +37,7 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
     if norm == 0.0:
         return np.broadcast_to(np.eye(n, dtype=A.dtype), (t.size, n, n)).copy()
     h = np.exp2(np.floor(np.log2(1 / norm)))  # a power of two: k h is exact
-    if np.abs(t).max() * norm > TAYLOR_RADIUS:
+    if np.abs(t).max() * norm > _TAYLOR_RADIUS:
         k, place = np.unique(np.rint(t / h), return_inverse=True)
         if 4 * k.size <= t.size:
             return _squared(A, norm, k * h)[place] @ _squared(A, norm, t - k[place] * h)
@@ -47,9 +47,9 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
 def _squared(A: Array, norm: float, t: Array) -> Array:
     """e^{A t}: a Taylor polynomial at t/2^s, squared s times; `norm` = |A|_1 > 0."""
     n = A.shape[0]
-    size = np.maximum(np.abs(t) * norm / TAYLOR_RADIUS, 1e-300)
+    size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
     squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
-    terms = exponential_terms(A, norm, TAYLOR_DEGREE + 1)
+    terms = exponential_terms(A, norm, _TAYLOR_DEGREE + 1)
     coefficients = np.ones((len(terms), t.size))
     scaled = np.ldexp(t * norm, -squarings)
     for k in range(1, len(terms)):
@@ -63,6 +63,16 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
             part = result[todo]
             result[todo] = part @ part
     return np.asarray(result)
+
+
+def rows_ahead(C: Array, A: Array, times: Array) -> Array:
+    """Return C e^{A t} (N, p, n) for many times t >= 0; short ones cost no exponential of their own."""
+    norm = float(np.linalg.norm(A, 1))
+    if norm * float(np.max(times, initial=0.0)) > _TAYLOR_RADIUS:
+        return np.asarray(C @ expm_batch(A, times))
+    terms = C @ exponential_terms(A, norm or 1.0, _TAYLOR_DEGREE + 1)
+    powers = np.vander(times * (norm or 1.0), _TAYLOR_DEGREE + 1, increasing=True)
+    return np.asarray((powers @ terms.reshape(_TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))
 
 
 def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Array:

@@ -37,6 +37,15 @@ def test_exponential_of_an_oscillator_over_many_turns():
         assert relative(found, exact_exponential(A, t)) <= 1e-12
 
 
+@pytest.mark.parametrize("longest", [0.0, 1e-3, 0.9, 40.0])
+def test_rows_ahead_are_those_of_the_exponential(longest):
+    rng = np.random.default_rng(4)
+    for A in (rng.normal(size=(5, 5)) / 4, np.zeros((5, 5)), 1e6 * np.eye(5, k=1)):
+        C, times = rng.normal(size=(2, 5)), longest / max(1.0, np.linalg.norm(A, 1)) * np.linspace(0, 1, 7)
+        assert _linalg.rows_ahead(C, A, times) == pytest.approx(C @ _linalg.expm_batch(A, times), rel=1e-13, abs=1e-13)
+    assert _linalg.rows_ahead(C, A, np.zeros(0)).shape == (0, 2, 5)
+
+
 def test_exponential_runs_backwards():
     A = np.array([[0.3, 1.0], [0.0, -0.2]])
     forth, back = _linalg.expm_batch(A, [1.7, -1.7])

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import TAYLOR_DEGREE, TAYLOR_RADIUS, expm_batch, exponential_terms
+from sampling_design._linalg import expm_batch, rows_ahead
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -75,26 +75,16 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
         growth = np.where(size > 0, np.exp(2 * norm * (begin + width)), 1.0)
     sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
-    c, held = _rows(A, C, begin), Y[node]
+    c, held = rows_ahead(C, A, begin), Y[node]
     first, seen = c @ A, c @ held
     bend = 2 * np.sum(seen * (first @ A) + (first @ held) * first, axis=2)
-    end = _rows(A, C, begin + width)
+    end = rows_ahead(C, A, begin + width)
     return Profile(
         edges,
         np.sum(seen * c, axis=2),
         np.sum((end @ held) * end, axis=2),
         np.maximum(-bend, 0.0) + sharpness,
     )
-
-
-def _rows(A: Array, C: Array, after: Array) -> Array:
-    """C e^{Au} for every u of `after`, (N, p, n)."""
-    norm = float(np.linalg.norm(A, 1))
-    if norm * float(np.max(after, initial=0.0)) > TAYLOR_RADIUS:
-        return np.asarray(C @ expm_batch(A, after))
-    terms = C @ exponential_terms(A, norm or 1.0, TAYLOR_DEGREE + 1)
-    powers = np.vander(after * (norm or 1.0), TAYLOR_DEGREE + 1, increasing=True)
-    return np.asarray((powers @ terms.reshape(TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))
 
 
 def peaks(g: Profile) -> Array:

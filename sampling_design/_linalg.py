@@ -18,6 +18,8 @@ _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below 
 SHORT = 0.25
 """|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
 
+_REFINEMENTS = 20  # of a solve, at most: each brings what the condition number leaves of 16 digits
+
 _GRAMIAN_DEGREE = 16
 _BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 
@@ -136,6 +138,55 @@ def _flow_and_gramian(A: Array, noise: Array, h: Array, eta: float) -> tuple[Arr
         W[todo] = W[todo] + F[todo] @ W[todo] @ np.swapaxes(F[todo], 1, 2)
         F[todo] = F[todo] @ F[todo]
     return plain, (W + np.swapaxes(W, 1, 2)) / 2
+
+
+def product_quotient(P: Array, Q: Array, R: Array) -> Array:
+    """Return X with X R = P Q, R upper triangular: each row to a few units in the last place of its largest entry.
+
+    A solve alone loses as many digits as the condition number of R has; residuals in doubled precision bring them
+    back as long as that number stays below 1/eps (iterative refinement, Higham 2002, chapter 12).
+    """
+    X = _divided(P @ Q, R)
+    scale, last = np.linalg.norm(X, axis=1), np.inf
+    for _ in range(_REFINEMENTS):
+        step = _divided(product(np.hstack([P, -X]), np.vstack([Q, R])), R)
+        size = float(np.max(np.linalg.norm(step, axis=1) / positive_or_one(scale), initial=0.0))
+        if not size < last / 2:  # a step that brings nothing more, or no number
+            break
+        X, last = X + step, size
+    return np.asarray(X)
+
+
+def _divided(B: Array, R: Array) -> Array:
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(R, B.T, trans=1, check_finite=False).T)
+
+
+def product(P: Array, Q: Array) -> Array:
+    """Return P Q as if worked out in doubled precision and rounded once, (m, k) times (k, n).
+
+    Compensated sums of exact products (Dot2; Ogita, Rump and Oishi 2005): an entry is wrong by eps/2 of itself and
+    (k eps)^2 of what |P| |Q| holds there.
+    """
+    total, rest = np.zeros((2, len(P), Q.shape[1]))
+    (a, b), (c, d) = _halves(P), _halves(Q)
+    for k in range(len(Q)):
+        p, q = P[:, k, None], Q[None, k]
+        term, high, low = p * q, a[:, k, None], b[:, k, None]
+        lost = low * d[k] - (((term - high * c[k]) - low * c[k]) - high * d[k])
+        larger = total + term
+        back = larger - total
+        rest += (total - (larger - back)) + (term - back) + lost
+        total = larger
+    return np.asarray(total + rest)
+
+
+def _halves(matrix: Array) -> tuple[Array, Array]:
+    """Two parts of 26 bits whose sum is the matrix: their products are exact (Veltkamp)."""
+    _, exponent = np.frexp(matrix)
+    high = np.ldexp(np.rint(np.ldexp(matrix, 26 - exponent)), exponent - 26)
+    return high, matrix - high
 
 
 def unit_diagonal(matrix: Array) -> tuple[Array, Array]:

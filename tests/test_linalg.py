@@ -1,5 +1,6 @@
 """Small linear algebra against 50-digit arithmetic, adaptive quadrature and plain definitions."""
 
+from fractions import Fraction
 from itertools import pairwise
 
 import mpmath
@@ -138,3 +139,31 @@ def test_generalised_maximum_is_the_least_factor():
 
 def test_symmetrise():
     np.testing.assert_array_equal(_linalg.symmetrise(np.array([[0.0, 2.0], [0.0, 1.0]])), [[0.0, 1.0], [1.0, 1.0]])
+
+
+def fractions(matrix):
+    return np.vectorize(Fraction, otypes=[object])(matrix)
+
+
+@pytest.mark.parametrize("scale", [1e-40, 1.0, 1e40])
+def test_product_is_exact_but_for_one_rounding_where_everything_cancels(scale):
+    rng = np.random.default_rng(2)
+    P, Q = rng.normal(size=(3, 6)) * scale, rng.normal(size=(6, 4))
+    P[:, 3:] = -P[:, :3] * (1 + 1e-14)
+    Q[3:] = Q[:3]
+    exact = fractions(P) @ fractions(Q)
+    assert np.all(np.abs(fractions(_linalg.product(P, Q)) - exact) <= 2.0**-52 * np.abs(exact))
+    assert np.any(np.abs(fractions(P @ Q) - exact) > 1e-6 * np.abs(exact))
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e8, 1e14])
+def test_product_quotient_keeps_its_digits(condition):
+    rng = np.random.default_rng(6)
+    U, V = (np.linalg.qr(rng.normal(size=(5, 5)))[0] for _ in range(2))
+    R = np.linalg.qr(U * np.geomspace(1.0, 1 / condition, 5) @ V, mode="r")
+    A = rng.normal(size=(5, 5))
+    with mpmath.workdps(60):
+        exact = mpmath.matrix(R.tolist()) * mpmath.matrix(A.tolist()) * mpmath.inverse(mpmath.matrix(R.tolist()))
+        exact = np.array(exact.tolist(), dtype=float)
+    found = _linalg.product_quotient(R, A, R)
+    assert np.all(np.abs(found - exact).max(axis=1) <= 1e-15 * np.abs(exact).max(axis=1))

@@ -79,7 +79,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
     k, P = problem.samples, problem.period
     alone = float(value_at(problem, starts, Z, np.zeros(1)).sum())
     if k == 1:
-        return rooted(alone)
+        return rooted(problem, alone)
     zone = follower_zones(problem, zones)
     width = cells(problem, 0.0, P)
     arc = TimeCells(float(zone[0, 0]), float(zone[-1, 1]), width.width, width.apart)
@@ -98,7 +98,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
         roof = np.maximum(tilted[:-1], tilted[1:]) + rest
         inside = (edges[1:] >= a) & (edges[:-1] <= b)
         layers.append(cell_values(arc, edges, np.where(inside, roof, -np.inf)))
-    return rooted(alone + best_layers(layers, arc, widest_gap(problem, zones)))
+    return rooted(problem, alone + best_layers(layers, arc, widest_gap(problem, zones)))
 
 
 def _nearest(edges: Array, wanted: Array) -> npt.NDArray[np.intp]:

@@ -88,9 +88,9 @@ class BoundPart:
         sound = np.all(np.isfinite(self.tilt)) and np.isfinite(self.price) and self.price >= 0
         if not total > 0 or least < -1e-12 * total or not sound:
             return np.inf
-        # any psd weights prove something: those of the computed roots, whose products with R do not cancel
-        roots = psd_root(self.weights)
-        roots = problem.rows.R @ (roots / np.linalg.norm(roots))
+        roots = problem.rows.carried(psd_root(self.weights))  # any psd weights prove something: those of the roots
+        if not np.all(np.isfinite(roots)):
+            return np.inf
         Z = roots @ np.swapaxes(roots, 1, 2)
         if self.method == "placed":
             decided = problem.chosen is None or problem.fixed.size == problem.samples  # else of no known sample

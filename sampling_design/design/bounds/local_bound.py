@@ -23,6 +23,7 @@ import numpy.typing as npt
 from sampling_design import _conic
 from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.weak_duality import rooted
+from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -273,18 +274,31 @@ def growth_rate(problem: DesignProblem) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Forms:
-    """<V, G> per term without growth: value, two derivatives, and bounds of derivatives 0 to 3 over the box."""
+    """<V, G> per term without growth: value, two derivatives, and bounds of derivatives 0 to 3 over the box.
+
+    A window's own state is worth `value` at least, what is measured `value` at most: rounding is on the safe side, as
+    is `rest`, what it may take from the derivatives.
+    """
 
     value: Array
     change: Array
     bend: Array
     most: Array
+    rest: Array
+
+
+def _rounding(A: Array, C: Array, E: Array, roots: Array, value: Array, lag: Array) -> Array:
+    """What |C E F|^2 = `value` may be wrong by, E = e^{At}: to first order in eps, with a margin."""
+    summed = np.linalg.norm(np.abs(C) @ np.abs(E) @ np.abs(roots), axis=(-2, -1))
+    lost = ROUNDING_MARGIN * len(A) * EPS * (1 + float(np.linalg.norm(A, 1)) * np.abs(lag)) * summed
+    return np.asarray((2 * np.sqrt(value) + lost) * lost)
 
 
 def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
-    F = expm_batch(A, terms.lag) @ roots[terms.window]
+    E = expm_batch(A, terms.lag)
+    F = E @ roots[terms.window]
     AF = A @ F
     AAF = A @ AF
     Y = F @ np.swapaxes(F, 1, 2)
@@ -299,12 +313,16 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     )
     y, dy, ddy = C @ F, C @ AF, C @ AAF
     value = np.einsum("spr,spr->s", y, y)
+    rounded = _rounding(A, C, E, roots[terms.window], value, terms.lag)
+    value = np.maximum(np.where(terms.own, value - rounded, value + rounded), 0.0)
     change = 2 * np.einsum("spr,spr->s", y, dy)
     bend = 2 * np.einsum("spr,spr->s", dy, dy) + 2 * np.einsum("spr,spr->s", y, ddy)
     size = np.einsum("spn,spn->s", C, C) * spread
     most = size * np.stack([np.linalg.norm(M, axis=(1, 2)) for M in (Y, first, second, third)])
     most[0] = np.minimum(most[0], value + most[1] * terms.reach)
-    return _Forms(value, change, bend, np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0))
+    most = np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0)
+    turned = float(np.linalg.norm(A, 2)) * terms.reach
+    return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
 def _padded(rows: Array, problem: DesignProblem) -> Array:
@@ -338,14 +356,15 @@ def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots
         # a window's own state weighs with its growth, relative to the others
         weight = K * np.exp(2 * rate * (K_lag - K_lag.max()))
         mu = weight / weight.sum()
+        used = mu > 0
         share = np.where(terms.own, -mu[terms.window] / K[terms.window], mu[terms.window] / Q[terms.window] * factor)
+        share = np.where(used[terms.window], share, 0.0)
         powers = np.stack([forms.most[p] * terms.reach**p * apart ** (3 - p) for p in range(4)])
-        rest = np.array([1.0, 3.0, 3.0, 1.0]) @ powers * np.exp(apart) / 6
+        rest = np.array([1.0, 3.0, 3.0, 1.0]) @ powers * np.exp(apart) / 6 + forms.rest
         changed = np.abs(forms.change) * terms.reach + np.abs(forms.bend) * terms.reach**2 / 2 + rest
         Y = (changed / forms.value)[states]
-        constant = mu @ (np.log(Q) - np.log(K) + 2 * rate * (lead_lag - K_lag))
+        constant = mu[used] @ (np.log(Q) - np.log(K) + 2 * rate * (lead_lag - K_lag))[used]
         remainder = float(np.sum(np.abs(share) * np.where(terms.own & (terms.reach == 0), 0.0, rest)))
-    used = mu > 0
     if not (np.all(np.isfinite(mu)) and np.isfinite(constant) and np.isfinite(remainder)) or np.any(
         Y[used] > _MOST_CHANGE
     ):
@@ -369,7 +388,8 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
     at = terms.low + np.linspace(0.0, 1.0, _PLACES)[:, None] * (terms.high - terms.low)
-    F = expm_batch(A, at.ravel()).reshape(*at.shape, n, n) @ roots[terms.window]
+    E = expm_batch(A, at.ravel()).reshape(*at.shape, n, n)
+    F = E @ roots[terms.window]
     C = np.where(terms.own[:, None, None], _padded(rows.S, problem), _padded(rows.C, problem))
     C = C * terms.weights[..., None]
     AF = A @ F
@@ -384,9 +404,9 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
         spread = np.exp(2 * float(np.linalg.norm(A, 2)) * width)
     third = np.einsum("spn,spn->s", C, C) * np.max(np.linalg.norm(Y, axis=(2, 3)), axis=0) * spread * width
     third = np.where(width > 0, third, 0.0)
-    rest = width**2 / 8
-    low = value.min(axis=0) - rest * (np.maximum(bend.max(axis=0), 0.0) + third)
-    high = value.max(axis=0) + rest * (np.maximum(-bend.min(axis=0), 0.0) + third)
+    rest, rounded = width**2 / 8, _rounding(A, C, E, roots[terms.window], value, at)
+    low = (value - rounded).min(axis=0) - rest * (np.maximum(bend.max(axis=0), 0.0) + third)
+    high = (value + rounded).max(axis=0) + rest * (np.maximum(-bend.min(axis=0), 0.0) + third)
     return low, high
 
 
@@ -454,4 +474,4 @@ def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, pus
     widest = max(float(np.linalg.eigvalsh((H + H.T) / 2)[-1]), 0.0) * int(np.sum(half > 0))
     linear = float(np.abs(found.slope - D.T @ push) @ half + push @ room)
     with np.errstate(over="ignore"):
-        return rooted(float(np.exp(found.constant + linear + min(crossed, widest) / 2 + found.remainder)))
+        return rooted(problem, float(np.exp(found.constant + linear + min(crossed, widest) / 2 + found.remainder)))

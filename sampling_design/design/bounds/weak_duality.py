@@ -29,9 +29,6 @@ ends."""
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
-ROUNDING = 1e-9
-"""Relative allowance for rounding in the exponentials, added to every bound."""
-
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -267,7 +264,7 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
         cycle = arcs[0]
         sums = cell_values(cycle, edges, values)
         total = best_cycle(sums, cycle.apart, problem.samples, problem.period / cycle.width)
-        return rooted(spent + total)
+        return rooted(problem, spent + total)
     spare = problem.samples - problem.fixed.size
     there = problem.mask(problem.fixed) if spare else problem.measured(problem.fixed)
     fixed = best_choice(value_at(problem, starts, Z, problem.fixed), there, prices)
@@ -276,7 +273,7 @@ def placed_bound(problem: DesignProblem, starts: Array, Z: Array, price: float =
     for arc in arcs:
         if arc.stop > arc.start:
             best = _joined(best, best_chain(cell_values(arc, *turned), arc.apart, spare))
-    return rooted(spent + float(fixed.sum() + best[spare]))
+    return rooted(problem, spent + float(fixed.sum() + best[spare]))
 
 
 def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
@@ -284,7 +281,7 @@ def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     if problem.samples != 1:
         return np.inf
     values = value_at(problem, starts, Z, np.zeros(1))
-    return rooted(float((values if problem.chosen is None else values * problem.chosen).sum()))
+    return rooted(problem, float((values if problem.chosen is None else values * problem.chosen).sum()))
 
 
 def _arcs(problem: DesignProblem) -> list[TimeCells]:
@@ -314,6 +311,6 @@ def _joined(one: Array, other: Array) -> Array:
     return result
 
 
-def rooted(total: float) -> float:
+def rooted(problem: DesignProblem, total: float) -> float:
     """sigma from a bound on sigma^2, with the allowance for rounding."""
-    return np.inf if np.isnan(total) else float(np.sqrt(max(total, 0.0)) * (1 + ROUNDING))
+    return np.inf if np.isnan(total) else float(np.sqrt(max(total, 0.0)) * (1 + problem.rows.rounding))

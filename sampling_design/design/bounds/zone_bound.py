@@ -237,4 +237,4 @@ def zone_bound(problem: DesignProblem, starts: Array, Z: Array, zones: Array) ->
         cell_values(arc, line, np.where((line[1:] > a) & (line[:-1] < b), roof[kind], -np.inf))
         for (a, b), kind in zip(zone, problem.kinds[1], strict=True)
     ]
-    return rooted(best_layers(layers, arc, 2 * P))
+    return rooted(problem, best_layers(layers, arc, 2 * P))

@@ -13,13 +13,22 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch
+from sampling_design._linalg import expm_batch, product, product_quotient
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
 _NODES = 2049
+_LOOKED_AT = 257  # nodes at which rounding is judged
+ROUNDING = 1e-9
+"""Relative allowance for rounding in a bound, at least."""
+
+ROUNDING_MARGIN = 8.0
+"""What the first order of rounding is taken times."""
+
+EPS = float(np.finfo(float).eps)
+
 _FLOOR = 1e-15  # eigenvalues of a scaled Gram matrix below this times the largest count as unseen
 _NOTHING = 1e-100  # stands for the size of an empty window: squares of its inverse stay numbers
 
@@ -49,17 +58,42 @@ class ScaledRows:
     @cached_property
     def S(self) -> Array:
         """R^-1, for which solves are used everywhere but in products of n by n."""
-        return np.asarray(np.linalg.solve(self.R, np.eye(self.R.shape[0])))
+        eye = np.eye(self.R.shape[0])
+        return product_quotient(eye, eye, self.R)
 
     @cached_property
     def A(self) -> npt.NDArray[np.float64]:
         """R A R^-1."""
-        return np.asarray(np.linalg.solve(self.R.T, (self.R @ self.plant.A).T).T)
+        return product_quotient(self.R, self.plant.A, self.R)
 
     @cached_property
     def C(self) -> Array:
         """C R^-1."""
-        return np.asarray(np.linalg.solve(self.R.T, self.plant.C.T).T)
+        return product_quotient(self.plant.C, np.eye(self.R.shape[0]), self.R)
+
+    @cached_property
+    def rounding(self) -> float:
+        """Relative allowance for rounding in forms <Z, G>: to first order, with a margin.
+
+        Rows C e^{Ar} are of size 1 here, but what is summed to them, |C| |e^{Ar}|, may be larger, and a change of A by
+        eps moves them by eps |A| r times that.
+        """
+        flows = expm_batch(self.A, np.linspace(0.0, self.window, _LOOKED_AT))
+        summed = np.max(np.linalg.norm(np.abs(self.C) @ np.abs(flows), axis=(1, 2)))
+        turned = float(np.linalg.norm(self.A, 1)) * self.window
+        return float(np.maximum(ROUNDING, ROUNDING_MARGIN * len(self.A) * EPS * summed * (1 + turned)))
+
+    def carried(self, roots: Array) -> Array:
+        """Return roots F of multipliers F F' (M, n, r) in this basis, for `roots` of psd weights of x.
+
+        In x the sum of all <F F', I> is at least 1 then, with rounding: what is rounded in F is worth no more there
+        than eps |S| |F|, and they are made larger by that.
+        """
+        count, n, rank = roots.shape
+        moved = product(self.R, np.moveaxis(roots / np.linalg.norm(roots), 0, 1).reshape(n, -1))
+        lost = EPS * (n + float(np.linalg.norm(np.abs(self.S) @ np.abs(moved))))
+        found = moved / (1 - lost) if lost < 1 else np.full_like(moved, np.nan)
+        return np.moveaxis(found.reshape(n, count, rank), 1, 0)
 
     @cached_property
     def unit(self) -> float:

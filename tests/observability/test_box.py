@@ -213,10 +213,6 @@ def test_what_has_no_meaning_over_a_box_is_refused():
         window_sigma(between, schedule, 3.0)
     with pytest.raises(ArgumentError, match="must have constant parameters"):
         certificate_exists(oscillator(varying=True), schedule, 0.1)
-    with pytest.raises(ArgumentError, match="over a box the bound is proven by norms"):
-        window_sigma(oscillator(), schedule, 3.0, rigorous=True)
-    with pytest.raises(ArgumentError, match="over a box the bound is proven by norms"):
-        worst_case_sigma(oscillator(), SpacedWindows(4.0, 3, 0.8), rigorous=True)
     with pytest.raises(ArgumentError, match="one of them and not both"):
         largest_box(oscillator(), schedule)
     with pytest.raises(ArgumentError, match="on a finite one every plant has a certificate"):

@@ -30,6 +30,8 @@ class BoxModel:
     middle : (m,) array
     unit : (n,) array
         The states of which z are the multiples.
+    states, outputs : (n,), (p,) arrays
+        What the plant's own states and outputs are multiples of: their scales where those are asked about, else 1.
     place : (m,) array of int
         Which parameters of the plant these are.
     """
@@ -43,6 +45,8 @@ class BoxModel:
     middle: Array
     half: Array
     unit: Array
+    states: Array
+    outputs: Array
     place: npt.NDArray[np.int_]
 
     @classmethod
@@ -70,7 +74,7 @@ class BoxModel:
             parts_A=half[:, None, None] * parts_A * to_z / to_z[:, None],
             parts_C=half[:, None, None] * parts_C * to_z / rows,
             nominal=np.array([plant.parameters[k].nominal for k in own]), middle=middle, half=half, unit=d,
-            place=np.array(own, dtype=int),
+            states=x, outputs=y, place=np.array(own, dtype=int),
         )  # fmt: skip
 
     @property

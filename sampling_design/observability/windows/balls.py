@@ -134,8 +134,8 @@ def _seen(
             clock.check()
 
     for g in range(len(pieces)):
-        look(g, *_ends(schedule, pieces, g))
-    left, right = _ends(schedule, pieces, best.piece)
+        look(g, *piece_ends(schedule, pieces, g))
+    left, right = piece_ends(schedule, pieces, best.piece)
     near = right - left
     for _ in range(ZOOMS):
         near = near * 2 / (PLACES - 1)
@@ -170,13 +170,13 @@ def needed_slack(schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: l
     for g in range(len(pieces)):
         first, stop = int(pieces.first[g]), int(pieces.stop[g])
         if stop > first:
-            left, right = _ends(schedule, pieces, g)
+            left, right = piece_ends(schedule, pieces, g)
             need = max(need, right - exact[first], exact[stop - 1] - T - left)
     return float(np.nextafter(float(need), np.inf)) if need else 0.0
 
 
-def _ends(schedule: Schedule | PeriodicSchedule, pieces: Pieces, g: int) -> tuple[Fraction, Fraction]:
-    """Ends of piece g; the last one reaches to the last window start that there is."""
+def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: Pieces, g: int) -> tuple[Fraction, Fraction]:
+    """Ends of piece g without rounding; the last one reaches to the last window start that there is."""
     right = Fraction(float(pieces.right[g]))
     if g + 1 == len(pieces):
         right = max(right, last_start(schedule, pieces))
@@ -197,7 +197,7 @@ def _proven(
     flow, rows = BallFlow(matrix(plant.A), zero), BallRows(plant)
     starts = []
     for g in range(len(pieces)):
-        left, right = _ends(schedule, pieces, g)
+        left, right = piece_ends(schedule, pieces, g)
         span = slice(int(pieces.first[g]), int(pieces.stop[g]))
         mask = pieces.measured(g)
         gramian = rows.gramian(flow, exact[span], left, mask)

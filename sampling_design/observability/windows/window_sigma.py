@@ -287,7 +287,8 @@ def window_sigma(
         Called with the fraction done and a message.
     rigorous : bool
         Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; `budget` then holds
-        for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle.
+        for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle. Over a box every
+        cell is proven so (growth that hides sigma from doubles hides it there).
     start : float, optional [plant.time_unit]
         Of a finite schedule: where its first full window begins, such as 0 where the plan counts from there and not
         from its first sample.
@@ -344,11 +345,7 @@ def window_sigma(
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
     if isinstance(plant, UncertainPlant):
-        if rigorous:
-            raise ArgumentError(
-                "`rigorous` is for one plant: over a box the bound is proven by norms in every cell. Leave it out."
-            )
-        return window_sigma_over_box(plant, pieces, tolerance, seconds, progress)
+        return window_sigma_over_box(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
 
 

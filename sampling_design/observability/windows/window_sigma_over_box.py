@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.uncertain import UncertainPlant
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -49,6 +50,10 @@ class WindowSigmaOverBox(SigmaBracket):
         How many cells of parameters and positions were judged.
     scaled : WindowSigmaOverBox or None
         The same in scaled coordinates, where the plant has scales.
+    rigorous : bool
+        Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and times.
+    slack : float [time]
+        With `rigorous`: as for `WindowSigma`, zero unless samples leave and arrive within rounding of each other.
     """
 
     lower: float
@@ -63,6 +68,7 @@ class WindowSigmaOverBox(SigmaBracket):
     plant: UncertainPlant
     scaled: WindowSigmaOverBox | None = field(default=None, kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
 
     @property
     def time_unit(self) -> str:
@@ -84,10 +90,11 @@ class WindowSigmaOverBox(SigmaBracket):
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
+        balls = ", in ball arithmetic" if self.rigorous else ""
         return Claim(
             f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end t, "
             f"T = {short(self.window)}",
-            theorem="Theorem 14, hypothesis, for each plant of the box",
+            theorem="Theorem 14, hypothesis, for each plant of the box" + balls,
             assumptions=("constant parameters in their ranges", "the sample times are exact"),
         )
 
@@ -105,6 +112,8 @@ class WindowSigmaOverBox(SigmaBracket):
             "window": self.window,
             "rtol": self.rtol,
             "cells": self.cells,
+            "rigorous": self.rigorous,
+            "slack": self.slack,
             "time_unit": self.time_unit,
             "scaled": None if self.scaled is None else self.scaled.to_dict(),
             "claim": self.claim.to_dict(),
@@ -135,7 +144,14 @@ class WindowSigmaOverBox(SigmaBracket):
 
 
 def window_sigma_over_box(
-    plant: UncertainPlant, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None
+    plant: UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    pieces: Pieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None,
+    *,
+    rigorous: bool = False,
 ) -> WindowSigmaOverBox:
     """Bound sigma over all pieces and plants; in scaled coordinates too where the plant has scales."""
     require_moderate(plant.nominal)
@@ -144,8 +160,23 @@ def window_sigma_over_box(
         model = BoxModel.of(plant, "window_sigma", inner)
         share = seconds / (2 if plant.nominal.has_scales else 1)
         scaled = _record(_searched(model, pieces, rtol, share, progress), model, pieces, rtol, scaled)
+        if rigorous:
+            scaled = _in_balls(scaled, model, schedule, pieces, share)
     assert scaled is not None
     return scaled
+
+
+def _in_balls(
+    result: WindowSigmaOverBox, model: BoxModel, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+) -> WindowSigmaOverBox:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.windows.balls_over_box import prove_over_box
+
+    proof = prove_over_box(WindowsOverBox(model, pieces), schedule, result.lower, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(result, lower=proof.lower, status=status, rigorous=True, slack=proof.slack)
 
 
 def _record(

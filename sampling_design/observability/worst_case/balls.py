@@ -236,7 +236,12 @@ class WorstCase:
 
 
 def prove_worst_sigma(
-    plant: Plant, family: SpacedWindows, guess: float, worst: Array, seconds: float = 60.0
+    plant: Plant,
+    family: SpacedWindows,
+    guess: float,
+    worst: Array,
+    seconds: float = 60.0,
+    shaves: tuple[float, ...] = SHAVES,
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over all schedules of a family, as near to `guess` as can be.
 
@@ -251,6 +256,8 @@ def prove_worst_sigma(
         Times of a bad schedule: they choose the coordinates, nothing else.
     seconds : float
         Budget.
+    shaves : tuple of float
+        Fractions taken off the guess, one after the other.
 
     Returns
     -------
@@ -273,7 +280,7 @@ def prove_worst_sigma(
     with precision():
         try:
             search = WorstCase(plant, family, basis, clock)
-            for shave in SHAVES:
+            for shave in shaves:
                 sigma = guess * (1 - shave)
                 mu = float(np.nextafter(sigma * sigma, np.inf))
                 if search.proves(mu):

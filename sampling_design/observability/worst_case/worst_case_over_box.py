@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,8 @@ class WorstCaseOverBox(SigmaBracket):
         "closed", "unseen" (some plant and schedule see nothing of a state), "budget" or "no states".
     plants : int
         How many plants were judged one by one.
+    rigorous : bool
+        Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and family.
     """
 
     lower: float
@@ -71,7 +73,7 @@ class WorstCaseOverBox(SigmaBracket):
         return Claim(
             f"sigma_n(O_s) >= {short(self.lower)} for every plant of the box and all schedules with at least {f.count} "
             f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}",
-            theorem="Theorem 17, for each plant of the box",
+            theorem="Theorem 17, for each plant of the box" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
         )
 
@@ -86,6 +88,7 @@ class WorstCaseOverBox(SigmaBracket):
             "status": self.status,
             "rtol": self.rtol,
             "plants": self.plants,
+            "rigorous": self.rigorous,
             "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
             "claim": self.claim.to_dict(),
         }
@@ -110,7 +113,13 @@ class WorstCaseOverBox(SigmaBracket):
 
 
 def worst_case_over_box(
-    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne
+    plant: UncertainPlant,
+    family: SpacedWindows,
+    rtol: float,
+    seconds: float,
+    one: SigmaOfOne,
+    *,
+    rigorous: bool = False,
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and how far sigma can be from theirs within a cell.
 
@@ -119,37 +128,72 @@ def worst_case_over_box(
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
         return _record(model, family, rtol, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
+    settled: list[BoxCells] = []
+    found = _searched(model, family, rtol, seconds, one, settled)
+    return _in_balls(found, model, settled, seconds, one) if rigorous else found
+
+
+def _searched(
+    model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
+) -> WorstCaseOverBox:
+    """The bracket; `settled` takes the cells that were proven."""
     began, judged, closed = time.monotonic(), 0, np.inf
-    start = np.zeros((1, model.m))
-    open_ = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
-    bound, best = np.zeros(1), (np.inf, model.start, np.zeros(family.count))
+    open_, bound, best = whole(model), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
         k = int(np.argmin(bound))
         cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
         left = seconds - (time.monotonic() - began)
         if left <= 0 and judged:
+            settled.append(open_)
             low = min(closed, float(bound.min()))
             return _record(model, family, rtol, "budget", judged, low, best)
-        lower, upper, times = one(plant.at(model.values(cell.u[0])), FINER * rtol, left)
+        lower, upper, times = one(model.plant.at(model.values(cell.u[0])), FINER * rtol, left)
         judged += 1
         if upper < best[0]:
             best = (upper, cell.u[0], times)
         if best[0] == 0:
             return _record(model, family, rtol, "unseen", judged, 0.0, best)
-        reached, effect = np.maximum(lower - spread_over(model, cell, family), bound[k]), np.zeros((1, model.m + 1))
-        effect[:, :-1] = np.linalg.norm(model.parts_A, axis=(1, 2)) * family.window * cell.half
-        effect[:, :-1] += np.linalg.norm(model.parts_C, axis=(1, 2)) * cell.half
+        reached = np.maximum(lower - spread_over(model, cell, family), bound[k])
         open_, bound = open_.take(rest), bound[rest]
         if reached[0] >= (1 - rtol) * best[0]:
             closed = min(closed, float(reached[0]))
+            settled.append(cell)
         else:
-            parts = halved(cell, effect)
+            parts = parts_of(model, cell, family)
             open_ = BoxCells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
             bound = np.append(bound, np.repeat(np.maximum(reached, 0.0), 2))
-        settled = bound >= (1 - rtol) * best[0]
-        closed = min(closed, float(bound[settled].min(initial=np.inf)))
-        open_, bound = open_.take(~settled), bound[~settled]
+        done = bound >= (1 - rtol) * best[0]
+        closed = min(closed, float(bound[done].min(initial=np.inf)))
+        settled.append(open_.take(done))
+        open_, bound = open_.take(~done), bound[~done]
     return _record(model, family, rtol, "closed", judged, closed, best)
+
+
+def whole(model: BoxModel) -> BoxCells:
+    """The box as one cell."""
+    start = np.zeros((1, model.m))
+    return BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+
+
+def parts_of(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> BoxCells:
+    """Both halves of a cell, along the parameter that moves the rows most."""
+    effect = np.zeros((1, model.m + 1))
+    effect[:, :-1] = np.linalg.norm(model.parts_A, axis=(1, 2)) * family.window * cell.half
+    effect[:, :-1] += np.linalg.norm(model.parts_C, axis=(1, 2)) * cell.half
+    return halved(cell, effect)
+
+
+def _in_balls(
+    result: WorstCaseOverBox, model: BoxModel, settled: list[BoxCells], seconds: float, one: SigmaOfOne
+) -> WorstCaseOverBox:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.worst_case.balls_over_box import prove_worst_over_box
+
+    proof = prove_worst_over_box(model, result, settled, one, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(result, lower=proof.lower, status=status, rigorous=True)
 
 
 def _record(

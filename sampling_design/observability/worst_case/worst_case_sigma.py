@@ -280,11 +280,7 @@ def worst_case_sigma(
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     if isinstance(plant, UncertainPlant):
-        if rigorous:
-            raise ArgumentError(
-                "`rigorous` is for one plant: over a box the bound is proven by norms in every cell. Leave it out."
-            )
-        return _over_box(plant, family, tolerance, seconds)
+        return _over_box(plant, family, tolerance, seconds, rigorous)
     generator = np.random.default_rng(0) if rng is None else rng
     require_moderate(plant)
     _require_memory(plant, family)
@@ -300,15 +296,18 @@ def worst_case_sigma(
     return replace(result, family=family, scaled=scaled)
 
 
-def _over_box(plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float) -> WorstCaseOverBox:
+def _over_box(
+    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, rigorous: bool
+) -> WorstCaseOverBox:
     """Each plant that is judged has a search of its own."""
 
     def one(member: Plant, tolerance: float, left: float) -> tuple[float, float, Array]:
         bare = Plant(member.A, member.C)  # sigma in the plant's own coordinates only
-        found = worst_case_sigma(bare, replace(family, time_unit=None), tolerance, max(left, LEAST_SEARCH))
+        limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
+        found = worst_case_sigma(bare, replace(family, time_unit=None), tolerance, limit)
         return found.lower, found.upper, found.witness
 
-    return worst_case_over_box(plant, family, rtol, seconds, one)
+    return worst_case_over_box(plant, family, rtol, seconds, one, rigorous=rigorous)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows) -> None:

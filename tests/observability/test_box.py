@@ -87,6 +87,20 @@ def test_units_change_no_bound_over_a_box():
     assert exists == [True, True]
 
 
+def test_a_direction_in_small_units_is_not_called_unseen():
+    S, schedule = np.array([1e-6, 1e9]), PeriodicSchedule([1.0, 0.7])
+    moved = Plant(OSCILLATOR.A * S[:, None] / S, OSCILLATOR.C / S)
+    plant = UncertainPlant(moved, [UncertainParameter("k", 0.81, 1.21, A=np.array(STIFF) * S[:, None] / S, nominal=1)])
+    found = window_sigma(plant, schedule, 3.0)
+    assert found.sees_every_plant
+    assert found.lower >= 0.99 * found.upper > 0
+    assert largest_box(plant, schedule, window=3.0).share == pytest.approx(1.0)
+    assert zero_count_bound(plant, 3.0).samples == zero_count_bound(oscillator(), 3.0).samples
+    missed = window_sigma(plant, PeriodicSchedule([np.pi]), 9.5)
+    assert missed.sees_every_plant is False
+    assert missed.worst["k"] == pytest.approx(1.0, rel=1e-6)
+
+
 def test_a_count_over_a_box_is_that_of_its_fastest_plant():
     found = zero_count_bound(oscillator(), np.pi)
     assert found.samples == zero_count_bound(oscillator().at([1.21]), np.pi).samples == 3

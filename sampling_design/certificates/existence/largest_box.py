@@ -16,7 +16,7 @@ from sampling_design.certificates.existence.existence_over_box import GainedGaps
 from sampling_design.certificates.existence.periodic import margin_on
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
-from sampling_design.observability.box.branching import TOGETHER, UNSEEN, halved
+from sampling_design.observability.box.branching import TOGETHER, halved
 from sampling_design.observability.box.branching import descended as descended_sigma
 from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.model import BoxModel
@@ -187,20 +187,21 @@ class _BySigma:
     """Sigma of every window above a number."""
 
     def __init__(self, asked: WindowsOverBox, least: float) -> None:
-        self.asked, self.least = asked, max(least, UNSEEN * asked.size)
-        self.floor = least
+        self.asked, self.floor = asked, least
 
     def judge(self, cells: BoxCells) -> Judged:
         """Which cells are proven, which fail at their centre, and what each direction matters."""
         lower, centre, effect = self.asked.judge(cells)
-        return lower > self.floor, centre <= self.least, effect
+        lost, k = np.asarray(centre <= self.floor), int(np.argmin(centre))
+        lost[k] |= self.asked.unseen(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
+        return lower > self.floor, lost, effect
 
     def failing(self, cell: BoxCells) -> Array | None:
         """A plant near the cell that fails."""
         pieces = self.asked.pieces
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
-        value, u, *_ = descended_sigma(start, self.asked.value, (pieces.left, pieces.right))
-        return u if value <= self.least else None
+        value, u, s, piece = descended_sigma(start, self.asked.value, (pieces.left, pieces.right))
+        return u if value <= self.floor or self.asked.unseen(u, s, piece) else None
 
 
 class _ByGains:

@@ -15,6 +15,7 @@ from sampling_design.observability.box.expansion import BoxCells
 Array = npt.NDArray[np.float64]
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
+Unseen = Callable[[Array, float, int], bool]
 Progress = Callable[[float, str], None]
 
 MOST_CELLS = 100_000
@@ -22,7 +23,7 @@ MOST_CELLS = 100_000
 TOGETHER = 512
 """BoxCells judged in one batch."""
 UNSEEN = 1e-8
-"""A value this far below the size of the data, reached by a descent, counts as zero."""
+"""What this share of the outputs shows at most, in balanced coordinates, counts as unseen where a descent ends."""
 DESCENTS = 3
 """Rounds between two descents."""
 STEPS = 400
@@ -44,13 +45,13 @@ def branch(
     start: BoxCells,
     judge: Judge,
     value: Value,
-    size: float,
+    unseen: Unseen,
     rtol: float,
     seconds: float,
     ends: tuple[Array, Array],
     progress: Progress | None,
 ) -> Branched:
-    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `size` what counts as one."""
+    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen` says where it counts as zero."""
     began, judged, rounds = time.monotonic(), 0, 0
     open_, lower = start, np.zeros(len(start.s))
     closed, best = np.inf, (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
@@ -65,7 +66,7 @@ def branch(
             best = (float(centre[k]), open_.u[k], float(open_.s[k]), int(open_.piece[k]))
         if rounds % DESCENTS == 0:
             best = descended(best, value, ends)
-        if best[0] <= UNSEEN * size:
+        if unseen(*best[1:]):
             best = descended(best, value, ends)
             return Branched(0.0, best[0], best[1], best[2], best[3], "unseen", judged)
         done = lower >= (1 - rtol) * best[0]

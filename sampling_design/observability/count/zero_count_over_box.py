@@ -154,7 +154,7 @@ def _frequencies(model: BoxModel) -> tuple[Branched, float]:
     start = np.zeros((1, model.m))
     cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     ends = (np.zeros(1), np.zeros(1))
-    return branch(cells, judge, value, 0.0, CLOSE, SECONDS, ends, None), floor
+    return branch(cells, judge, value, lambda *_: False, CLOSE, SECONDS, ends, None), floor
 
 
 def require_every_plant_observable(model: BoxModel) -> None:
@@ -177,16 +177,20 @@ def require_every_plant_observable(model: BoxModel) -> None:
         found = least_sigma(model, cells, np.tile(times, (count, 1)), np.tile(measured, (count, 1, 1)))
         return found.lower, found.centre, found.effect
 
-    def value(u: Array, s: float, piece: int) -> float:
+    def rows(u: Array) -> Array:
         A, C = model.at(u[None])
-        rows = (C[0] @ Plant(A[0], C[0]).transition(times[0])).reshape(-1, n)
-        return float(np.linalg.svd(rows / model.unit, compute_uv=False)[n - 1])
+        return np.asarray(C[0] @ Plant(A[0], C[0]).transition(times[0])).reshape(-1, n)
+
+    def value(u: Array, s: float, piece: int) -> float:
+        return float(np.linalg.svd(rows(u) / model.unit, compute_uv=False)[n - 1])
+
+    def unseen(u: Array, s: float, piece: int) -> bool:
+        return bool(np.linalg.svd(rows(u), compute_uv=False)[n - 1] <= SEEN * np.linalg.norm(model.C))
 
     start = np.zeros((1, model.m))
     cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
-    size = float(np.linalg.norm(model.C / model.unit))
     ends = (np.zeros(1), np.zeros(1))
-    found = branch(cells, judge, value, size * SEEN, 0.9, SECONDS, ends, None)
+    found = branch(cells, judge, value, unseen, 0.9, SECONDS, ends, None)
     if found.lower > 0:
         return
     values = model.values(found.u)
@@ -202,5 +206,5 @@ def require_every_plant_observable(model: BoxModel) -> None:
     )
 
 
-SEEN = 1e-4
-"""What is below this times 1e-8 of the outputs counts as unseen here: short windows see slow modes little."""
+SEEN = 1e-12
+"""What is below this share of the outputs counts as unseen: short windows see slow modes little."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design._record import Plain, short
 from sampling_design.evidence import Claim
-from sampling_design.observability.box.branching import Branched, branch
+from sampling_design.observability.box.branching import UNSEEN, Branched, branch
 from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.least import least_sigma
 from sampling_design.observability.box.model import BoxModel
@@ -198,7 +198,7 @@ def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, prog
     if few is not None:
         return Branched(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
     ends = (pieces.left, pieces.right)
-    return branch(asked.cells(), asked.judge, asked.value, asked.size, rtol, seconds, ends, progress)
+    return branch(asked.cells(), asked.judge, asked.value, asked.unseen, rtol, seconds, ends, progress)
 
 
 class WindowsOverBox:
@@ -207,8 +207,6 @@ class WindowsOverBox:
     def __init__(self, model: BoxModel, pieces: Pieces) -> None:
         self.model, self.pieces = model, pieces
         self.times, self.measured = _padded(pieces, len(model.C))
-        self.size = float(np.linalg.norm(model.C / model.unit)) if model.n else 1.0
-        """What counts as one: the outputs of a unit state."""
 
     def too_few(self) -> int | None:
         """A piece with fewer measurements than states."""
@@ -230,10 +228,18 @@ class WindowsOverBox:
 
     def value(self, u: Array, s: float, piece: int) -> float:
         """Sigma of one plant and window."""
+        return float(np.linalg.svd(self._rows(u, s, piece) / self.model.unit, compute_uv=False)[self.model.n - 1])
+
+    def unseen(self, u: Array, s: float, piece: int) -> bool:
+        """Whether one plant has a direction that its window does not show, in whatever units."""
+        least = np.linalg.svd(self._rows(u, s, piece), compute_uv=False)[self.model.n - 1]
+        return bool(least <= UNSEEN * np.linalg.norm(self.model.C))
+
+    def _rows(self, u: Array, s: float, piece: int) -> Array:
+        """The rows of one plant and window, in balanced coordinates."""
         A, C = self.model.at(u[None])
         at = self.pieces.samples(piece) - s
-        rows = (C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]]
-        return float(np.linalg.svd(rows / self.model.unit, compute_uv=False)[self.model.n - 1])
+        return np.asarray((C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]])
 
 
 def _padded(pieces: Pieces, outputs: int) -> tuple[Array, npt.NDArray[np.bool_]]:

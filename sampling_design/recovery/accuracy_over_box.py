@@ -37,7 +37,7 @@ MOST_CORNERS = 2
 """Parameters up to which the corners of the box are looked at first."""
 RANK = 1e-13
 SMALLEST = 1e-6
-"""BoxCells below this share of the box are not halved further."""
+"""Cells below this share of the box, along every parameter, are not halved further."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +133,8 @@ def accuracy_over_box(
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
     rows = wanted_rows(plant.nominal, of)
     began, middle = time.monotonic(), plant.low / 2 + plant.high / 2
-    open_ = [(middle, plant.high / 2 - plant.low / 2, np.full(len(rows), np.inf))]
+    whole = plant.high / 2 - plant.low / 2
+    open_ = [(middle, whole, np.full(len(rows), np.inf))]
     lower, worst = np.zeros(len(rows)), [middle] * len(rows)
     top, cells = np.zeros(len(rows)), 0
     for corner in _corners(plant):
@@ -142,9 +143,8 @@ def accuracy_over_box(
             lower[k], worst[k] = low[k], corner
     while open_:
         theta, half, before = open_.pop(int(np.argmax([float(np.max(each[2])) for each in open_])))
-        if time.monotonic() - began > seconds or half.max(initial=0.0) <= SMALLEST * float(
-            np.ptp([plant.low, plant.high])
-        ):
+        small = cells > 0 and bool(np.all(half <= SMALLEST * whole))
+        if time.monotonic() - began > seconds or small:
             top = np.maximum(top, np.max([before, *(each[2] for each in open_)], axis=0))
             break
         cells += 1
@@ -174,9 +174,10 @@ def accuracy_over_box(
 
 def _corners(plant: UncertainPlant) -> list[Array]:
     """The corners of a small box: the worst plant is often one of them."""
-    if len(plant.parameters) > MOST_CORNERS:
+    ends = [sorted({each.low, each.high}) for each in plant.parameters]
+    if sum(len(each) > 1 for each in ends) > MOST_CORNERS:
         return []
-    return [np.array(ends) for ends in product(*zip(plant.low.tolist(), plant.high.tolist(), strict=True))]
+    return [np.array(corner) for corner in product(*ends)]
 
 
 def _cell(

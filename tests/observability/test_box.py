@@ -209,6 +209,18 @@ def test_accuracy_over_a_box_holds_between_its_worst_plant_and_all_of_them():
     assert "Whichever plant" in found.explain()
 
 
+def test_a_parameter_that_is_known_changes_no_accuracy_in_whatever_unit():
+    leak = UncertainParameter("leak", 0.8, 1.2, A=[[-1.0]], nominal=1.0)
+    known = UncertainParameter("known", 1e9, 1e9, A=[[1e-3]], nominal=1e9)
+    plain, schedule = Plant([[-1.0]], [[1.0]], G=[[1.0]]), PeriodicSchedule([1.2])
+    found = [
+        accuracy(UncertainPlant(plain, each), schedule, rtol=0.2, w_bound=0.5, v_bound=0.4)
+        for each in ([leak], [leak, known])
+    ]
+    assert found[1].upper == pytest.approx(found[0].upper, rel=1e-9)
+    assert found[1].lower == pytest.approx(found[0].lower, rel=1e-9)
+
+
 def test_accuracy_that_cannot_be_bounded_says_so():
     def one(plant, w, v, rows, rtol):
         return np.zeros(len(rows)), np.full(len(rows), np.inf)

@@ -51,7 +51,7 @@ def branch(
     ends: tuple[Array, Array],
     progress: Progress | None,
 ) -> Branched:
-    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen` says where it counts as zero."""
+    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
     began, judged, rounds = time.monotonic(), 0, 0
     open_, lower = start, np.zeros(len(start.s))
     closed, best = np.inf, (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))

@@ -80,7 +80,7 @@ def nonlinear() -> list[Row]:
     found: list[Row] = []
     angles = ((np.pi / 3, "to 60 degrees", "2.66"), (np.pi / 2, "to 90 degrees", "2.03"), (None, "all angles", "1.35"))
     for angle, name, theirs in angles:
-        for pieces in (16, 32):
+        for pieces in (16, 32, 64):
             make = partial(longest_gap, examples.pendulum(1.0, angle), eta=0.05, most=3.1, pieces=pieces)
             found.append((f"pendulum, {name}, eta .05, {pieces} pieces", f"gaps to {theirs}", make, gap))
     make = partial(certify_inclusion, examples.pendulum(), GapRange(0.1, 1.0), eta=0.4)

@@ -16,7 +16,7 @@ from sampling_design.observability.windows import balls_over_box
 from sampling_design.observability.windows.balls import exact_times
 from sampling_design.observability.windows.balls_over_box import WindowCells, prove_over_box
 from sampling_design.observability.windows.pieces import window_pieces
-from sampling_design.observability.windows.window_sigma_over_box import WindowsOverBox
+from sampling_design.observability.windows.windows_over_box import WindowsOverBox
 from sampling_design.observability.worst_case import balls_over_box as worst_over_box
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.plants.uncertain_parameter import UncertainParameter

@@ -23,7 +23,7 @@ from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import at_parameters
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.windows.pieces import window_pieces
-from sampling_design.observability.windows.window_sigma_over_box import WindowsOverBox
+from sampling_design.observability.windows.windows_over_box import WindowsOverBox
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

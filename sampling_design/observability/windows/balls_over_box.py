@@ -32,7 +32,7 @@ from sampling_design.observability.windows.balls import (
     needed_slack,
     piece_ends,
 )
-from sampling_design.observability.windows.window_sigma_over_box import WindowsOverBox
+from sampling_design.observability.windows.windows_over_box import WindowsOverBox
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]

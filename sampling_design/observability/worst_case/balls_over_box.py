@@ -17,12 +17,7 @@ from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
-from sampling_design.observability.worst_case.worst_case_over_box import (
-    FINER,
-    SigmaOfOne,
-    WorstCaseOverBox,
-    parts_of,
-)
+from sampling_design.observability.worst_case.cells_over_box import SigmaOfOne, parts_of
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
@@ -33,15 +28,25 @@ UP = 1 + 2.0**-50
 
 
 def prove_worst_over_box(
-    model: BoxModel, found: WorstCaseOverBox, cells: list[BoxCells], one: SigmaOfOne, seconds: float
+    model: BoxModel,
+    family: SpacedWindows,
+    guess: float,
+    rtol: float,
+    cells: list[BoxCells],
+    one: SigmaOfOne,
+    seconds: float,
 ) -> ProvenSigma:
-    """Prove a lower bound of sigma over a box and all schedules of a family, as near to the one found as can be.
+    """Prove a lower bound of sigma over a box and all schedules of a family, as near to `guess` as can be.
 
     Parameters
     ----------
     model : BoxModel
-    found : WorstCaseOverBox
-        What floats believe. Window, count and spacing of its family are the doubles that the theorem is about.
+    family : SpacedWindows
+        Window, count and spacing are the doubles that the theorem is about.
+    guess : float
+        What floats believe.
+    rtol : float
+        Tolerance of the search of one plant, whose worst times the proof begins with.
     cells : list of BoxCells
         Of which floats believe it; together the box.
     one : callable
@@ -60,25 +65,25 @@ def prove_worst_over_box(
         If python-flint is not installed.
     """
     flint()
-    if not 0 < found.lower < np.inf:
-        return ProvenSigma(found.lower, 0.0, "closed")
-    clock, mu = Clock(seconds), found.lower * (1 - SHAVES[0])
+    if not 0 < guess < np.inf:
+        return ProvenSigma(guess, 0.0, "closed")
+    clock, mu = Clock(seconds), guess * (1 - SHAVES[0])
     box, pending = BallBox(model), [part.take(np.array([k])) for part in cells for k in range(len(part.s))]
     try:
         while pending:
             clock.check()
             cell = pending.pop()
             centre = model.plant.at(model.values(cell.u[0]))
-            needed = mu + _spread(box, cell, centre, found.family)
+            needed = mu + _spread(box, cell, centre, family)
             if needed < np.inf:
-                lower, _, worst = one(centre, FINER * found.rtol, np.inf)
+                lower, _, worst = one(centre, rtol, np.inf)
                 left = max(0.0, clock.end - time.monotonic())
-                if lower >= needed and prove_worst_sigma(centre, found.family, needed * UP, worst, left, (0.0,)).lower:
+                if lower >= needed and prove_worst_sigma(centre, family, needed * UP, worst, left, (0.0,)).lower:
                     continue
             clock.check()
             if cell.half.max(initial=0.0) < SMALLEST:
                 return ProvenSigma(0.0, 0.0, "rounding")
-            parts = parts_of(model, cell, found.family)
+            parts = parts_of(model, cell, family)
             pending += [parts.take(np.array([k])) for k in range(len(parts.s))]
     except OutOfTime:
         return ProvenSigma(0.0, 0.0, "budget")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,8 @@ Array = npt.NDArray[np.float64]
 
 CLOSED_FORM = ("banded", "square root")
 """Engines that say that no constraint was active."""
+
+OVERFLOWN = "What the window holds grows beyond double precision: open loop instead."
 
 SUSPECTS = 5
 """Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
@@ -178,7 +181,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         return state
 
     def _solve(self, window: Window) -> Solution:
-        free = smooth(window)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is asked for below
+            free = smooth(window)
+        if not (math.isfinite(free.cost) and np.isfinite(free.covariance).all()):
+            return replace(free, status="solver failed", note=OVERFLOWN)
         limited = self.constraints.active or window.limits is not None
         return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
@@ -211,9 +217,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         limits: Array | None = None,
     ) -> Answer:
         """Return what the window says, put together and solved as a whole."""
-        window, (flow, drift) = self._window(state, start, sample, measured, limits), last_gap
+        last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
+        self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
+        window = self._window(state, start, sample, measured, limits)
         terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
-        last, engine, cost = state.last, "", np.nan
         if self._too_large(window.weighted(window.residual)):
             terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
             found, note = self._overflowed(state, sample, window.residual[-1], terms)
@@ -232,8 +239,8 @@ class MovingHorizonEstimator(WindowedEstimator):
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
                     found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
         if np.isnan(cost):
-            self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
             x, Y, beta = self._ahead(last, flow, drift)
+            self._refuse_overflow(flow, Y, sample.t)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
         return Answer(x, Y, found, engine, note, cost)
 

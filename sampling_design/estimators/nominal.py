@@ -163,6 +163,8 @@ class NominalFilter(KalmanFilter):
         if self._before is None or not len(self._shown) or self._v_bound is None:
             return super()._sample_energy(masks)
         x, Y, beta = self._before
+        if not np.isfinite(beta):
+            return np.full(len(masks), np.inf)
         spread = np.sqrt(np.maximum(np.einsum("kpi,ij,kpj->kp", self._shown, Y, self._shown), 0.0) * max(beta, 0.0))
         more = ROUNDING * np.sum(np.abs(self._shown @ x) + spread, axis=0)
         wider = self._v_bound + (more if self._v_bound.ndim else float(np.linalg.norm(more)))
@@ -191,7 +193,7 @@ class NominalFilter(KalmanFilter):
                 if found is None:
                     step /= 2
                     if step * 2**HALVINGS * count < b - a:
-                        return float("nan")
+                        return float("inf")
                     continue
                 x, Y, beta = found
                 done += step

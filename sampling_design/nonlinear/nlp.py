@@ -163,7 +163,7 @@ class WindowProgram:
                 push = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
                 options |= {f"warm_start_{key}": WARM_PUSH for key in push}
                 options |= {"warm_start_init_point": "yes", "mu_init": WARM_BARRIER}
-            quiet = {"print_time": False, "show_eval_warnings": False, "ipopt": options}
+            quiet = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "ipopt": options}
             self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
         return self._solvers[warm]
 

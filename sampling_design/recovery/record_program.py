@@ -8,6 +8,7 @@ kept in plain units: one number for each row that was read.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -266,8 +267,9 @@ class RecordProgram:
 
     def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
         """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
-        posed, mu = self.posed(level), self.L.T @ c
-        size = float(np.linalg.norm(mu))
+        with np.errstate(over="ignore", invalid="ignore"):
+            posed, mu = self.posed(level), self.L.T @ c
+        size = math.hypot(*mu.tolist())  # its square may overflow
         nothing = np.inf, np.zeros(len(self.H)), np.zeros_like(self.F[:, 0])
         if size == 0 or not np.isfinite(size):
             return nothing

@@ -61,6 +61,7 @@ def sane(estimate, exact=True):
         assert estimate.to_dict()["radii"] == [None] * estimate.x.size
     else:
         assert estimate.note
+        assert not np.isnan(estimate.radius)
         assert not (estimate.radii == 0).any()
     if estimate.status == "bounds disproved":
         assert estimate.contradiction is not None
@@ -98,6 +99,50 @@ def test_whatever_the_data_and_however_far_ahead(name, maker):
                 estimator.reset(prior_time=t)
                 sane(estimator.predict(t))
     assert refused < 100
+
+
+LONG = 1500.0
+BEYOND = {
+    "one": Plant([[1.0]], [[1.0]]),
+    "two": Plant([[1.0, 0.0], [0.0, -0.5]], [[1.0, 1.0]]),
+    "chain": Plant([[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]]),
+    "unseen": Plant([[1.0, 0.0], [0.0, -0.5]], [[0.0, 1.0]]),
+    "decays": Plant([[-1.0, 0.0], [1.0, -2.0]], [[0.0, 1.0]]),
+}
+OVER_LONG_WINDOWS = {
+    "mhe": lambda plant, **o: MovingHorizonEstimator(plant, horizon=LONG, cost=CostFunction(eta=0.3), **o),
+    "undiscounted": lambda plant, **o: MovingHorizonEstimator(plant, horizon=LONG, **o),
+    "forgets": lambda plant, **o: MovingHorizonEstimator(plant, horizon=LONG, cost=CostFunction(eta=3.0), **o),
+    "paper": lambda plant, **o: MovingHorizonEstimator(plant, horizon=LONG, cost=CostFunction(form="paper"), **o),
+    "carried": lambda plant, **o: MovingHorizonEstimator(
+        plant, horizon=LONG, cost=CostFunction(arrival="filtered"), **o
+    ),
+    "boxes": lambda plant, **o: MovingHorizonEstimator(
+        plant, horizon=LONG, cost=CostFunction(eta=0.3), constraints=Constraints(v=(-9, 9)), **o
+    ),
+    "held": lambda plant, **o: MovingHorizonEstimator(
+        plant, horizon=LONG, constraints=Constraints(w=(-1, 1), w_model="constant"), **o
+    ),
+    "filter": lambda plant, **o: KalmanFilter(plant, cost=CostFunction(eta=0.3), **o),
+}
+
+
+@pytest.mark.parametrize("maker", OVER_LONG_WINDOWS)
+def test_growth_beyond_all_numbers_between_samples_is_refused_in_words(maker):
+    """e^300 to e^800 within the window: an estimate with what holds of it, or the sentence; never "ok" with NaN."""
+    refused, plants = 0, list(BEYOND.values())
+    for plant, growth in product(plants[:1] if maker == "held" else plants, (300.0, 360.0, 400.0, 800.0)):
+        estimator = OVER_LONG_WINDOWS[maker](plant, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+        t = 0.0
+        for gap in (1.0, growth, 0.5):
+            t += gap
+            words = answers(estimator, t, np.zeros(plant.n_outputs), t + growth, False)
+            if words:
+                assert "grows beyond double precision. Start again near it: reset(" in words
+                refused += 1
+                estimator.reset(prior_time=t)
+                sane(estimator.predict(t), False)
+    assert refused > 0
 
 
 def test_the_three_reported_cases():

@@ -106,9 +106,10 @@ def test_the_radius_grows_with_the_box_and_without_one_is_that_of_the_filter():
 def test_a_box_that_no_bound_holds_says_that_there_is_no_radius():
     box = UncertainPlant(OSCILLATOR, [UncertainParameter("k", -1e7, 1e7, A=STIFFNESS.A, nominal=1.0)])
     made = NominalFilter(box, cost=CostFunction(eta=0.4), w_bound=0.1, v_bound=0.05, initial_error=0.3)
-    found = made.predict(30.0)
-    assert not found.certified
-    assert "No radius" in found.note
+    for found in (made.predict(30.0), made.update(30.0, [0.2]), made.update(31.0, [0.2])):
+        assert not found.certified
+        assert found.radius == np.inf
+        assert "No radius: it overflows." in found.note
 
 
 def test_what_is_no_box_is_refused():

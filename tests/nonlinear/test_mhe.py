@@ -286,6 +286,16 @@ def test_a_model_that_turns_nan_under_way_stops_nothing(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_growth_beyond_all_numbers_is_a_failed_status_and_nothing_is_printed(capfd):
+    """e^400 between two samples: the prediction is 1e172, and its square overflows in the cost."""
+    scheme = NonlinearMovingHorizonEstimator(from_linear(Plant([[1.0]], [[1.0]])), horizon=5.0)
+    found = scheme.run([(1.0, [0.1]), (401.0, [0.1])])
+    assert found.status == ("ok", "solver failed")
+    assert np.isfinite(found.x).all()
+    assert scheme.predict(801.0).status == "solver failed"
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -212,20 +212,23 @@ class FlowTable:
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
             F, integral, W = self._flow.over(gaps)
             inputs = integral @ weights.plant.B if weights.plant.n_inputs else np.zeros((*F.shape[:2], 0))
-        roots: dict[float, tuple[Array, Array]] = {}
-        if self.constant_w:
-            roots = dict(zip(gaps, self._constant_roots(integral, gaps), strict=True))
-            W = np.array([root @ root.T for root, _ in roots.values()])
+            roots: dict[float, tuple[Array, Array]] = {}
+            if self.constant_w:
+                roots = dict(zip(gaps, self._constant_roots(integral, gaps), strict=True))
+                W = np.array([root @ root.T for root, _ in roots.values()])
         for k, gap in enumerate(gaps):
             growth = math.exp(weights.eta * gap) if weights.eta * gap < LONGEST else math.inf
             self._table[gap] = GapFlow(gap, growth, F[k], W[k], integral[k], inputs[k], roots.get(gap))
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
-        """Roots and their pseudo-inverses."""
+        """Roots and their pseudo-inverses; NaN where they overflowed."""
         root = self._constant_root(integral, gaps)
         size = np.linalg.norm(root, axis=2)
+        known = np.isfinite(size).all(axis=1)
         unit = np.where(size > 0, size, 1.0)
-        whiten = np.linalg.pinv(root / unit[:, :, None]) / unit[:, None, :]
+        whiten = np.full_like(root.transpose(0, 2, 1), np.nan)
+        whiten[known] = np.linalg.pinv((root / unit[:, :, None])[known]) / unit[known, None, :]
+        root[~known] = np.nan
         return list(zip(root, whiten, strict=True))
 
     def _constant_root(self, integral: Array, gaps: list[float]) -> Array:

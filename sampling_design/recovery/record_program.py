@@ -373,10 +373,8 @@ class RecordProgram:
     @cached_property
     def _start_rows(self) -> tuple[Array, Array]:
         """The least change of gains that takes a rest away (for L'rest), and L."""
-        rows = (
-            np.where(self.readings.below[:, None], 0.0, told_of_start(self.H, self.F, self.readings.offsets, self.L))
-            / self.unit[:, None]
-        )
+        told = told_of_start(self.H, self.F, self.readings.offsets, self.L)
+        rows = np.where(self.readings.below[:, None], 0.0, told) / self.unit[:, None]
         if not np.isfinite(rows).all():
             return np.zeros_like(rows), self.L
         return np.asarray(np.linalg.pinv(rows.T, rcond=HELD) / self.unit[:, None]), self.L

@@ -20,6 +20,7 @@ from sampling_design.estimators.online.estimator import EstimateRecord, Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, SolveDetails
+from sampling_design.estimators.online.rounded import faded
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
@@ -150,8 +151,8 @@ class KalmanFilter(WindowedEstimator):
         start = Start(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
         window = self._window(state, start, sample, measured)
         solution, passed = smooth(window), float(window.discount[0])
-        terms = passed * first.beta + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
-        terms += float(np.dot(window.discount, self._sample_energy(window.masks))) + self._heard_means(window)
+        terms = faded(first.beta, passed) + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
+        terms += window.total(self._sample_energy(window.masks)) + self._heard_means(window)
         found = self._judged(terms, solution.dual, last)
         if found.status == "bounds disproved" and last.sound:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))

@@ -24,6 +24,7 @@ from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import CONTRADICTION, Held, MeasuredSample, SolveDetails, Verdict
+from sampling_design.estimators.online.rounded import faded
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import Window
@@ -181,12 +182,12 @@ class MovingHorizonEstimator(WindowedEstimator):
         return state
 
     def _solve(self, window: Window) -> Solution:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is asked for below
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is not finite
             free = smooth(window)
-        if not (math.isfinite(free.cost) and np.isfinite(free.covariance).all()):
-            return replace(free, status="solver failed", note=OVERFLOWN)
-        limited = self.constraints.active or window.limits is not None
-        return solve_constrained(window, self.constraints, free, self.engine) if limited else free
+            if not (math.isfinite(free.cost) and np.isfinite(free.covariance).all()):
+                return replace(free, status="solver failed", note=OVERFLOWN)
+            limited = self.constraints.active or window.limits is not None
+            return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
     def _advance(self, state: State, sample: Taken) -> Node:
         self._prepare(state, sample.t)
@@ -220,9 +221,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
         self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
         window = self._window(state, start, sample, measured, limits)
-        terms = float(window.discount[0]) * start.energy + self._lost(sample.t - start.s)
+        terms = faded(start.energy, float(window.discount[0])) + self._lost(sample.t - start.s)
         if self._too_large(window.weighted(window.residual)):
-            terms += float(np.dot(window.discount, self._kept_energy(window.masks)))
+            terms += window.total(self._kept_energy(window.masks))
             found, note = self._overflowed(state, sample, window.residual[-1], terms)
         else:
             terms += self._rounded(window.y, window.reference) + self._heard_means(window)
@@ -282,7 +283,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         """
         free = solution.engine in CLOSED_FORM
         energies = self._sample_energy(window.masks) if free else self._kept_energy(window.masks)
-        return float(np.dot(window.discount, energies))
+        return window.total(energies)
 
     def _kept_energy(self, masks: Array) -> Array:
         """Return a bound on the cost of the true noise at samples where v is constrained.

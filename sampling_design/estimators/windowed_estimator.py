@@ -18,7 +18,7 @@ from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict
-from sampling_design.estimators.online.rounded import rounding
+from sampling_design.estimators.online.rounded import faded, rounding
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.square_root import covariance_root
@@ -172,7 +172,7 @@ class WindowedEstimator(OpenLoopEstimator):
             optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
         if optimum is None:
             return None
-        terms = math.exp(self.weights.eta * (s - t)) * start.energy + self._lost(t - s)
+        terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self._lost(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
         found = self._judged(terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].sound:
@@ -190,7 +190,7 @@ class WindowedEstimator(OpenLoopEstimator):
         masks = window.means.masks
         if not self.weights.diagonal_noise:
             masks = masks + window.masks * masks.any(axis=1, keepdims=True)
-        return float(np.dot(window.discount, self._sample_energy(masks)))
+        return window.total(self._sample_energy(masks))
 
     def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""

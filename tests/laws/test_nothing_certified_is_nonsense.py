@@ -145,6 +145,23 @@ def test_growth_beyond_all_numbers_between_samples_is_refused_in_words(maker):
     assert refused > 0
 
 
+def test_a_sample_without_a_bound_is_unbounded_however_old():
+    """The discount of the first sample is 0 in doubles, its noise is not bounded: 0 times infinity is no radius."""
+    estimator = OVER_LONG_WINDOWS["forgets"](BEYOND["chain"])
+    for t, y in ((1.0, 0.0), (111.0, 1e100), (112.0, 2.0), (222.0, 1e100), (277.0, 0.0)):
+        assert estimator.update(t, [y]).radius == np.inf
+
+
+def test_what_rounding_hides_is_not_called_infeasible():
+    """v is free, so that any data can be met; the state has grown by e^165, and no solver follows it."""
+    plant = Plant(BEYOND["two"].A, np.eye(2))
+    held = Constraints(w=(-1, 1), w_model="constant")
+    estimator = MovingHorizonEstimator(plant, horizon=LONG, cost=CostFunction(eta=0.3), constraints=held)
+    samples = ((1.0, 0.0), (111.0, 0.0), (112.0, 2.0), (222.0, 0.0), (277.0, 0.0))
+    found = [estimator.update(t, [y, y]).status for t, y in samples]
+    assert found == ["ok", "ok", "ok", "ok", "solver failed"]
+
+
 def test_the_three_reported_cases():
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
     far = MovingHorizonEstimator(PLANTS["integrator"], horizon=3.0, cost=CostFunction(eta=3.0), **bounds)

@@ -20,7 +20,7 @@ from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.rounded import in_units_of, moved, passed, rounding
+from sampling_design.estimators.online.rounded import faded, in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Push, StartError, Told
@@ -306,7 +306,7 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
-        beta = node.beta / flow.growth + self._lost(flow.gap) if flow.gap > 0 else node.beta
+        beta = faded(node.beta, 1 / flow.growth) + self._lost(flow.gap) if flow.gap > 0 else node.beta
         return flow.F.dot(node.x) + drift, flow.covariance(node.Y), beta
 
     def _lost(self, h: float) -> float:

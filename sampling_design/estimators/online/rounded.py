@@ -32,6 +32,11 @@ def moved(bound: float, held: float) -> float:
     return (2 * math.sqrt(max(bound, 0.0)) + size) * size
 
 
+def faded(bound: float, share: float) -> float:
+    """Return what is left of a bound; all of one that is infinite, however small the share."""
+    return bound * share if math.isfinite(bound) else bound
+
+
 def passed(node: Node, flow: GapFlow, drift: Array, x: Array) -> Array:
     """The sizes of the numbers that x was computed from, along a gap from a node."""
     led: Array = flow.size.dot(abs(node.x))

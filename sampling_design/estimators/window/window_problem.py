@@ -109,6 +109,10 @@ class Window:
             return residual @ self.weights.y_root.T
         return np.asarray(np.matmul(self.weights.of(self.masks).y_root, residual[:, :, None])[:, :, 0])
 
+    def total(self, energies: Array) -> float:
+        """Return the discounted sum of one bound per node; infinite where one is, however old the node."""
+        return float(np.dot(self.discount, energies)) if np.isfinite(energies).all() else np.inf
+
     @property
     def samples(self) -> npt.NDArray[np.intp]:
         """Indices of the nodes at which something is measured."""

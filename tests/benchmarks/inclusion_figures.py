@@ -42,7 +42,7 @@ def stored(name: str) -> Made:
 
 def gap(found: InclusionCertificate) -> str:
     """The longest gap."""
-    return f"gaps to {found.family.longest:.3g}"
+    return f"gaps to {found.family.longest:.4g}"
 
 
 def lam(found: InclusionCertificate) -> str:
@@ -94,7 +94,7 @@ def nonlinear() -> list[Row]:
         make = partial(longest_gap, examples.stirred_reactor(spread), eta=0.1, most=1.3, pieces=16)
         found.append((f"stirred reactor, within {spread:g} K, eta .1", f"gaps to {theirs}", make, gap))
     theirs = "six states, sampled: with P(tau) M > 2.8"
-    found.append((f"{PATIENT}, untreated, eta .45", theirs, stored("thyroid_patient"), lam))
+    found.append((f"{PATIENT}, untreated, eta .5", theirs, stored("thyroid_patient"), lam))
     theirs = "four states, sampled: lambda 3.95, M > 3.94, with P(tau) 3.96"
     found.append((f"{PATIENT}, under therapy, eta .3", theirs, stored("thyroid_therapy"), lam))
     return found

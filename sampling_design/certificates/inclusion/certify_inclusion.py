@@ -34,7 +34,8 @@ SUSPECTS = 24
 """Constant plants in which a schedule without certificate is looked for."""
 LONGEST_LOOK = 6.0
 """Seconds of that search."""
-BISECTIONS = 9
+BISECTIONS, CLOSE = 12, 1.003
+"""Of the longest gap: at most so many, until both ends are this near."""
 
 
 @door
@@ -273,7 +274,7 @@ def longest_gap(
     Returns
     -------
     InclusionCertificate
-        Proven; `family.longest` is the gap, to about 1 %.
+        Proven; `family.longest` is the gap, to about .3 % of what so many pieces prove.
 
     Raises
     ------
@@ -305,10 +306,10 @@ def longest_gap(
         else:
             low = gap
         report((k + 1) / (BISECTIONS + 2), f"gaps up to {gap:.4g}")
-        if high < low * 1.01:
+        if high < low * CLOSE:
             break
-    for factor in (1.0, 0.99, 0.97, 0.93, 0.8, 0.5):
-        made = search(float(f"{low * factor:.3g}")).proven(rate, count, began)
+    for factor in (1.0, 0.997, 0.99, 0.97, 0.93, 0.8, 0.5):
+        made = search(float(f"{low * factor:.4g}")).proven(rate, count, began)
         if isinstance(made, InclusionCertificate):
             return made
     raise UndecidedError(f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}.", eta=rate)

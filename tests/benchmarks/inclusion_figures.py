@@ -96,7 +96,7 @@ def nonlinear() -> list[Row]:
     theirs = "six states, sampled: with P(tau) M > 2.8"
     found.append((f"{PATIENT}, untreated, eta .5", theirs, stored("thyroid_patient"), lam))
     theirs = "four states, sampled: lambda 3.95, M > 3.94, with P(tau) 3.96"
-    found.append((f"{PATIENT}, under therapy, eta .3", theirs, stored("thyroid_therapy"), lam))
+    found.append((f"{PATIENT}, under therapy, eta .35", theirs, stored("thyroid_therapy"), lam))
     return found
 
 

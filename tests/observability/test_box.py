@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from sampling_design import (
     PeriodicSchedule,
@@ -22,9 +23,11 @@ from sampling_design.observability.box.branching import halved
 from sampling_design.observability.box.expansion import BoxCells, exponentials
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.count import zero_count_over_box
+from sampling_design.observability.worst_case.cells_over_box import least_over, points_of, whole
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.plants.uncertain_parameter import UncertainParameter
 from sampling_design.recovery.accuracy_over_box import accuracy_over_box
+from tests.oracles.boxes import random_box
 from tests.oracles.observability import exponential_50_digits
 from tests.rescale import Units
 
@@ -131,6 +134,38 @@ def test_the_worst_case_over_a_box_holds_for_every_plant_drawn():
     each = [worst_case_sigma(plant.at([x]), family).upper for x in (0.97, 1.0, 1.03)]
     assert 0.85 * found.upper <= found.lower <= min(each)
     assert "every such schedule" in found.explain()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_plant_of_a_cell_lies_below_what_its_corners_say(seed):
+    """Where one schedule alone is admissible, sigma of each plant is that of its rows."""
+    rng = np.random.default_rng(seed)
+    model = BoxModel.of(random_box(rng), "worst_case_sigma")
+    k = model.n + int(rng.integers(0, 3))
+    family = SpacedWindows(0.4 * (k - 1) + 1e-9, k, 0.4)
+    cell = whole(model)._replace(half=rng.uniform(0.1, 1.0, (1, model.m)))
+    times = 0.4 * np.arange(k)
+
+    def sigma(u):
+        A, C = model.at(u[None])
+        rows = np.vstack([C[0] @ expm(A[0] * t) for t in times]) / model.unit
+        return np.linalg.svd(rows, compute_uv=False)[model.n - 1]
+
+    reached = least_over(model, cell, family, min(sigma(u) for u in points_of(cell)))
+    inside = cell.half[0] * rng.uniform(-1.0, 1.0, (50, model.m))
+    assert reached <= min(sigma(u) for u in inside) * (1 + 1e-9)
+    narrow = cell._replace(half=cell.half * 1e-12)
+    least = min(sigma(u) for u in points_of(narrow))
+    assert least_over(model, narrow, family, least) >= 0.9 * least  # tight where a cell is small
+
+
+def test_corners_that_are_seen_prove_nothing_of_a_frequency_between_them_that_is_not():
+    """Half a turn apart, two samples miss the frequency 1 alone."""
+    model, family = BoxModel.of(oscillator(0.81, 1.21), "worst_case_sigma"), SpacedWindows(np.pi, 2, np.pi)
+    corners = [worst_case_sigma(oscillator().at([x]), family).lower for x in (0.81, 1.21)]
+    assert min(corners) > 0.1
+    assert worst_case_sigma(oscillator().at([1.0]), family).upper < 1e-12
+    assert least_over(model, whole(model), family, min(corners)) == 0.0
 
 
 def test_the_frechet_derivative_and_the_exponential_agree_with_fifty_digits():

@@ -1,7 +1,7 @@
 """Lower bounds of sigma over all spaced schedules and every plant of a box, in ball arithmetic (extra `rigorous`).
 
-In each cell sigma of one plant, proven as in `worst_case/balls.py`, less what the rows of the others differ from its
-rows: |C(theta) e^{A(theta) r} z - C e^{A r} z| <= e^{mu r} (seen (e^{e r} - 1) + shown e^{e r}) |z|_W, 0 <= r <= T.
+The proof is that of `cells_over_box.py`: sigma of the corners of a cell, proven as in `worst_case/balls.py`, and what
+the rows of all plants of the cell are beside those of its middle, to first order and beyond, in metrics of `box/`.
 """
 
 from __future__ import annotations
@@ -9,17 +9,20 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design._balls import Ball, ball, flint, frobenius, identity, largest, matrix, positive_part, precision
-from sampling_design.observability.box.balls import BallBox, BallCell, Metric, largest_over
+from sampling_design.observability.box.balls import BallBox, Metric, beyond_first_in_balls, largest_over
 from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
-from sampling_design.observability.worst_case.cells_over_box import SigmaOfOne, parts_of
+from sampling_design.observability.worst_case.cells_over_box import SigmaOfOne, parts_of, points_of
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
+
+Array = npt.NDArray[np.float64]
 
 SMALLEST = 2.0**-20
 """Cells below this share of the box are not halved further."""
@@ -69,17 +72,25 @@ def prove_worst_over_box(
         return ProvenSigma(guess, 0.0, "closed")
     clock, mu = Clock(seconds), guess * (1 - SHAVES[0])
     box, pending = BallBox(model), [part.take(np.array([k])) for part in cells for k in range(len(part.s))]
+    known = dict[tuple[float, ...], float]()
     try:
         while pending:
-            clock.check()
             cell = pending.pop()
-            centre = model.plant.at(model.values(cell.u[0]))
-            needed = mu + _spread(box, cell, centre, family)
-            if needed < np.inf:
-                lower, _, worst = one(centre, rtol, np.inf)
-                left = max(0.0, clock.end - time.monotonic())
-                if lower >= needed and prove_worst_sigma(centre, family, needed * UP, worst, left, (0.0,)).lower:
-                    continue
+            points = points_of(cell)
+            plants = [model.plant.at(model.values(u)) for u in points]
+            needed = _needed(box, cell, (points, plants), family, mu)
+            for u, plant in zip(points, plants, strict=True):
+                clock.check()
+                at = tuple(u.tolist())
+                if known.get(at, 0.0) < needed < np.inf:
+                    lower, _, worst = one(plant, rtol, np.inf)
+                    left = max(0.0, clock.end - time.monotonic())
+                    if lower >= needed:
+                        known[at] = prove_worst_sigma(plant, family, needed * UP, worst, left, (0.0,)).lower
+                if not known.get(at, 0.0) >= needed:
+                    break
+            else:
+                continue
             clock.check()
             if cell.half.max(initial=0.0) < SMALLEST:
                 return ProvenSigma(0.0, 0.0, "rounding")
@@ -90,30 +101,40 @@ def prove_worst_over_box(
     return ProvenSigma(mu, 0.0, "closed")
 
 
-def _spread(box: BallBox, one: BoxCells, centre: Plant, family: SpacedWindows) -> float:
-    """At least |O(theta) - O(centre)| over a cell, for any k times in the window; infinity where nothing is proven."""
-    least = np.inf
+def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], family: SpacedWindows, mu: float) -> float:
+    """What sigma of the plants by which a cell is judged must be for sigma >= mu all over it; infinity if unknown."""
+    least, points = np.inf, judged[0]
     with precision():
-        exact = box.cell(one.u[0], one.half[0])
-        A, C = box.balanced(matrix(centre.A), matrix(centre.C))
-        cell = BallCell(A, C, exact.parts_A, exact.parts_C)
-        off_A, off_C = frobenius(exact.A - A), frobenius(exact.C - C)
+        cell, off_A, off_C = box.cell(one.u[0], one.half[0]), flint().arb(0), flint().arb(0)
+        for u, plant in zip(*judged, strict=True):
+            exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
+            off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
         for metric in box.metrics(cell, family.window):
-            found = _spread_in(box, metric, (off_A, off_C), family)
-            least = least if found is None else min(least, float(found) * UP)
+            spread = _spread(box, metric, (off_A, off_C), family)
+            if spread is not None:
+                first, second = spread
+                corners = ((second + mu) ** 2 + first * first).sqrt() + second
+                found = corners if len(points) > 1 else first + second + mu
+                least = min(least, float(found.upper()) * UP)
     return least
 
 
-def _spread_in(box: BallBox, metric: Metric, off: tuple[Ball, Ball], family: SpacedWindows) -> Ball | None:
-    """The same in one metric; `off`: by how much the centre's doubles are beside the middle of the cell."""
+def _spread(box: BallBox, metric: Metric, off: tuple[Ball, Ball], family: SpacedWindows) -> tuple[Ball, Ball] | None:
+    """At least |sum +-O_k| and |X| over a cell, in one metric; `off`: the rounding of the plants that are judged."""
     eye = identity(box.n)
     rounded = largest_over(eye * (largest(metric.W) * off[0] * off[0]), metric.W)
     shown = largest_over(eye * (off[1] * off[1]), metric.W)
     there = largest_over(metric.W, box.unit.transpose() * box.unit)
     if rounded is None or shown is None or there is None:
         return None
-    T = ball(family.window)
-    along = (metric.moved + rounded.sqrt()) * T
-    row = metric.seen * along.expm1() + (metric.shown + shown.sqrt()) * along.exp()
-    whole = (positive_part(metric.rate) * T).exp() * row * (there * family.count).sqrt()
-    return whole.upper()
+    rounded, shown = rounded.sqrt(), shown.sqrt()
+    first, second = flint().arb(0), flint().arb(0)
+    for j in range(family.count):
+        t = positive_part(ball(family.window) - ball(family.spacing) * j)
+        grown, along = (positive_part(metric.rate) * t).exp(), metric.moved * t
+        beyond = beyond_first_in_balls(along + rounded * t)
+        off_first = metric.seen * (rounded * t) + shown
+        rest = metric.seen * beyond + (metric.shown + shown) * (along + rounded * t + beyond) + off_first
+        first += (grown * (metric.seen * along + metric.shown)) ** 2
+        second += (grown * rest) ** 2
+    return (first * there).sqrt().upper(), (second * there).sqrt().upper()

@@ -1,8 +1,20 @@
-"""Cells of a box of plants for the worst schedule: how far sigma can be from that of a cell's centre."""
+"""Cells of a box of plants for the worst schedule: what sigma at their corners says of every plant inside.
+
+With O(d) = O_0 + sum d_k O_k + X, |d_k| <= 1, |sum +-O_k| <= first and |X| <= second, for every x and every schedule
+
+    |O_0 x + sum d_k O_k x|^2  >=  |O_0 x|^2 + 2 sum d_k (O_0 x)'(O_k x),
+
+which is least at a corner c, where it is |O_0 x + sum c_k O_k x|^2 - |sum c_k O_k x|^2. So, on the whole cell,
+
+    sigma  >=  sqrt((least sigma of the corners - second)^2 - first^2) - second,
+
+off by second order. Where there are too many corners the centre stands for them: sigma of it - first - second.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +29,8 @@ Array = npt.NDArray[np.float64]
 SigmaOfOne = Callable[[Plant, float, float], tuple[float, float, Array]]
 """Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
 
+MOST_CORNERS = 4
+"""Parameters up to which cells are judged by their corners."""
 FINER = 0.25
 """Share of the tolerance that the bracket of each single plant may take."""
 
@@ -35,19 +49,39 @@ def parts_of(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> BoxCells
     return halved(cell, effect)
 
 
-def spread_over(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> Array:
-    """At least |O(theta) - O(theta_0)| over a cell (1,), for any k times in the window."""
+def points_of(cell: BoxCells) -> Array:
+    """The plants (P, m) by which a cell is judged: its corners, or its centre where there are too many."""
+    u, half = cell.u[0], cell.half[0]
+    if u.size > MOST_CORNERS:
+        return np.asarray(cell.u)
+    signs = np.array(list(product((-1.0, 1.0), repeat=u.size))).reshape(2**u.size, u.size)
+    return np.asarray(u + signs * half)
+
+
+def least_over(model: BoxModel, cell: BoxCells, family: SpacedWindows, least: float) -> float:
+    """At most sigma of every plant of a cell and any k times in the window; `least`: of the plants of `points_of`."""
     A, C = model.at(cell.u)
-    T_end, found = np.array([family.window]), np.full(1, np.inf)
-    for T in bases(A, C, T_end):
+    ends, found = latest(family), 0.0
+    for T in bases(A, C, np.array([family.window])):
         inverse = np.linalg.inv(T)
         B = inverse @ A @ T
-        mu = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1]
-        e = UP * np.sum(cell.half * np.linalg.norm(inverse @ model.parts_A @ T, 2, axis=(1, 2)), axis=1)
-        c = UP * np.sum(cell.half * np.linalg.norm(model.parts_C @ T, 2, axis=(1, 2)), axis=1)
+        mu = float(np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[0, -1])
+        e = UP * float(np.sum(cell.half * np.linalg.norm(inverse @ model.parts_A @ T, 2, axis=(1, 2))))
+        c = UP * float(np.sum(cell.half * np.linalg.norm(model.parts_C @ T, 2, axis=(1, 2))))
+        seen, there = (float(np.linalg.norm(X, 2, axis=(1, 2))[0]) for X in (C @ T, inverse / model.unit))
         with np.errstate(over="ignore", invalid="ignore"):
-            grown, along = np.exp(np.maximum(mu, 0.0) * T_end), e * T_end
-            row = grown * (np.linalg.norm(C @ T, 2, axis=(1, 2)) * (along + beyond_first(along)) + c * np.exp(along))
-            whole = UP * np.sqrt(family.count) * row * np.linalg.norm(inverse / model.unit, 2, axis=(1, 2))
-        found = np.fmin(found, whole)
-    return np.asarray(found)
+            grown, along = np.exp(max(mu, 0.0) * ends), e * ends
+            beyond = beyond_first(along)
+            first = UP * there * float(np.linalg.norm(grown * (seen * along + c)))
+            second = UP * there * float(np.linalg.norm(grown * (seen * beyond + c * (along + beyond))))
+        if cell.u.shape[1] > MOST_CORNERS:
+            reached = least - first - second
+        else:
+            reached = np.sqrt(max(max(least - second, 0.0) ** 2 - first**2, 0.0)) - second
+        found = max(found, reached) if np.isfinite(reached) else found
+    return found
+
+
+def latest(family: SpacedWindows) -> Array:
+    """By when each sample is taken at the latest."""
+    return np.asarray(np.maximum(family.window - family.spacing * np.arange(family.count), 0.0) * UP)

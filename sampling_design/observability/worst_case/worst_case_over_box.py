@@ -15,7 +15,14 @@ from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
-from sampling_design.observability.worst_case.cells_over_box import FINER, SigmaOfOne, parts_of, spread_over, whole
+from sampling_design.observability.worst_case.cells_over_box import (
+    FINER,
+    SigmaOfOne,
+    least_over,
+    parts_of,
+    points_of,
+    whole,
+)
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
@@ -115,10 +122,7 @@ def worst_case_over_box(
     *,
     rigorous: bool = False,
 ) -> WorstCaseOverBox:
-    """Bracket the worst case over the box: single plants, and how far sigma can be from theirs within a cell.
-
-    |O(theta) x| >= |O(theta_0) x| - |O(theta) - O(theta_0)| |x|, the difference of each row bounded for all times.
-    """
+    """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
         return _record(model, family, rtol, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
@@ -131,36 +135,39 @@ def _searched(
     model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
-    began, judged, closed = time.monotonic(), 0, np.inf
+    began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], float]()
     open_, bound, best = whole(model), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
         k = int(np.argmin(bound))
         cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
-        left = seconds - (time.monotonic() - began)
-        if left <= 0 and judged:
-            settled.append(open_)
-            low = min(closed, float(bound.min()))
-            return _record(model, family, rtol, "budget", judged, low, best)
-        lower, upper, times = one(model.plant.at(model.values(cell.u[0])), FINER * rtol, left)
-        judged += 1
-        if upper < best[0]:
-            best = (upper, cell.u[0], times)
-        if best[0] == 0:
-            return _record(model, family, rtol, "unseen", judged, 0.0, best)
-        reached = np.maximum(lower - spread_over(model, cell, family), bound[k])
+        points = points_of(cell)
+        for u in points:
+            left = seconds - (time.monotonic() - began)
+            if left <= 0 and judged:
+                settled.append(open_)
+                low = min(closed, float(bound.min()))
+                return _record(model, family, rtol, "budget", len(judged), low, best)
+            if tuple(u.tolist()) not in judged:
+                lower, upper, times = one(model.plant.at(model.values(u)), FINER * rtol, left)
+                judged[tuple(u.tolist())] = lower
+                best = (upper, u, times) if upper < best[0] else best
+            if best[0] == 0:
+                return _record(model, family, rtol, "unseen", len(judged), 0.0, best)
+        least = min(judged[tuple(u.tolist())] for u in points)
+        reached = max(least_over(model, cell, family, least), float(bound[k]))
         open_, bound = open_.take(rest), bound[rest]
-        if reached[0] >= (1 - rtol) * best[0]:
-            closed = min(closed, float(reached[0]))
+        if reached >= (1 - rtol) * best[0]:
+            closed = min(closed, reached)
             settled.append(cell)
         else:
             parts = parts_of(model, cell, family)
             open_ = BoxCells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
-            bound = np.append(bound, np.repeat(np.maximum(reached, 0.0), 2))
+            bound = np.append(bound, [reached, reached])
         done = bound >= (1 - rtol) * best[0]
         closed = min(closed, float(bound[done].min(initial=np.inf)))
         settled.append(open_.take(done))
         open_, bound = open_.take(~done), bound[~done]
-    return _record(model, family, rtol, "closed", judged, closed, best)
+    return _record(model, family, rtol, "closed", len(judged), closed, best)
 
 
 def _in_balls(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing import resource_tracker
 from typing import Protocol, TypeVar, runtime_checkable
 
 from sampling_design.errors import ArgumentError, MissingExtraError, SolverError
@@ -124,6 +125,7 @@ def _ready() -> None:
 @contextmanager
 def _deaf() -> Iterator[None]:
     """Processes that begin inside hear no interrupt before they are ready: they inherit that from here."""
+    resource_tracker.ensure_running()  # begun inside it would unblock the signal behind our back (Python 3.11)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

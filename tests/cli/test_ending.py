@@ -37,6 +37,31 @@ def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after):
     assert "sampling-design: interrupted." in found.stderr
 
 
+WHO_LISTENS = """
+import pathlib, signal, sys
+if any("popen_loky" in word for word in sys.orig_argv):
+    deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with open(pathlib.Path(__file__).with_name("deaf.txt"), "a") as told:
+        told.write(f"{deaf} ")
+"""
+
+
+def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
+    """Python's own traceback would be on the screen otherwise, once for each process that is still loading."""
+    (tmp_path / "sitecustomize.py").write_text(WHO_LISTENS)
+    code = "import math; from sampling_design._workers import mapped; print(list(mapped(math.sqrt, [4.0, 9.0], 2)))"
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout == "[2.0, 3.0]\n"
+    assert (tmp_path / "deaf.txt").read_text() == "True True "
+
+
 @pytest.mark.long
 def test_an_interrupt_ends_the_processes_that_share_the_work(tmp_path):
     code = "from sampling_design.cli import main; main()"

@@ -29,6 +29,10 @@ BITS = (160, 400)
 """Precisions of the decision, one after the other."""
 DOUBT = 1e-6
 """Points that floats see this close to failing are decided in balls."""
+FAR = 1e-3
+"""A point that is further than this from failing, also after a coarse polish, is not polished sharply."""
+COARSE, SHARP = (1e-2, 1e-4, 40), (1e-9, 0.0, 150)
+"""Of a polish: shares of the longer gap and of the value within which it ends, and how many points it looks at."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,14 @@ class RefutationSearch:
         return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
 
     def polished(self, point: WindowPoint) -> WindowPoint:
-        """The point moved to the nearest local maximum over r and s."""
+        """The point moved to the nearest local maximum over r and s, or near it where that is far from failing."""
+        if point.value < 1 - FAR:
+            coarse = self._moved(point, *COARSE)
+            if coarse.value < 1 - FAR:
+                return coarse
+        return self._moved(point, *SHARP)
+
+    def _moved(self, point: WindowPoint, near: float, alike: float, most: int) -> WindowPoint:
         from scipy.optimize import minimize
 
         tops = np.array([self.reach[point.i], self.gaps[(point.i + point.k) % self.schedule.N]])
@@ -131,7 +142,7 @@ class RefutationSearch:
 
         simplex = np.tile(best[free], (free.sum() + 1, 1))
         simplex[1:] += np.diag(np.where(simplex[0] > tops[free] / 2, -1, 1) * tops[free] / (2 * PARTS))
-        options = {"initial_simplex": simplex, "xatol": 1e-9 * float(tops.max()), "fatol": 0.0, "maxfev": 150}
+        options = {"initial_simplex": simplex, "xatol": near * float(tops.max()), "fatol": alike, "maxfev": most}
         result = minimize(lost, best[free], method="Nelder-Mead", options=options)
         if -result.fun <= point.value:
             return point
@@ -155,7 +166,8 @@ def refute(make: Callable[[], ScheduleFrame], clock: Clock, samples_only: bool =
     """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)
-    for point in [search.polished(point) for point in search.grid()[:POLISHES]]:
+    for found in search.grid()[:POLISHES]:
+        point = search.polished(found)
         for bits in BITS if point.value > 1 - DOUBT else ():
             with precision(bits):
                 failed = fails_at(make(), point)

@@ -7,6 +7,7 @@ ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -61,19 +62,30 @@ class Open:
         return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
 
 
-def open_row(chain: SampleChain, j: int, row: Array, until: float | None = None) -> Open:
-    """Return one row (n,) of x after sample j, over the whole gap or until some time after it."""
+Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]
+
+
+def open_row(
+    chain: SampleChain, j: int, row: Array, until: float | None = None, known: dict[float, Integrals] | None = None
+) -> Open:
+    """Return one row (n,) of x after sample j, over the whole gap or until some time after it.
+
+    `known` keeps what is the same for this row after all samples with gaps of one length.
+    """
     length, A = chain.length(j) if until is None else until, chain.A
     size = float(np.linalg.norm(A, 2))
     number = int(np.clip(np.ceil(size * length / FINENESS), *GRID)) if length else 1
     d = np.linspace(0.0, length, number + 1)
-    above, below, flown, middle, slope = _open_integrals(chain, d, row)
+    known = {} if known is None else known
+    if length not in known:
+        known[length] = _open_integrals(chain, d, row)
+    above, below, flown, middle, slope = known[length]
     L = chain.L[j]
     third = middle[:, None] * np.linalg.norm(L, axis=0)
     return Open(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
 
 
-def _open_integrals(chain: SampleChain, d: Array, row: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
     """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds per panel.
 
     The bounds are those on |c'Phi A^3| and on the slope of h_W.

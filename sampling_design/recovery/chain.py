@@ -318,10 +318,10 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         shown = H @ L[j]
         shown[:, r:] = 0.0
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
-    steps = []
+    steps, known = [], dict[float, GapFlow]()
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
-        gap = make_gap(A, G, float(h), L[j], following, F[j])
+        gap = make_gap(A, G, float(h), L[j], following, F[j], known)
         gap.F[:r, r:] = 0.0
         steps.append(gap)
     return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
@@ -414,17 +414,47 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
     return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
 
 
-def make_gap(A: Array, G: Array, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> Gap:
-    """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`."""
-    number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
-    s = np.linspace(0.0, h, number + 1)
-    E = expm_batch(A, s)
-    M = np.swapaxes(np.linalg.solve(following, E @ G), 1, 2)
-    bend = np.swapaxes(np.linalg.solve(following, E @ (A @ A @ G)), 1, 2)
-    middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
-    grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
-    third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
-    panels = GapPanels(s, M, bend, third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
+@dataclass(frozen=True, eq=False)
+class GapFlow:
+    """What all gaps of one length share: e^{As}G, e^{As}A^2 G at panel ends s, and bounds on |e^{As}A^3 G| between."""
+
+    s: Array  # (Q+1,)
+    pushed: Array  # (Q+1, n, q)
+    bent: Array  # (Q+1, n, q)
+    third: Array  # (Q,)
+
+    @classmethod
+    def of(cls, A: Array, G: Array, h: float) -> GapFlow:
+        """Of one length."""
+        number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
+        s = np.linspace(0.0, h, number + 1)
+        E = expm_batch(A, s)
+        middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
+        grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
+        third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
+        return cls(s, E @ G, E @ (A @ A @ G), third)
+
+
+def make_gap(
+    A: Array,
+    G: Array,
+    h: float,
+    L: Array,
+    following: Array,
+    F: Array,
+    known: dict[float, GapFlow],
+    loss: float = CELL_LOSS,
+) -> Gap:
+    """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`.
+
+    `known` keeps what gaps of one length share.
+    """
+    if h not in known:
+        known[h] = GapFlow.of(A, G, h)
+    flow = known[h]
+    M = np.swapaxes(np.linalg.solve(following, flow.pushed), 1, 2)
+    bend = np.swapaxes(np.linalg.solve(following, flow.bent), 1, 2)
+    panels = GapPanels(flow.s, M, bend, flow.third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
     return Gap(
         h,
         np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),

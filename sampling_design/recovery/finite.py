@@ -12,6 +12,7 @@ from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import (
     ChainSample,
+    GapFlow,
     SampleChain,
     make_gap,
     noise_units,
@@ -19,9 +20,9 @@ from sampling_design.recovery.chain import (
     state_scales,
     too_far,
 )
-from sampling_design.recovery.gains import filtered
+from sampling_design.recovery.gains import filtered_bounds
 from sampling_design.recovery.riccati import updated
-from sampling_design.recovery.start import InitialSet, StartSet
+from sampling_design.recovery.start import InitialSet
 
 Array = npt.NDArray[np.float64]
 
@@ -39,9 +40,6 @@ LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
 
 BEYOND = 1e3
 """A state's scale is at most so many times what is known of it at the start."""
-
-MEMORY = 64
-"""Samples back that the reach follows; an error bounded there serves as a start."""
 
 
 def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:
@@ -73,7 +71,8 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
         K = np.asarray(np.linalg.solve(L[j], gain), dtype=np.float64)
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
-    gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
+    known: dict[float, GapFlow] = {}
+    gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
     return SampleChain(
         plant=plant,
@@ -133,17 +132,13 @@ def finite_atoms(chain: SampleChain) -> list[Atoms]:
     free = start.free(n)
     seen: list[Array] = []
     found: list[Atoms] = []
-    whole: list[bool] = []
+    known: list[Array | None] = []
     for j in range(len(chain)):
         free = chain.gaps[j - 1].F @ free if j else free
         seen.append(chain.samples[j].H @ free)
         basis = _determined(free, seen)
-        whole.append(basis.shape[1] == n)
-        nodes = chain.nodes(j, MEMORY)
-        base: Array | StartSet = found[nodes[0]].reach if nodes[0] and whole[nodes[0]] else start
-        nodes = nodes if nodes[0] and whole[nodes[0]] else list(range(j + 1))
-        reach = np.array([filtered(chain, nodes, base, column).value for column in basis.T])
-        found.append(Atoms(basis, reach))
+        found.append(Atoms(basis, filtered_bounds(chain, j, start, known, basis)))
+        known.append(found[j].reach if j and basis.shape[1] == n else None)
     return found
 
 

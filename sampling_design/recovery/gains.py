@@ -17,6 +17,10 @@ ROUNDING = 1e-11
 """Relative allowance for rounding in every sum that bounds from above."""
 
 
+LEFT = 0.01
+"""What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""
+
+
 @dataclass(frozen=True, eq=False)
 class Gains:
     """Gains of the samples of a window and what they prove."""
@@ -68,6 +72,32 @@ def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: 
     if isinstance(start, StartSet) and start.rows < mu.size:
         cleared(chain, nodes, start, mu, gains)
     return evaluated(chain, nodes, start, mu, gains)
+
+
+def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
+    """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a chain with a start.
+
+    `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
+    """
+    total, g, scale = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0)
+    for k in range(j, -1, -1):
+        sample = chain.samples[k]
+        gains = sample.K.T @ g
+        total += noise_cost(gains, sample.exact, chain.bounds.v_ball)
+        step = sample.H.T @ gains
+        scale += np.linalg.norm(step, axis=0)
+        g = g - step
+        if k:
+            gap = chain.gaps[k - 1]
+            total += gap.panels.integral(g, chain.bounds.w_ball)
+            g = gap.F.T @ g
+            reach = known[k - 1]
+            if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
+                return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
+    if start.rows < len(mu):  # what is free at the start must not be touched: gains are corrected
+        return np.array([filtered(chain, list(range(j + 1)), start, column).value for column in mu.T])
+    total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
+    return np.asarray(total * (1 + ROUNDING))
 
 
 def cleared(chain: SampleChain, nodes: list[int], start: StartSet, mu: Array, gains: list[Array]) -> None:

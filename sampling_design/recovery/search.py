@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.recovery.atoms import Atoms
-from sampling_design.recovery.between import Open, open_row
+from sampling_design.recovery.between import Integrals, Open, open_row
 from sampling_design.recovery.chain import CELL_LOSS, SampleChain
 from sampling_design.recovery.gains import Gains, centre_offset, evaluated
 from sampling_design.recovery.program import Adversary, ConeWindow, boxed
@@ -226,7 +226,8 @@ class ChainSearch:
 
     def opened(self, row: Array) -> RowSearch:
         """A row over the schedule, as far as atoms and strikes against other rows tell."""
-        gaps = [open_row(self.chain, j, row) for j in range(len(self.chain))]
+        known: dict[float, Integrals] = {}
+        gaps = [open_row(self.chain, j, row, known=known) for j in range(len(self.chain))]
         bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
         found = RowSearch(
             row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps]

@@ -39,7 +39,7 @@ def plan(
         float,
         typer.Option(
             metavar="SECONDS",
-            help="Work of the search, counted as seconds of a core; the proof comes on top.",
+            help="Work of the search, as seconds of a core; what follows may take half as much more, and 2 s.",
         ),
     ] = 60.0,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
@@ -91,6 +91,8 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
     if result.certificate is not None:
         settings.wrote(result.certificate.save(folder / "certificate.json"))
+    elif "certificate" in result.left_out:
+        settings.notice("certificate.json is not written: `--search-seconds` were spent before it was made.")
     settings.wrote(save_picture(result, folder / "plan.png"))
     if dates is not None and dates.entries and result.requirement.calendar is not None:
         real, zone = dates.schedule(), result.requirement.calendar.zone

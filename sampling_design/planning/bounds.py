@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.planning.attacks import AttackPool
-from sampling_design.planning.cover import Cover, Key, proven, relaxed
+from sampling_design.planning.cover import Cover, CoverModel, Key, proven, relaxed
+from sampling_design.planning.work import RELAXED, Work
 
 Array = npt.NDArray[np.float64]
 
@@ -84,7 +85,7 @@ class CostProof:
 
 
 def separated(
-    cover: Cover, pool: AttackPool, level: float, keys: list[Key], below: float = np.inf
+    cover: Cover, pool: AttackPool, level: float, keys: list[Key], work: Work, below: float = np.inf
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
@@ -94,9 +95,9 @@ def separated(
     x = low
     for _ in range(SEPARATIONS):
         model = cover.model(pool.attacks, keys, level)
-        x, _, _ = relaxed(model, low, high, price)
+        x, _, _ = _relaxed(model, low, high, price, work)
         fresh = _violated(cover, pool, views, x, set(keys))
-        if not fresh:
+        if not fresh or work.over:
             break
         if len(keys) > MANY:  # rows that the point keeps easily may come back when one breaks them
             frame = cover.frame[0].shape[0]
@@ -104,6 +105,12 @@ def separated(
             keys = [key for key, s in zip(keys, slack.tolist(), strict=True) if s <= EASY]
         keys += fresh[:MANY]
     return keys, x
+
+
+def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Work) -> tuple[Array, Array, float]:
+    """The relaxation, counted."""
+    work.add(RELAXED, model.A.nnz)
+    return relaxed(model, low, high, price)
 
 
 def _violated(cover: Cover, pool: AttackPool, views: dict[int, Array], x: Array, known: set[Key]) -> list[Key]:
@@ -137,18 +144,19 @@ def prove_cost(
     pool: AttackPool,
     level: float,
     target: float,
+    work: Work,
     keys: list[Key] | None = None,
     *,
     find: Finder | None = None,
     decide: bool = False,
 ) -> CostProof:
-    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes can.
+    """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes, and work, can.
 
     `find` is asked for attacks against a point that the rows so far do not exclude. `decide`: nothing below the target
     is of use, so that the proof ends with the first choice that costs less.
     """
-    found, _ = separated(cover, pool, level, list(keys or []), target)
-    prover = _Prover(cover, pool, level, target, found, find, decide)
+    found, _ = separated(cover, pool, level, list(keys or []), work, target)
+    prover = _Prover(cover, pool, level, target, found, find, decide, work)
     tree, value = prover.node(np.zeros(cover.columns), cover.ceiling(target))
     return CostProof(level, min(cover.lifted(value), target), tuple(prover.keys), tree)
 
@@ -165,8 +173,9 @@ class _Prover:
         keys: list[Key],
         find: Finder | None,
         decide: bool,
+        work: Work,
     ):
-        self.cover, self.pool, self.level, self.target = cover, pool, level, target
+        self.cover, self.pool, self.level, self.target, self.work = cover, pool, level, target, work
         self.keys, self.find, self.decide = keys, find, decide
         dense = all(attack.flight is None for attack in pool.attacks)
         self.left, self.lost = FEW_NODES if dense else MOST_NODES, False
@@ -177,19 +186,19 @@ class _Prover:
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""
         self.left -= 1
-        x, y, value = relaxed(self.model, low, high, self.price)
+        x, y, value = _relaxed(self.model, low, high, self.price, self.work)
         for _ in range(min(CUTS[0], self.cuts)):
-            if self.cover.lifted(value) >= self.target or not self._cut(x):
+            if self.work.over or self.cover.lifted(value) >= self.target or not self._cut(x):
                 break
             before = value
-            x, y, value = relaxed(self.model, low, high, self.price)
+            x, y, value = _relaxed(self.model, low, high, self.price, self.work)
             if value <= before + FLAT * abs(before) and np.minimum(x, 1 - x).max(initial=0.0) > INTEGRAL:
                 break
         rows = np.flatnonzero(y)
         leaf = CostLeaf(tuple(rows.tolist()), tuple(y[rows].tolist()))
         torn = np.minimum(x, 1 - x)
         whole = torn.max(initial=0.0) <= INTEGRAL
-        if self.cover.lifted(value) >= self.target or self.left <= 0 or whole:
+        if self.cover.lifted(value) >= self.target or self.left <= 0 or whole or self.work.over:
             self.lost = self.lost or (self.decide and self.cover.lifted(value) < self.target)
             return leaf, value
         k = int(np.argmax(torn))
@@ -257,9 +266,10 @@ def out_of_reach(
     high: float,
     width: float,
     keys: list[Key],
+    work: Work,
     find: Finder | None = None,
 ) -> CostProof | None:
-    """The proof with the highest level at which every choice costs more than `limit`.
+    """The proof with the highest level at which every choice costs more than `limit`; None if there is no work for one.
 
     `known` is a level at which a solver says so, with the rows `keys`; `high` one at which there is a choice.
     """
@@ -267,13 +277,13 @@ def out_of_reach(
     more = limit + (cover.grain or 1e-6 * max(limit, 1.0))
     low = 0.0
     if known > 0:
-        best = prove_cost(cover, pool, known, more, keys, find=find, decide=True)
+        best = prove_cost(cover, pool, known, more, work, keys, find=find, decide=True)
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
-    while high > low * (1 + width):
+    while high > low * (1 + width) and not work.over:
         level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
-        proof = prove_cost(cover, pool, level, more, keys, find=find, decide=True)
+        proof = prove_cost(cover, pool, level, more, work, keys, find=find, decide=True)
         keys = list(proof.keys)
         if proof.value >= more * (1 - 1e-9):
             best, low = proof, level

@@ -87,7 +87,7 @@ class PlanComparison(Record):
             rows.append(ComparedLine(goal.name, f"{short(goal.first, 4)}{mark}", f"{short(goal.second, 4)}{mark}"))
         rows.append(both("of the tolerances", lambda p: short(p.ratio, 4)))
         rows.append(both("could gain at most", lambda p: f"{100 * p.gap:.2g} %"))
-        if any(p.robustness is not None for p in self.plans):
+        if any(p.robustness is not None or "robustness" in p.left_out for p in self.plans):
             rows += [
                 both("one sample late by", lambda p: _bears(p, "late", unit)),
                 both("samples that may be lost", lambda p: _bears(p, "lost", unit)),
@@ -131,11 +131,13 @@ class PlanComparison(Record):
 
 def _bears(plan: PlanFigures, what: str, unit: str) -> str:
     if plan.robustness is None:
-        return "-"
+        return "left out" if "robustness" in plan.left_out else "-"
     if what == "lost":
         return LOST[plan.robustness.lost]
     return spoken(plan.robustness.least_late, unit)
 
 
 def _rate(plan: PlanFigures) -> str:
-    return "-" if plan.certificate is None else f"{short(plan.certificate.eta)} 1/{plan.plant.time_unit}"
+    if plan.certificate is None:
+        return "left out" if "certificate" in plan.left_out else "-"
+    return f"{short(plan.certificate.eta)} 1/{plan.plant.time_unit}"

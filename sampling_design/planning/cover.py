@@ -233,7 +233,7 @@ def cheapest(
         bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
         options={"node_limit": max(FEWEST, min(nodes, ENTRIES // max(1, model.A.nnz))), "mip_rel_gap": NEAR},
     )
-    work.add(COVER, model.A.nnz * max(1, found.mip_node_count or 1))
+    work.add(COVER, model.A.nnz * cover.columns * max(1, found.mip_node_count or 1))
     if found.x is None:
         return None, found.status == 2
     return cover.choice(found.x), False

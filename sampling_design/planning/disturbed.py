@@ -11,6 +11,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
+from sampling_design.planning.work import Work
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -25,11 +26,18 @@ SAME = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
 
 
-def plan_robustness(plan: PlanFigures) -> PlanRobustness | None:
-    """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does."""
+def plan_robustness(plan: PlanFigures, work: Work | None = None) -> PlanRobustness | None:
+    """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does.
+
+    Raises
+    ------
+    WorkSpentError
+        If that takes more work than there is left.
+    """
     if not plan.keeps:
         return None
     N = plan.samples
+    plan.oracle.count(work or Work())
     try:
         late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
         single = [_judged(plan, without(plan, k, 1)) for k in range(N)]

@@ -40,6 +40,7 @@ class PlanFigures(Record):
     certificate: Certificate | None = None
     robustness: PlanRobustness | None = None
     deviation: StandardDeviation | None = None
+    left_out: tuple[str, ...] = ()
 
     @cached_property
     def problem(self) -> PlanProblem:

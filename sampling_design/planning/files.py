@@ -35,7 +35,7 @@ from sampling_design.planning.bounds import CostBranch, CostLeaf, CostProof, Cos
 from sampling_design.planning.evidence import PlanBound, attack_of
 from sampling_design.planning.motion import Motion, motion_of
 from sampling_design.planning.plan import proven_plan
-from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
+from sampling_design.planning.plan_record import FORMAT, LEFT_OUT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
@@ -83,7 +83,7 @@ _TREE: Reader = table(
         "no_better_than": or_nothing(_PROOF),
         "no_cheaper_than": or_nothing(_PROOF),
     },
-    {"certificate": anything, "robustness": or_nothing(_ROBUSTNESS)},
+    {"certificate": anything, "robustness": or_nothing(_ROBUSTNESS), "left_out": list_of(word(*LEFT_OUT))},
     whole="the plan",
 )
 
@@ -155,6 +155,7 @@ def load_plan(path: str | os.PathLike[str]) -> Plan:
             found,
             certificate=_certificate(tree.get("certificate"), found),
             robustness=_robustness(tree.get("robustness"), found),
+            left_out=tuple(tree.get("left_out", ())),
         )
 
 

@@ -48,6 +48,13 @@ class Oracle:
         self.spread = RasterFilter(problem, motion, self.work) if spread else None
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
+    def count(self, work: Work) -> None:
+        """Count what was done and what is done from now on as part of some other work."""
+        work.add((self.work.spent, 0.0), 0.0)
+        self.work = work
+        if self.spread is not None:
+            self.spread.work = work
+
     def judge(self, chosen: Mask, above: float = np.inf, *, longest: bool = False) -> tuple[float, list[HiddenMotion]]:
         """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`.
 

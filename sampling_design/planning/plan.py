@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ from sampling_design.planning.plan_record import Plan, deviation_of, is_free, li
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
+from sampling_design.planning.work import AFTER, CERTIFIED, GAINS, Work, WorkSpentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import Accuracy, accuracy
 from sampling_design.recovery.deviation import StandardDeviation
@@ -34,6 +35,7 @@ from sampling_design.recovery.deviation import StandardDeviation
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
+Made = TypeVar("Made")
 GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
 MARGIN = 0.004
@@ -49,9 +51,6 @@ MARGINS = (MARGIN, 0.015, 0.04)
 
 NARROW_MARGINS = (5e-4, 0.015, 0.04)
 """The same for standard deviations, which are only larger between steps of the raster."""
-
-PROOF = 0.25
-"""Share of the search's work by which the proof of a bound may go beyond it."""
 
 ROUNDS = 60
 """Choices judged at one level."""
@@ -87,7 +86,8 @@ def plan(
     search_seconds : float, optional
         Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
         solves and never by a clock: the same plan on every machine, however busy. When it is spent the status says
-        "budget"; to prove what was found takes its own time on top. None: no limit.
+        "budget". What follows (its proof, the bounds, then certificate and robustness) may take half as much more
+        and two seconds, and what does not fit in is left out, and said (`left_out`). None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -133,17 +133,34 @@ def plan(
     seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
     run = _Planning(problem, seconds, progress)
     found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
-    if progress and (certificate or robustness):
-        progress(0.9, "certificate and robustness")
-    return replace(
-        found,
-        certificate=plan_certificate(found) if certificate else None,
-        robustness=plan_robustness(found) if robustness else None,
-    )
+    work, left_out = run.oracle.work, list[str]()
+    if found.bound.ratio is None and work.over:
+        left_out.append("bound")
+    work.until(*AFTER[2], firm=True)
+
+    def room_for(name: str, make: Callable[[Plan, Work], Made | None]) -> Made | None:
+        if progress:
+            progress(0.9, name)
+        try:
+            return make(found, work)
+        except WorkSpentError:
+            left_out.append(name)
+            return None
+
+    certified = room_for("certificate", plan_certificate) if certificate else None
+    bears = room_for("robustness", plan_robustness) if robustness else None
+    return replace(found, certificate=certified, robustness=bears, left_out=tuple(left_out))
 
 
-def plan_certificate(found: Plan) -> Certificate | None:
-    """That the samples show the whole state, or None."""
+def plan_certificate(found: Plan, work: Work | None = None) -> Certificate | None:
+    """That the samples show the whole state, or None.
+
+    Raises
+    ------
+    WorkSpentError
+        If it takes more work than there is left.
+    """
+    (work or Work()).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
         return certify(found.plant, found.schedule)
     except (CertificateError, UndecidedError, NotDetectableError):
@@ -193,16 +210,18 @@ class _Planning:
         cost = self.problem.cost(chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
         search.sharpen(1 / EASED**2, cost)
-        self.oracle.work.extend(PROOF)
-        least = prove_cost(frame, search.pool, 1 / EASED**2, cost, find=search.find)
+        self.oracle.work.until(*AFTER[0])
+        least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
         rival = self._better(chosen, float(ratios.max(initial=0.0)), cost)
         if rival.found.chosen is not None and not np.array_equal(rival.found.chosen, chosen):
             other = self._ratios(rival.found.chosen)
             if other[1].max(initial=0.0) < ratios.max(initial=0.0):
                 chosen, (proof, ratios) = rival.found.chosen, other
         known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
-        self.oracle.work.extend(PROOF)
-        ratio = out_of_reach(frame, search.pool, cost, known, high, WIDTH, rival.found.keys, search.find)
+        self.oracle.work.until(*AFTER[1])
+        ratio = out_of_reach(
+            frame, search.pool, cost, known, high, WIDTH, rival.found.keys, self.oracle.work, search.find
+        )
         return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
 
     def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[GoalProofs, Array]]:
@@ -295,13 +314,18 @@ class _Planning:
             search.improve(ROUNDS)
             proof, ratios = self._ratios(search.found.chosen)
         limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
-        self.oracle.work.extend(PROOF)
-        ratio = out_of_reach(search.cover, search.pool, limit, known, high, WIDTH, search.found.keys, search.find)
+        self.oracle.work.until(*AFTER[1])
+        ratio = out_of_reach(
+            search.cover, search.pool, limit, known, high, WIDTH, search.found.keys, self.oracle.work, search.find
+        )
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
         proof = proof_of(self.problem, chosen)
+        for part in proof[0].proof if proof[0] is not None else ():
+            for gains in part.gains:
+                self.oracle.work.add(GAINS, len(gains) * self.motion.n)
         return proof, reached(self.problem, chosen, *proof) / [g.tolerance for g in self.problem.goals]
 
     def _densest(self) -> Mask:

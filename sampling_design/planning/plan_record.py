@@ -32,6 +32,14 @@ SAME = 1e-6
 """Figures worked out anew agree to this share."""
 
 
+LEFT_OUT = {
+    "bound": "how much more accurate a plan of this cost could be",
+    "certificate": "a certificate that the samples show the whole state",
+    "robustness": "how late samples may be and how many may be lost",
+}
+"""What a search that is cut short may leave out, in words."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(PlanFigures):
     """A periodic plan on the raster, with what it guarantees and how far from the best it can be.
@@ -55,6 +63,8 @@ class Plan(PlanFigures):
         That the samples show the whole state, with a rate; None where they do not, or where it was not asked for.
     robustness : PlanRobustness or None
         How late samples may be and how many may be lost before a tolerance breaks.
+    left_out : tuple of str
+        What was asked for and did not fit into `search_seconds`: "bound", "certificate", "robustness".
     """
 
     def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
@@ -115,6 +125,7 @@ class Plan(PlanFigures):
             "no_cheaper_than": None if self.bound.cost is None else proof_to_dict(self.bound.cost),
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "robustness": None if self.robustness is None else self.robustness.to_dict(),
+            "left_out": list(self.left_out),
         }
         return data  # type: ignore[return-value]
 
@@ -136,7 +147,12 @@ class Plan(PlanFigures):
         if self.certificate is not None:
             eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
             rows.append(("certificate", f"the samples show the whole state; rate {eta}"))
+        rows += [("left out", self.unsaid())] if self.left_out else []
         return [*rows, ("status", self.status)]
+
+    def unsaid(self) -> str:
+        """What was asked for and left out, in words."""
+        return f"{' and '.join(LEFT_OUT[name] for name in self.left_out)}: `search_seconds` were spent; give more"
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""
@@ -154,7 +170,8 @@ class Plan(PlanFigures):
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
             text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
-        return text if self.robustness is None else f"{text} {self.robustness.explain()}"
+        text += "" if self.robustness is None else f" {self.robustness.explain()}"
+        return f"{text} Left out: {self.unsaid()}." if self.left_out else text
 
 
 def same_samples(one: Schedule | PeriodicSchedule | None, other: PeriodicSchedule) -> bool:

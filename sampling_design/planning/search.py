@@ -18,7 +18,7 @@ from sampling_design.planning.bounds import separated
 from sampling_design.planning.cover import NODES, Cover, Key, cheapest
 from sampling_design.planning.oracle import SETTLED, Oracle
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work import COVER, WEIGHED
+from sampling_design.planning.work import WEIGHED
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -119,8 +119,7 @@ class PlanSearch:
             if not fresh or self.late:
                 return
             self.add(fresh, level)
-            keys, x = separated(self.cover, self.pool, level, keys, below)
-            self.oracle.work.add(COVER, 40.0 * self.cover.columns)
+            keys, x = separated(self.cover, self.pool, level, keys, self.oracle.work, below)
             cost = float(self.cover.cost @ x)
             if cost <= least * (1 + FLAT):
                 return

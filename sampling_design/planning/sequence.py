@@ -16,6 +16,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
+from sampling_design.planning.work import CHAIN, GAINS
 from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.question import Question
@@ -48,25 +49,31 @@ def worst_ratio(plan: PlanFigures, sequence: SampleSequence, above: float = np.i
     spread = spread_of(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
     if spread > above or plan.accuracy is None:
         return spread
-    return max(spread, _bounded_worst(oracle, sequence, above, until))
+    return max(spread, _bounded_worst(oracle, sequence, plan.samples, above, until))
 
 
-def _bounded_worst(oracle: Oracle, sequence: SampleSequence, above: float, until: float) -> float:
-    """The same of the goals that are guaranteed."""
+def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: float, until: float) -> float:
+    """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
     step = oracle.problem.step
     knots = np.round(sequence.times / step).astype(np.intp)
-    worst = 0.0
+    worst = before = here = 0.0
     goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
-    for k in range(max(sequence.first - 1, 0), len(knots) - 1):
+    start = max(sequence.first - 1, 0)
+    for k in range(start, len(knots) - 1):
         if sequence.times[k] >= until:
             break
         low = int(np.searchsorted(knots, knots[k] - oracle.back))
         window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
         length = int(knots[k + 1] - knots[k])
         for g in goals:
-            worst = max(worst, *oracle.looked(window, g, int(knots[k]), length).values(), 0.0)
+            here = max(here, *oracle.looked(window, g, int(knots[k]), length, above).values(), 0.0)
+        worst = max(worst, here)
         if worst > above:
             break
+        if (k - start) % count == count - 1:
+            if here <= before:
+                break
+            before, here = here, 0.0
     return worst
 
 
@@ -98,7 +105,10 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
         None,
         None,
     )
-    search = ChainSearch(*question.chain(plan.plant))
+    work, n = plan.oracle.work, plan.plant.n_states
+
+    work.add(CHAIN, len(times) * n**2)
+    search = ChainSearch(*question.chain(plan.plant), lambda: work.add(GAINS, back * n))
     search.back = back
     worst, last = 0.0, len(times) - 1
     opened = [(goal, search.opened(goal.row)) for goal in problem.goals if not goal.spread]

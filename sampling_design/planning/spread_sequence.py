@@ -17,6 +17,7 @@ from sampling_design._linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread import PERIODS, SETTLED, WIDE, own
+from sampling_design.planning.work import SEQUENCE
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -144,6 +145,7 @@ class SpreadSequence:
     def worst(self, sequence: SampleSequence, until: float = np.inf) -> tuple[float, float]:
         """The largest ratio from the sample before the first change on, and by how much more is unknown at the end."""
         schedule, times = self.plan.schedule, sequence.times
+        self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
         start = max(sequence.first - 1, 0)
         P, worst, wider = self.limits[self._phase(float(times[start]))], 0.0, np.inf
         for k in range(start, len(times) - 1):

@@ -14,8 +14,8 @@ STAGES = (3e-2, 3e-5)
 FAINT = (2e-3, 4e-6)
 """The same where every output is a variable."""
 
-COVER = (5e-3, 2e-5)
-"""Of an integer program, and for each entry and node of its tree."""
+COVER = (5e-3, 2.5e-7)
+"""Of an integer program, and for each entry, column and node of its tree."""
 
 WEIGHED = 6e-4
 """For each attack, of weighing what may take the place of a measurement."""
@@ -23,12 +23,37 @@ WEIGHED = 6e-4
 FILTER = (4e-5, 1e-7)
 """Of each step of a filter, and for each choice, step and state."""
 
+SEQUENCE = (1e-3, 5e-5)
+"""The same through samples that leave a plan for a while: for each of them, with n states, n times."""
+
+RELAXED = (5e-3, 3e-6)
+"""Of a linear program, and for each entry."""
+
+GAINS = (5e-3, 5e-4)
+"""Of bounding a row by gains, and for each sample behind it, with n states, n times."""
+
+CHAIN = (1e-2, 3e-3)
+"""Of making a chain of samples, and for each of them, with n states, n^2 times."""
+
+CERTIFIED = (1.5, 0.06)
+"""Of a certificate, and for each sample, with n states, n^2 times."""
+
+AFTER = ((0.1, 1.0), (0.2, 1.5), (0.5, 2.0))
+"""By what share of itself, and how many seconds, a budget may be exceeded: after the proof of the least cost, after
+that of the best accuracy, and in the end."""
+
+
+class WorkSpentError(Exception):
+    """There is no work left for what is being done."""
+
 
 class Work:
     """A budget of work and what is spent of it."""
 
     def __init__(self, limit: float = float("inf")) -> None:
         self.limit, self.budget, self.spent = limit, limit, 0.0
+        self.firm = False
+        """Whether what does not fit in is refused."""
 
     @property
     def over(self) -> bool:
@@ -36,10 +61,18 @@ class Work:
         return self.spent > self.limit
 
     def add(self, price: tuple[float, float], size: float) -> None:
-        """Count a program of so many entries."""
-        self.spent += price[0] + price[1] * size
+        """Count a program of so many entries.
 
-    def extend(self, share: float) -> None:
-        """Let a share of the budget be spent from now on, if no more is left."""
-        if self.limit < float("inf"):
-            self.limit = max(self.limit, self.spent + share * self.budget)
+        Raises
+        ------
+        WorkSpentError
+            If it does not fit in, and the limit is firm.
+        """
+        more = price[0] + price[1] * size
+        if self.firm and self.spent + more > self.limit:
+            raise WorkSpentError
+        self.spent += more
+
+    def until(self, share: float, seconds: float, *, firm: bool = False) -> None:
+        """Let so much be spent in all beyond the budget: a share of it, and seconds."""
+        self.limit, self.firm = (1 + share) * self.budget + seconds, firm

@@ -15,6 +15,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.app import app
+from sampling_design.errors import FileFormatError
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.work import AFTER, Work
 from tests import command_lines
 from tests.front_door import public
 
@@ -113,6 +116,43 @@ def test_no_verb_with_a_budget_is_forgotten():
 def test_a_verb_ends_with_its_budget(name, budget):
     before = spent(PREPARED[name]) if name in PREPARED else 0.0
     assert spent(lambda: VERBS[name](budget)) - before <= allowed(budget)
+
+
+TANK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
+LEVELS = sd.PlanRequirement(
+    {"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1, sensors={"gauge": {"noise_bound": 0.1}}
+)
+
+
+TIGHT = ((0.1, 0.0), (0.2, 0.0), (0.5, 0.0))
+"""Nothing beyond shares of the search's seconds: the level of a tank needs less than two seconds for everything."""
+
+
+@pytest.mark.parametrize("tight", [False, True])
+def test_a_plan_ends_with_its_work_and_says_what_did_not_fit(tight, monkeypatch, tmp_path):
+    """Its seconds are counted: so is all that follows the search, and a piece that does not fit in is left out."""
+    works, until, seconds = [], Work.until, 0.1 if tight else 0.4
+
+    def noted(work, *limit, **how):
+        works.append(work)
+        until(work, *limit, **how)
+
+    monkeypatch.setattr(Work, "until", noted)
+    monkeypatch.setattr("sampling_design.planning.plan.AFTER", TIGHT if tight else AFTER)
+    found = sd.plan(TANK, LEVELS, search_seconds=seconds)
+    assert 0 < works[-1].spent <= allowed(seconds) - 2 * tight
+    assert found.keeps
+    missing = {name for name in ("certificate", "robustness") if getattr(found, name) is None}
+    assert missing == set(found.left_out) - {"bound"} == ({"certificate", "robustness"} if tight else set())
+    assert ("left out" in str(found)) == ("Left out: " in found.explain()) == tight
+    path = save_plan(found, tmp_path / "plan.json")
+    again = sd.load_plan(path)
+    assert again.left_out == found.left_out
+    assert ("left out" in str(found.compare(again))) == tight
+    if tight:
+        path.write_text(path.read_text().replace('"robustness"\n', '"a clock"\n', 1))
+        with pytest.raises(FileFormatError, match="left_out"):
+            sd.load_plan(path)
 
 
 @pytest.fixture(scope="module")

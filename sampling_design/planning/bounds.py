@@ -156,7 +156,7 @@ def prove_cost(
     is of use, so that the proof ends with the first choice that costs less.
     """
     found, _ = separated(cover, pool, level, list(keys or []), work, target)
-    prover = _Prover(cover, pool, level, target, found, find, decide, work)
+    prover = _Prover(cover, pool, level, target, found, work, find=find, decide=decide)
     tree, value = prover.node(np.zeros(cover.columns), cover.ceiling(target))
     return CostProof(level, min(cover.lifted(value), target), tuple(prover.keys), tree)
 
@@ -171,9 +171,10 @@ class _Prover:
         level: float,
         target: float,
         keys: list[Key],
+        work: Work,
+        *,
         find: Finder | None,
         decide: bool,
-        work: Work,
     ):
         self.cover, self.pool, self.level, self.target, self.work = cover, pool, level, target, work
         self.keys, self.find, self.decide = keys, find, decide
@@ -265,6 +266,7 @@ def out_of_reach(
     known: float,
     high: float,
     width: float,
+    *,
     keys: list[Key],
     work: Work,
     find: Finder | None = None,

@@ -220,7 +220,7 @@ class _Planning:
         known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
         self.oracle.work.until(*AFTER[1])
         ratio = out_of_reach(
-            frame, search.pool, cost, known, high, WIDTH, rival.found.keys, self.oracle.work, search.find
+            frame, search.pool, cost, known, high, WIDTH, keys=rival.found.keys, work=self.oracle.work, find=search.find
         )
         return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
 
@@ -314,9 +314,10 @@ class _Planning:
             search.improve(ROUNDS)
             proof, ratios = self._ratios(search.found.chosen)
         limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
-        self.oracle.work.until(*AFTER[1])
+        work = self.oracle.work
+        work.until(*AFTER[1])
         ratio = out_of_reach(
-            search.cover, search.pool, limit, known, high, WIDTH, search.found.keys, self.oracle.work, search.find
+            search.cover, search.pool, limit, known, high, WIDTH, keys=search.found.keys, work=work, find=search.find
         )
         return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
 

@@ -318,7 +318,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         shown = H @ L[j]
         shown[:, r:] = 0.0
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
-    steps, known = [], dict[float, GapFlow]()
+    steps, known = [], dict[float, LengthFlow]()
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
         gap = make_gap(A, G, float(h), L[j], following, F[j], known)
@@ -415,7 +415,7 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
 
 
 @dataclass(frozen=True, eq=False)
-class GapFlow:
+class LengthFlow:
     """What all gaps of one length share: e^{As}G, e^{As}A^2 G at panel ends s, and bounds on |e^{As}A^3 G| between."""
 
     s: Array  # (Q+1,)
@@ -424,7 +424,7 @@ class GapFlow:
     third: Array  # (Q,)
 
     @classmethod
-    def of(cls, A: Array, G: Array, h: float) -> GapFlow:
+    def of(cls, A: Array, G: Array, h: float) -> LengthFlow:
         """Of one length."""
         number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
         s = np.linspace(0.0, h, number + 1)
@@ -442,7 +442,7 @@ def make_gap(
     L: Array,
     following: Array,
     F: Array,
-    known: dict[float, GapFlow],
+    known: dict[float, LengthFlow],
     loss: float = CELL_LOSS,
 ) -> Gap:
     """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`.
@@ -450,7 +450,7 @@ def make_gap(
     `known` keeps what gaps of one length share.
     """
     if h not in known:
-        known[h] = GapFlow.of(A, G, h)
+        known[h] = LengthFlow.of(A, G, h)
     flow = known[h]
     M = np.swapaxes(np.linalg.solve(following, flow.pushed), 1, 2)
     bend = np.swapaxes(np.linalg.solve(following, flow.bent), 1, 2)

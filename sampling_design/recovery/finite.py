@@ -12,7 +12,7 @@ from sampling_design.recovery.atoms import Atoms
 from sampling_design.recovery.bounds import SignalBounds
 from sampling_design.recovery.chain import (
     ChainSample,
-    GapFlow,
+    LengthFlow,
     SampleChain,
     make_gap,
     noise_units,
@@ -71,7 +71,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
         K = np.asarray(np.linalg.solve(L[j], gain), dtype=np.float64)
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
-    known: dict[float, GapFlow] = {}
+    known: dict[float, LengthFlow] = {}
     gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
     return SampleChain(

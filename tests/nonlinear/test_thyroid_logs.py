@@ -56,6 +56,9 @@ def test_the_region_under_therapy_holds_its_course(start):
         states = simulate(thyroid(), start, DAYS, u=on[:, None] * [DOSE, 0.0], w=w)
         assert patient_under_therapy().region.holds(logarithms(states)).all()
     assert states[-1, 1] > 2.5e-8
+    long = np.arange(0.0, 201.0, 20.0)
+    kept = simulate(thyroid(), start, long, u=np.tile([DOSE, 0.0], (long.size, 1)), w=w[: long.size])
+    assert patient_under_therapy().region.holds(logarithms(kept)).all()
     overdosed = simulate(thyroid(), start, DAYS, u=np.tile([3 * DOSE, 0.0], (DAYS.size, 1)))
     assert not patient_under_therapy().region.holds(logarithms(overdosed)).all()
 

@@ -33,9 +33,9 @@ JOINING = 8
 """Members that join at once, and how often."""
 STAGES = ((0.0, False), (0.3, False), (1.0, False), (1.0, True))
 """Coordinates are found first for members near their middle, then for those that begin, then for all that join."""
-DRAWN = 0.6
-"""Power of lambda that is asked for in the next turn."""
-LEAST_SLACK = 0.3
+DRAWN, LEAST_DRAWN = 0.6, 0.92
+"""Power of lambda that is asked for in the next turn; where that is not there, its root, up to the last one."""
+LEAST_SLACK = 0.05
 """A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
 
 
@@ -162,10 +162,12 @@ def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> 
             if found.slack > SLACK_ENOUGH or found.slack < 1.2 * before:
                 break
             before = found.slack
-    while narrow and best is not None and best.lam > 1.05:
-        ratio = float(best.lam**DRAWN)
+    power = DRAWN
+    while narrow and best is not None and best.lam > 1.05 and power < LEAST_DRAWN:
+        ratio = float(best.lam**power)
         found = fitted(search, posing, best.T, partial(InclusionProgram.within, ratio=ratio), 1.0, True)
         if found is None or found.slack < LEAST_SLACK or not found.lam < 0.98 * best.lam:
-            break
-        best = found
+            power = float(np.sqrt(power))
+        else:
+            best = found
     return best

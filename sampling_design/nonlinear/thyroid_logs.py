@@ -197,7 +197,8 @@ def patient_under_therapy() -> NonlinearPlant:
     """Return the patient who may take L-T4, in the region for which `examples/data/thyroid_therapy.json` is a theorem.
 
     What is absorbed may vary between nothing and `DOSE` in any way. The first 20 days of any such course from the
-    paper's x(0), and from its prior, stay within the region; the full dose, taken for 200 days, brings T4 to 33.4 nmol/l.
+    paper's x(0), and from its prior, stay within the region; the full dose, taken for 200 days, brings T4 to 33.4
+    nmol/l.
 
     Examples
     --------

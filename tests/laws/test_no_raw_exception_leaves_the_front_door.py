@@ -28,6 +28,7 @@ FOUND = (
     ("FamilyCertificate.error_bound", {"t": "-inf"}),
     ("SpacedWindows.draw", {"duration": "1e308"}),
     ("KalmanFilter.update", {"u": "objects"}),
+    ("weights_from_bounds", {"initial_error": "1e-308"}),
 )
 """Calls that were raw once, found by seeds 90101 to 90104 and 91001 to 91030."""
 

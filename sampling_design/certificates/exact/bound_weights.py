@@ -12,6 +12,9 @@ from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
+LARGEST = 1e140
+"""Bounds beyond it, or below its inverse, have squares that leave no room in a double for a rate beside them."""
+
 
 @door
 def weights_from_bounds(
@@ -37,7 +40,7 @@ def weights_from_bounds(
     Raises
     ------
     ArgumentError
-        If a bound is not positive or has another length.
+        If a bound is not positive, has another length, or its weight or the rate is beyond double precision.
 
     Notes
     -----
@@ -57,6 +60,8 @@ def weights_from_bounds(
     ([[0.5, 0.0], [0.0, 0.125]], 50.0)
     """
     rate = _checks.positive("eta", eta)
+    if rate > LARGEST:
+        raise ArgumentError(f"`eta` must be at most {LARGEST:g}, got {eta!r}.")
     noise = 2.0 * _unit_ball("v_bound", v_bound, plant.n_outputs)
     return {
         "P2": _unit_ball("initial_error", initial_error, plant.n_states),
@@ -69,8 +74,17 @@ def weights_from_bounds(
 def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:
     """Q with |z|^2_Q <= 1 wherever the bound holds."""
     if _checks.dimensions(bound) == 0:
-        return np.eye(size) / _checks.positive(name, bound) ** 2
+        return np.eye(size) / _weighable(name, np.array([_checks.positive(name, bound)])) ** 2
     entries = _checks.vector(name, bound, size)
     if np.any(entries <= 0):
         raise ArgumentError(f"`{name}` must be positive in every entry, got {entries.tolist()}.")
-    return np.diag(1.0 / (size * entries**2))
+    return np.diag(1.0 / (size * _weighable(name, entries) ** 2))
+
+
+def _weighable(name: str, entries: Array) -> Array:
+    if entries.size and not 1 / LARGEST <= entries.min() <= entries.max() <= LARGEST:
+        raise ArgumentError(
+            f"`{name}` must lie between {1 / LARGEST:g} and {LARGEST:g}, or double precision cannot hold its weight "
+            f"1/bound^2, got {entries.tolist()}."
+        )
+    return entries

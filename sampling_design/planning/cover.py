@@ -19,7 +19,7 @@ from scipy import sparse
 
 from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work import COVER, Work
+from sampling_design.planning.work import COVER, NODE, Work
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -233,7 +233,7 @@ def cheapest(
         bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
         options={"node_limit": max(FEWEST, min(nodes, ENTRIES // max(1, model.A.nnz))), "mip_rel_gap": NEAR},
     )
-    work.add(COVER, model.A.nnz * cover.columns * max(1, found.mip_node_count or 1))
+    work.add(COVER, model.A.nnz * (cover.columns + NODE * max(1, found.mip_node_count or 1)))
     if found.x is None:
         return None, found.status == 2
     return cover.choice(found.x), False

@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 
 QUIET_SHARE = 1 / 3
 """Share of the pairs without disturbance and noise: there the right side is smallest."""
+MOST_PAIRS = 1_000_000
+"""Hours; more would be asked for by mistake."""
 
 LINEARISED = 10
 """Pairs beside whose first trajectory all small differences are looked at."""
@@ -204,6 +206,8 @@ def check_detectability(
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
     rng = np.random.default_rng(0) if rng is None else rng
     count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
+    if count > MOST_PAIRS:
+        raise ArgumentError(f"`pairs` must be at most {MOST_PAIRS}: each takes milliseconds, got {pairs!r}.")
     found = []
     for k in range(count):
         i = 1 + k % sets.distinct

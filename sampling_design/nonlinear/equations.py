@@ -82,7 +82,7 @@ class PlantEquations(Record):
         for label, function, arguments, size in (
             ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
             ("measurement", self.measurement, (x, u, v), self.sizes["outputs"]),
-            ("limits", self.limits or _no_limits, (x, u), None),
+            ("limits", _no_limits if self.limits is None else self.limits, (x, u), None),
         ):
             if not callable(function):
                 raise ArgumentError(f"`{label}` must be a function, got {_checks.described(function)}.")

@@ -29,6 +29,8 @@ FOUND = (
     ("SpacedWindows.draw", {"duration": "1e308"}),
     ("KalmanFilter.update", {"u": "objects"}),
     ("weights_from_bounds", {"initial_error": "1e-308"}),
+    ("NonlinearPlant", {"limits": "complex array"}),
+    ("check_detectability", {"pairs": "1e18"}),
 )
 """Calls that were raw once, found by seeds 90101 to 90104 and 91001 to 91030."""
 

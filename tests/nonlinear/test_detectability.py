@@ -100,6 +100,8 @@ def test_pairs_that_leave_the_set_are_left_out_and_counted():
     assert 0 < found.left_out < 40
     assert found.pairs == 40 - found.left_out
     assert "more left out" in str(found)
+    with pytest.raises(ArgumentError, match=r"`pairs` must be at most 1000000: each takes milliseconds, got 10{18}"):
+        check_detectability(walk, SCHEDULE, cost=CostFunction(eta=0.1), duration=1.0, pairs=1e18)
     with pytest.raises(ArgumentError, match="every pair left it"):
         check_detectability(walk, SCHEDULE, ([0.9], [1.0]), cost=CostFunction(eta=0.1), duration=1.0, pairs=3)
     burst = NonlinearPlant(lambda x, u, w: [x[0] ** 2], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1})

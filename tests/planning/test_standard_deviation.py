@@ -62,6 +62,9 @@ def test_the_cheapest_plan_is_that_of_a_search_through_all_choices(found):
     assert found.verify()
     anew = truth(found.schedule.times, [[True, False]] * found.samples, [1.0, 0.0])
     assert anew <= found.reached[0] <= anew * 1.02  # the oracle looks every 0.2 s
+    ((name, reached, again),) = oracle.deviations(found.to_dict())
+    assert (name, reached) == ("position", found.reached[0])
+    assert again <= reached <= again * 1.01
 
 
 def test_the_filter_of_uneven_samples_is_that_of_the_plan():

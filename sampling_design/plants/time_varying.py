@@ -35,9 +35,9 @@ MOST_EVALUATIONS = 20000
 
 
 class Spent:
-    """Evaluations over one stretch."""
+    """Evaluations over one stretch, and where the last one was."""
 
-    count = 0
+    count, t = 0, 0.0
 
     def one_more(self, t: float) -> None:
         """Count one.
@@ -47,12 +47,16 @@ class Spent:
         SolverError
             If there were too many.
         """
-        self.count += 1
+        self.count, self.t = self.count + 1, t
         if self.count > MOST_EVALUATIONS:
-            raise SolverError(
-                f"the integration comes to a stop at t = {t:.6g}: the motion escapes or is not smooth there.",
-                status="integration failed",
-            )
+            raise self.stopped()
+
+    def stopped(self) -> SolverError:
+        """What is said of an integration that ended too early."""
+        return SolverError(
+            f"the integration comes to a stop at t = {self.t:.6g}: the motion escapes or is not smooth there.",
+            status="integration failed",
+        )
 
 
 class TransitionTable(NamedTuple):
@@ -241,7 +245,7 @@ class TimeVaryingPlant(Record):
                 warnings.simplefilter("ignore")
                 path = solve_ivp(rate, (a, b), begin, "LSODA", t_eval=[b], rtol=tolerance, atol=tolerance)
             if not path.success:
-                raise SolverError(f"the transition over [{a:.6g}, {b:.6g}] fails.", status="integration failed")
+                raise spent.stopped()
             both = path.y[:, -1].reshape(2 * n, n)
             found.append(np.vstack([both[:n], symmetrise(both[n:])]))
         return np.array(found).reshape(-1, 2 * n, n)

@@ -138,6 +138,8 @@ def number(name: str, value: object) -> float:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, (int, float, complex)):
         raise ArgumentError(f"`{name}` must be a number, got {described(value)}.")
+    if isinstance(value, float) and not np.isfinite(value):
+        raise ArgumentError(f"`{name}` must be finite, got {value}.")
     try:
         return float(real_array(name, [value], 1)[0])
     except OverflowError:

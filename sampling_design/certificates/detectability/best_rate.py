@@ -38,6 +38,10 @@ _NO_SOLUTION = (
     "The Riccati equation at rate {rate} has no stabilising solution in floating point. "
     "An unseen mode is too close to the limit: ask for a smaller rate or a smaller `margin`."
 )
+_TOO_LARGE = (
+    "The gains at rates close to zero, times the budget {budget}, are not finite with the floor {floor}: "
+    "ask for a smaller `budget` or `floor`."
+)
 
 
 @door
@@ -121,13 +125,15 @@ def certify_detectability(
     _refuse_unseen(plant, 0.0 if eta is None else eta)
     unit_w, unit_y = _units(plant)
     bounds = None if c_w is None or c_y is None else (_checks.positive("c_w", c_w), _checks.positive("c_y", c_y))
-    ratio = unit_y / unit_w if bounds is None else bounds[1] / bounds[0]
+    ratio = unit_y / unit_w if bounds is None else _checks.positive("c_y / c_w", bounds[1] / bounds[0])
 
     def least(at: float) -> float:
         return _least_c_y(plant, at * (1 + margin), ratio, floor)
 
     if eta is None:
         allowed = budget * least(0.0) if bounds is None else bounds[1]
+        if not np.isfinite(allowed):
+            raise SolverError(_TOO_LARGE.format(budget=short(budget), floor=short(floor)))
         eta = _largest_rate(least, allowed, float(np.linalg.norm(plant.A, 2)) or 1.0)
         gain_y = allowed
     else:
@@ -173,11 +179,14 @@ def _units(plant: Plant) -> tuple[float, float]:
 def _filter(plant: Plant, eta: float, ratio: float, floor: float) -> Array | None:
     """Stabilising Y of A_e Y + Y A_e' + ratio (GG' + floor) - Y C'C Y = 0, A_e = A + eta/2 I; None without one."""
     n, size_G = plant.n_states, float(np.linalg.norm(plant.G, 2)) if plant.n_disturbances else 0.0
-    noise = ratio * (plant.G @ plant.G.T + floor * (size_G or 1.0) ** 2 * np.eye(n))
     shifted = plant.A + eta / 2 * np.eye(n)
-    try:
-        Y = _symmetric(solve_continuous_are(shifted.T, plant.C.T, noise, np.eye(plant.n_outputs)))
-    except (LinAlgError, ValueError):
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows has no solution
+        noise = ratio * (plant.G @ plant.G.T + np.diag(np.full(n, floor * (size_G or 1.0) ** 2)))
+        try:
+            Y = _symmetric(solve_continuous_are(shifted.T, plant.C.T, noise, np.eye(plant.n_outputs)))
+        except (LinAlgError, ValueError):
+            return None
+    if not np.isfinite(Y).all():
         return None
     stable = np.max(np.linalg.eigvals(shifted - Y @ plant.C.T @ plant.C).real) < 0
     return Y if stable and np.linalg.eigvalsh(Y)[0] > 0 else None

@@ -6,6 +6,7 @@ Sigma is at least mu along the piece iff Y <= I/mu^2 there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -35,6 +36,41 @@ class ProvenSigma(NamedTuple):
     lower: float
     slack: float
     status: str
+
+
+def nearest_proven(
+    guess: float, slack: float, begin: Callable[[], Callable[[float], bool]], shaves: tuple[float, ...] = SHAVES
+) -> ProvenSigma:
+    """The first of guess (1 - shave) that a search proves.
+
+    Parameters
+    ----------
+    guess : float
+        What floats believe; where it is 0 or infinite there is nothing to prove.
+    slack : float
+        By which the windows' ends are moved outward.
+    begin : callable
+        Sets the search up and returns what decides whether sigma >= mu, given mu; called once, within the precision
+        of balls. Both may raise `OutOfTime`.
+    shaves : tuple of float
+        One after the other.
+
+    Returns
+    -------
+    ProvenSigma
+        lower = 0 where nothing is proven: "budget" or "rounding".
+    """
+    if not 0 < guess < np.inf:
+        return ProvenSigma(guess, slack, "closed")
+    with precision():
+        try:
+            proves = begin()
+            for mu in (guess * (1 - shave) for shave in shaves):
+                if proves(mu):
+                    return ProvenSigma(mu, slack, "closed")
+        except OutOfTime:
+            return ProvenSigma(0.0, slack, "budget")
+    return ProvenSigma(0.0, slack, "rounding")
 
 
 def prove_window_sigma(

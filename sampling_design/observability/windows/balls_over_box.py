@@ -18,17 +18,17 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, precision
+from sampling_design._ball_flow import Clock
+from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix
 from sampling_design._linalg import symmetrise
 from sampling_design.observability.box.balls import BallBox, BallCell, Metric, beyond_first_in_balls
 from sampling_design.observability.box.branching import TOGETHER, halved
 from sampling_design.observability.box.expansion import BoxCells
 from sampling_design.observability.windows.balls import (
-    SHAVES,
     ProvenSigma,
     exact_times,
     fraction,
+    nearest_proven,
     needed_slack,
     piece_ends,
 )
@@ -72,19 +72,8 @@ def prove_over_box(
     flint()
     exact = exact_times(schedule, asked.pieces)
     slack = needed_slack(schedule, asked.pieces, exact)
-    if not 0 < guess < np.inf:
-        return ProvenSigma(guess, slack, "closed")
     clock = Clock(seconds)
-    with precision():
-        search = WindowCells(asked, schedule, exact, clock)
-        try:
-            for shave in SHAVES:
-                mu = guess * (1 - shave)
-                if search.proves(mu):
-                    return ProvenSigma(mu, slack, "closed")
-        except OutOfTime:
-            return ProvenSigma(0.0, slack, "budget")
-    return ProvenSigma(0.0, slack, "rounding")
+    return nearest_proven(guess, slack, lambda: WindowCells(asked, schedule, exact, clock).proves)
 
 
 class WindowCells:

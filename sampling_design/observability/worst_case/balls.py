@@ -15,6 +15,7 @@ products are exact.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
 from typing import NamedTuple
@@ -23,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._ball_flow import BallFlow, Clock, OutOfTime
-from sampling_design._balls import Ball, ball, definite, flint, matrix, precision
-from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction
+from sampling_design._balls import Ball, ball, definite, flint, matrix
+from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
@@ -182,8 +183,9 @@ class WorstCase:
             total = total + at.transpose() * at
         return definite(total - ball(mu) * self.basis.transpose() * self.basis) is True
 
-    def proves(self, mu: float) -> bool:
-        """Whether z'Gz >= mu |Lz|^2 is proven for all directions and schedules."""
+    def proves(self, sigma: float) -> bool:
+        """Whether z'Gz >= sigma^2 |Lz|^2 is proven for all directions and schedules."""
+        mu = float(np.nextafter(sigma * sigma, np.inf))
         if self.slack == 0:
             return self.only(mu)
         n = self.n
@@ -270,21 +272,13 @@ def prove_worst_sigma(
         If python-flint is not installed.
     """
     flint()
-    if not 0 < guess < np.inf:
-        return ProvenSigma(guess, 0.0, "closed")
     if plant.n_states > MOST_STATES:
         return ProvenSigma(0.0, 0.0, "too many states")
-    rows = SpacedRows(plant, family.window, family.count, family.spacing)
-    basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
     clock = Clock(seconds)
-    with precision():
-        try:
-            search = WorstCase(plant, family, basis, clock)
-            for shave in shaves:
-                sigma = guess * (1 - shave)
-                mu = float(np.nextafter(sigma * sigma, np.inf))
-                if search.proves(mu):
-                    return ProvenSigma(sigma, 0.0, "closed")
-        except OutOfTime:
-            return ProvenSigma(0.0, 0.0, "budget")
-    return ProvenSigma(0.0, 0.0, "rounding")
+
+    def begin() -> Callable[[float], bool]:
+        rows = SpacedRows(plant, family.window, family.count, family.spacing)
+        basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
+        return WorstCase(plant, family, basis, clock).proves
+
+    return nearest_proven(guess, 0.0, begin, shaves)

@@ -86,16 +86,16 @@ def test_bounds_below_those_of_rate_zero_are_refused():
 
 @pytest.mark.parametrize("size", [1e150, 1e200, 1e308])
 def test_gains_beyond_double_precision_are_refused_in_words(size):
-    with pytest.raises(SolverError, match="are not finite with the floor .*: ask for a smaller `budget` or `floor`"):
+    with pytest.raises(SolverError, match=r"are not finite with the floor .*: ask for a smaller `budget` or `floor`"):
         certify_detectability(OSCILLATOR, floor=size)
 
 
 def test_budgets_and_rates_beyond_double_precision_are_refused_in_words():
-    with pytest.raises(SolverError, match="times the budget .* are not finite"):
+    with pytest.raises(SolverError, match=r"times the budget .* are not finite"):
         certify_detectability(OSCILLATOR, budget=1e308)
     with pytest.raises(SolverError, match="has no stabilising solution in floating point"):
         certify_detectability(OSCILLATOR, 1e308)
-    with pytest.raises(ArgumentError, match="`c_y / c_w` must be finite"):
+    with pytest.raises(ArgumentError, match=r"`c_y / c_w` must be finite"):
         certify_detectability(OSCILLATOR, c_w=1e-300, c_y=1e300)
 
 

@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.history import Node
-from sampling_design.estimators.window.smoother import PIVOT_LIMIT, last_block
+from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.estimators.window.square_root import absorb, covariance_root
 
@@ -108,21 +108,24 @@ class SlidingBand:
     def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
-        self._C, self._held = weights.plant.C, np.abs(weights.prior_factor.T)
+        self._C, self._held = weights.plant.C, np.abs(weights.prior_factor)
         self.nodes: list[Node] = []
         self._known: list[Arriving] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, Heard] = {}
-        self._zero, self._cancelling = 0.0, False
+        self._heard: list[tuple[Heard, Array]] = []  # what a node's outputs mean, and U (y - D u)
+        self._zero, self._cancelling, self._untouched = 0.0, False, False
+        self._led: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
-        # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2 and |x|^2
-        self._sums = np.zeros((ROOM, 5))
+        # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2
+        self._sums = np.zeros((ROOM, 4))
+        self._sizes = np.zeros((ROOM, n))  # of references
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._own, self._before, self._pull, self._pushed, self._sums
+        return self._own, self._before, self._pull, self._pushed, self._sums, self._sizes
 
     def heard(self, mask: Array) -> Heard:
         """Return what a sample of some outputs means."""
@@ -144,7 +147,7 @@ class SlidingBand:
         """
         k = len(self._known)
         if k == len(self._own):
-            self._own, self._before, self._pull, self._pushed, self._sums = (
+            self._own, self._before, self._pull, self._pushed, self._sums, self._sizes = (
                 np.concatenate([part, np.zeros_like(part)]) for part in self._parts
             )
         if not k:
@@ -162,24 +165,30 @@ class SlidingBand:
             self._before[k] = after
         read = kind.size.dot(abs(new.y))
         self._known.append(new)
+        self._heard.append((kind, kind.root.dot(new.y - new.feedthrough)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1], self._sums[k, 2], self._sums[k, 3] = kind.energy * d, 0.0, read.dot(read)
         self._pushed[k] = 0.0
+        self._led = None
         if not predicted:
+            self._untouched = False
             return weighed and self._joined(k, d)
         last, estimated = self._reference[k - 1], self.nodes[k - 1].x
-        return weighed and (last is estimated or self._joined(k, d, last - estimated))
+        self._untouched = last is estimated
+        if self._untouched:
+            self._led = reference
+            return weighed
+        return weighed and self._joined(k, d, last - estimated)
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        new, reference, sums = self._known[k], self._reference[k], self._sums
-        kind = self.heard(new.mask)
-        half = kind.root.dot(new.y - new.feedthrough - self._C.dot(reference))
+        reference, (kind, read) = self._reference[k], self._heard[k]
+        half = read - kind.shown.dot(reference)
         square = float(half.dot(half))
         kind.back.dot(half * d, self._pull[k])
-        held = self._held.dot(abs(reference))
-        sums[k, 0], sums[k, 4] = square * d, held.dot(held)
+        np.absolute(reference, self._sizes[k])
+        self._sums[k, 0] = square * d
         return square < LARGEST**2
 
     def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
@@ -191,10 +200,12 @@ class SlidingBand:
         if not k or new.flow is None or new.flow.joint is None:
             return True
         n = self._n
-        if ahead is None:
-            moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
-        else:
+        if ahead is not None:
             moved = new.flow.F.dot(ahead)
+        elif self._led is not None:
+            moved = self._led - self._reference[k]
+        else:
+            moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         g = (moved * d).dot(new.flow.joint[n:])
         self._pull[k - 1] += g[:n]
         self._pushed[k] = g[n:]
@@ -210,7 +221,7 @@ class SlidingBand:
         """Take the estimate of the newest node for its reference."""
         k, eta, zero = len(self._known) - 1, self._eta, self._zero
         self._reference[k] = node.x
-        if k:  # without what the gap from there has pulled
+        if k and not self._untouched:  # without what the gap from there has pulled
             self._weighed(k - 1, math.exp(eta * (self._known[k - 1].t - zero)))
         d = math.exp(eta * (node.t - zero))
         return self._weighed(k, d) and self._joined(k, d)
@@ -232,7 +243,7 @@ class SlidingBand:
         kept = len(self._known) - count
         for part in self._parts:
             part[:kept] = part[count : count + kept].copy()
-        del self.nodes[:count], self._known[:count], self._reference[:count]
+        del self.nodes[:count], self._known[:count], self._reference[:count], self._heard[:count]
 
     def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array]) -> Optimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
@@ -255,7 +266,7 @@ class SlidingBand:
             return None
         d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
         x, Y, size, noise, heard = opening.x, opening.Y, 0.0, 0.0, 0.0
-        weighed = self._held.dot(abs(x))
+        weighed = abs(x).dot(self._held)
         if opening.sample is not None:
             begin = math.exp(eta * (opening.t - zero))
             x, Y, size, noise, heard = self._opened(opening)
@@ -271,7 +282,9 @@ class SlidingBand:
         # the gap before the first node is the window's own
         np.add(self._own[first], arrival.band * d, out=work[0])
         np.add(self._pull[first], g, out=right[0])
-        fit, energy, push, read, kept = np.add.reduce(self._sums[rows]).tolist()
+        fit, energy, push, read = np.add.reduce(self._sums[rows]).tolist()
+        held = self._sizes[rows].dot(self._held)
+        kept = float(np.vdot(held, held))
         size += fit + push + float(moved.dot(g))
         found = _solved(work, right.ravel(), size)
         if found is None:
@@ -318,7 +331,9 @@ def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, Array
     gain = float(right.dot(solution))
     if not math.isfinite(gain + size):
         return None
-    last = last_block(factor, n)
+    # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
+    step = work.itemsize
+    last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
     return solution[-n:], last, lapack.dtrtri(last, lower=1)[0], gain
 
 

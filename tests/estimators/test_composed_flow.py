@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sampling_design._linalg import discounted_flow
-from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
+from sampling_design.estimators.gap_flows.composed_flow import FEW, ComposedFlow
 
 PLANTS = {
     "oscillator": [[0.0, 1.0], [-1.0, 0.0]],
@@ -47,10 +47,13 @@ def off(found, expected):
 def test_agrees_with_sixty_digits(name, eta):
     A = np.array(PLANTS[name], float)
     gaps = [h for h in GAPS if np.linalg.norm(A, 1) * h < 200]
-    found = zip(*ComposedFlow(A, noise(len(A)), eta).over(gaps), strict=True)
+    flow = ComposedFlow(A, noise(len(A)), eta)
+    found = zip(*flow.over(gaps), strict=True)
+    assert len(gaps) > FEW  # so that pieces are put together; a few gaps are products of their own
     for h, matrices in zip(gaps, found, strict=True):
-        for one, other in zip(matrices, exact(A, noise(len(A)), eta, h), strict=True):
+        for one, alone, other in zip(matrices, flow.over([h]), exact(A, noise(len(A)), eta, h), strict=True):
             assert off(one, other) < 5e-14
+            assert off(alone[0], other) < 5e-14
 
 
 @pytest.mark.parametrize("rate", [1e-1, 1e4, 1e8])
@@ -58,12 +61,14 @@ def test_a_stiff_plant_over_gaps_of_many_sizes(rate):
     """As exact as the flow at once, which loses |A|h eps: compared at what both keep."""
     A, N = np.array([[-rate, 0.3 * rate], [0.0, -0.1]]), np.eye(2)
     gaps = [1e-9, 1e-3, 0.7, 5.0, 90.0]
-    F, _, W = ComposedFlow(A, N, 0.05).over(gaps)
+    flow = ComposedFlow(A, N, 0.05)
+    F, _, W = flow.over(gaps)
     kept = 1e-14 * max(10.0, rate * 90.0)
     for h, one, two, plain, gramian in zip(gaps, F, W, *discounted_flow(A, N, gaps, 0.05), strict=True):
-        assert off(one, plain) < kept, h
-        assert off(two, gramian) < kept, h
-        assert np.linalg.eigvalsh(two)[0] > 0
+        lone, _, ltwo = flow.over([h])
+        assert off(one, plain) < kept and off(lone[0], plain) < kept, h
+        assert off(two, gramian) < kept and off(ltwo[0], gramian) < kept, h
+        assert np.linalg.eigvalsh(two)[0] > 0 and np.linalg.eigvalsh(ltwo[0])[0] > 0
     assert np.isfinite(F).all()
 
 

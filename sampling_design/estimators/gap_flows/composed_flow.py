@@ -4,6 +4,8 @@ With base 64 and a short unit of time h_0 every gap is h = r + sum_j d_j 64^j h_
 Taylor polynomials do, whose terms are the plant's; the flows over d_j 64^j h_0 are remembered; and with
 F_h = e^{Ah}, E_h = int_0^h e^{As} ds, W_h = int_0^h e^{eta s} e^{As} N e^{A's} ds two gaps make one:
     F_{a+b} = F_b F_a,    E_{a+b} = E_b + F_b E_a,    W_{a+b} = W_b + e^{eta b} F_b W_a F_b'.
+Where few gaps are asked for at once, and none takes more than one level, the sum with the piece d_0 h_0 is itself one
+polynomial in r, remembered with the piece: a gap is then one product.
 """
 
 from __future__ import annotations
@@ -21,6 +23,13 @@ Array = npt.NDArray[np.float64]
 
 BASE = 64
 """Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
+
+
+FEW = 4
+"""Gaps up to which each is a product of its own with the polynomial around its piece."""
+
+SMALL = 12
+"""States up to which these polynomials are remembered: four megabytes at most."""
 
 
 def state_units(A: Array, units: Array | None = None) -> Array:
@@ -57,11 +66,49 @@ class ComposedFlow:
         # side by side, here and in every piece: [F, E, W]
         terms = np.concatenate([powers, powers / order, gramian_terms(shifted, noise, self._norm)], axis=2)
         self._powers, self._terms = np.arange(float(len(terms))), terms.reshape(len(terms), -1)
+        self._shifted, self._exponential, self._rest = shifted, powers, terms[:, :, n:]
         self._levels: list[Array] = []
+        self._around: dict[int, Array] = {}
 
     def over(self, gaps: Sequence[float]) -> tuple[Array, Array, Array]:
         """Return F, E and W for every gap, each (N, n, n)."""
-        h, n = np.array(gaps, dtype=np.float64), self._n
+        n = self._n
+        if 0 < len(gaps) <= FEW and n <= SMALL and max(gaps) < BASE * self._unit:
+            flow = self._near(gaps)
+        else:
+            flow = self._far(np.array(gaps, dtype=np.float64))
+        W = flow[:, :, 2 * n :]
+        return flow[:, :, :n], flow[:, :, n : 2 * n], (W + W.transpose(0, 2, 1)) / 2
+
+    def _near(self, gaps: Sequence[float]) -> Array:
+        """Flows over a few gaps of one level, each from the polynomial around its piece."""
+        unit, norm, powers, around = self._unit, self._norm, self._powers, self._around
+        flow = np.empty((len(gaps), self._n, 3 * self._n))
+        for row, h in zip(flow.reshape(len(gaps), -1), gaps, strict=True):
+            digit = int(h // unit)
+            terms = around.get(digit)
+            if terms is None:
+                terms = around[digit] = self._expanded(digit)
+            np.dot(((h - digit * unit) * norm) ** powers, terms, out=row)
+        return flow
+
+    def _expanded(self, digit: int) -> Array:
+        """Coefficients of the flow over `digit` units and r more, by powers of |A| r; in the states' own units."""
+        n, powers, norm = self._n, self._exponential, self._norm
+        piece = self._pieces(0, np.array([digit]))[0]
+        terms = np.zeros((len(powers), n, 3 * n))
+        np.matmul(powers, piece[:, : 2 * n], out=terms[:, :, : 2 * n])
+        current = piece[:, 2 * n :]
+        for k in range(len(powers)):
+            terms[k, :, 2 * n :] = current
+            moved = self._shifted @ current
+            current = (moved + moved.T) / (norm * (k + 1))
+        terms[1:, :, n:] += self._rest[:-1] / norm
+        terms *= self._moved
+        return terms.reshape(len(terms), -1)
+
+    def _far(self, h: Array) -> Array:
+        """Flows over any gaps, pieces of all levels put together."""
         count = np.floor(h / self._unit)
         longest = max(count.tolist(), default=0.0)
         if not math.isfinite(longest):
@@ -76,8 +123,7 @@ class ComposedFlow:
                 passed = passed + digits * unit
                 level, unit = level + 1, unit * BASE
         flow *= self._moved
-        W = flow[:, :, 2 * n :]
-        return flow[:, :, :n], flow[:, :, n : 2 * n], (W + W.transpose(0, 2, 1)) / 2
+        return flow
 
     def _short(self, h: Array) -> Array:
         """Flows over gaps up to a unit."""

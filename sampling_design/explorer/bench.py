@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._files import from_json, to_json
+from sampling_design._files import from_json
 from sampling_design._record import Plain, short
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
-from sampling_design.certificates.existence.periodic import certificate_exists
+from sampling_design.certificates.existence.periodic import certificate_exists, judged
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.posing import in_unit
 from sampling_design.design.problem.requirement import Requirement
@@ -37,6 +38,10 @@ Reply = dict[str, Plain]
 
 LIVE_BUDGET = 0.5
 """Seconds that a curve may take while somebody drags; what is proven by then is shown."""
+
+CLEARLY = 1e-6
+"""Share of what one sample weighs above which a proven sigma is no matter of rounding. Where every window sees every
+state, no period misses a mode, and nobody need look for one."""
 
 MOST_MARKS = 400
 """Samples of a period beyond which a time line is no picture any more."""
@@ -111,6 +116,9 @@ class Bench:
             requirement = Requirement(period=posed.period, time_unit=plant.time_unit)
         self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
         self.split = split_modes(plant, self.requirement.decay_rate)
+        retained = self.split.retained
+        self.seen = retained.scaled() if retained.has_scales else retained
+        self.clear = CLEARLY * float(np.max(np.linalg.norm(self.seen.C, axis=1), initial=0.0))
         self.window = float(self.requirement.window or default_window(self.split) or 1.0)
         self.period = float(self.requirement.period or self.window)
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
@@ -155,8 +163,9 @@ class Bench:
         if not 1 <= len(marks) <= MOST_MARKS:
             raise ArgumentError(f"`marks` must be 1 to {MOST_MARKS} samples, got {len(marks)}. Add one.")
         found: dict[float, npt.NDArray[np.bool_]] = {}
-        for mark in sorted(marks, key=lambda m: _checks.number("t", m.get("t"))):
-            t = _checks.number("t", mark.get("t")) % self.period
+        placed = [(_checks.number("t", mark.get("t")), mark) for mark in marks]
+        for at, mark in sorted(placed, key=lambda one: one[0]):
+            t = at % self.period
             on = np.array(mark.get("on"), dtype=bool)
             if on.shape != (p,):
                 raise ArgumentError(f"`on` must say for each of {p} sensors if it is read, got {mark.get('on')!r}.")
@@ -185,6 +194,7 @@ class Bench:
         verbs: dict[str, Callable[[], Reply]] = {
             "open": self._open,
             "sigma": self._sigma,
+            "moving": lambda: self._sigma(moving=True),
             "accuracy": self._accuracy,
             "mend": self._mend,
             "shadow": self._shadow,
@@ -246,14 +256,13 @@ class Bench:
         edges = np.array([0.0, *np.ravel(access.available), self.period])
         return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
-    def _sigma(self) -> Reply:
+    def _sigma(self, moving: bool = False) -> Reply:
         told = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
-        found = window_sigma(self.split.retained, self.schedule, self.window, budget=LIVE_BUDGET)
-        shown = found.scaled or found
+        shown = window_sigma(self.seen, self.schedule, self.window, budget=LIVE_BUDGET)
         profile = shown.profile
-        broken = self._broken(shown.lower)
+        broken = [] if shown.lower > self.clear else self._broken(shown.lower, moving)
         return {
             "t": profile.t.tolist(),
             "sigma": profile.sigma.tolist(),
@@ -261,7 +270,7 @@ class Bench:
             "lower": shown.lower,
             "upper": shown.upper,
             "worst": shown.witness.t,
-            "scaled": found.scaled is not None,
+            "scaled": self.split.retained.has_scales,
             "told": [*told, *broken],
             "broken": bool(broken),
         }
@@ -288,21 +297,20 @@ class Bench:
             )
         return told
 
-    def _broken(self, lower: float) -> list[Plain]:
-        """Why sigma is zero, or nearly: which modes the period does not tell apart, and what would repair it."""
-        existence = certificate_exists(self.split.retained, self.schedule, 0.0)
+    def _broken(self, lower: float, moving: bool) -> list[Plain]:
+        """Why sigma is zero, or nearly: which modes the period does not tell apart.
+
+        A "no" is confirmed by a run of the covariance over many periods only where the marks have come to rest.
+        """
+        decide = judged if moving else certificate_exists
+        existence = decide(self.split.retained, self.schedule, 0.0)
         if existence.exists:
             return [] if lower > 0 else ["Some window holds too few samples: sigma is zero there."]
         if existence.eigenvalue is None or not existence.partners:
             return [
                 f"These samples miss something in every window, however many periods one waits: {existence.reason}."
             ]
-        modes = [existence.eigenvalue, *existence.partners]
-        pair = len(modes) == 2 and abs(modes[0] - modes[1].conjugate()) <= TOGETHER * abs(modes[0])
-        names = [format_eigenvalue(mode, grain=1e-12 * abs(mode)) for mode in modes]
-        if pair:
-            real = "" if abs(modes[0].real) <= TOGETHER * abs(modes[0]) else short(modes[0].real)
-            names = [f"{real}±{short(abs(modes[0].imag))}i"]
+        names = _modes_said([existence.eigenvalue, *existence.partners])
         times = [short(t, 4) for t in self.schedule.times % self.period]
         who = f"The samples at {' and '.join(times)} alias" if len(times) <= 3 else f"All {len(times)} samples alias"
         if len(times) == 1:
@@ -324,8 +332,8 @@ class Bench:
                     marks = [{"t": float(t), "on": row.tolist()} for t, row in zip(moved, on, strict=True)]
                     if not 0 <= moved[k] < self.period or np.unique(moved).size < moved.size:
                         continue
-                    found = window_sigma(self.split.retained, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
-                    tried.append(((found.scaled or found).lower, sign * share * step, k))
+                    found = window_sigma(self.seen, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
+                    tried.append((found.lower, sign * share * step, k))
         best = max((sigma for sigma, _, _ in tried), default=0.0)
         if not best > 0:
             return {"said": "No small move of one sample mends it: add one."}
@@ -437,8 +445,26 @@ class Bench:
         try:
             question = from_json(text, "question")
         except SamplingDesignError as error:
-            return to_json({"error": str(error)})
-        return to_json(self.answer(question))
+            return _message({"error": str(error)})
+        return _message(self.answer(question))
+
+
+def _modes_said(modes: Sequence[complex]) -> list[str]:
+    """The modes in words, a conjugate pair as one."""
+    said: list[str] = []
+    for mode in modes:
+        partnered = any(abs(mode - other.conjugate()) <= TOGETHER * abs(mode) for other in modes if other != mode)
+        if partnered and mode.imag > 0:
+            real = "" if abs(mode.real) <= TOGETHER * abs(mode) else short(mode.real)
+            said.append(f"{real}±{short(mode.imag)}i")
+        elif not partnered:
+            said.append(format_eigenvalue(mode, grain=1e-12 * abs(mode)))
+    return said
+
+
+def _message(reply: Mapping[str, Plain]) -> str:
+    """One line of JSON: no eye reads it, and a drag asks for sixty a second."""
+    return json.dumps(reply, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
 def _finite(value: Plain) -> Plain:

@@ -123,21 +123,37 @@ export async function mount(element, ask) {
     });
     for (const t of ticks(0, period)) node("text", { x: at(t), y: height - 22, "text-anchor": "middle", class: "soft" }, line, t === 0 ? "0" : short(t));
     node("text", { x: WIDE - RIGHT, y: height - 5, "text-anchor": "end", class: "soft" }, line, `time in the period [${unit}]`);
-    marks.forEach((mark, m) =>
+    shapes.clear();
+    marks.forEach((mark, m) => {
+      shapes.set(m, []);
       mark.on.forEach((on, k) => {
         if (!on) return;
-        const shut = [...opened.forbidden, ...sensors[k].closed].some(([a, b]) => a <= mark.t && mark.t < b);
-        const colour = shut ? COLOUR.failed : COLOUR.measured, y = 8 + k * ROW;
-        const made = node("g", { class: "mark", tabindex: 0, role: "slider", "aria-label": `${sensors[k].name} at`, "aria-valuenow": short(mark.t), "data-key": `${m}-${k}` }, line);
-        node("line", { x1: at(mark.t), x2: at(mark.t), y1: y, y2: y + ROW - 6, stroke: colour, "stroke-width": 3 }, made);
-        node("circle", { cx: at(mark.t), cy: y + ROW / 2 - 3, r: 9, fill: colour, stroke: "#fff", "stroke-width": 2 }, made);
-        node("title", {}, made, `${sensors[k].name} at ${short(mark.t)} ${unit}`);
+        const y = 8 + k * ROW;
+        const made = node("g", { class: "mark", tabindex: 0, role: "slider", "aria-label": `${sensors[k].name} at`, "data-key": `${m}-${k}` }, line);
+        const stem = node("line", { y1: y, y2: y + ROW - 6, "stroke-width": 3 }, made);
+        const head = node("circle", { cy: y + ROW / 2 - 3, r: 9, stroke: "#fff", "stroke-width": 2 }, made);
+        shapes.get(m).push({ k, made, stem, head, title: node("title", {}, made, "") });
         made.addEventListener("pointerdown", (event) => grab(event, m, k));
         made.addEventListener("dblclick", () => remove(m, k));
         made.addEventListener("keydown", (event) => key(event, m, k));
-      })
-    );
+      });
+      place(m);
+    });
     if (kept) line.querySelector(`[data-key="${kept}"]`)?.focus();
+  }
+
+  /* A drag moves one mark, sixty times a second: nothing else of the time line is drawn anew. */
+  const shapes = new Map();
+  function place(m) {
+    const { t } = marks[m], x = at(t);
+    for (const { k, made, stem, head, title } of shapes.get(m)) {
+      const shut = [...opened.forbidden, ...sensors[k].closed].some(([a, b]) => a <= t && t < b);
+      const colour = shut ? COLOUR.failed : COLOUR.measured;
+      for (const [name, value] of [["x1", x], ["x2", x], ["stroke", colour]]) stem.setAttribute(name, value);
+      for (const [name, value] of [["cx", x], ["fill", colour]]) head.setAttribute(name, value);
+      made.setAttribute("aria-valuenow", short(t));
+      title.textContent = `${sensors[k].name} at ${short(t)} ${unit}`;
+    }
   }
 
   function single(m, k) {
@@ -151,7 +167,8 @@ export async function mount(element, ask) {
   function grab(event, m, k) {
     event.preventDefault();
     const own = event.shiftKey ? single(m, k) : m;
-    const move = (e) => { dragged = true; marks[own].t = time(e); drawLine(); live(); };
+    if (own !== m) drawLine();
+    const move = (e) => { dragged = true; marks[own].t = time(e); live(); place(own); };
     const drop = () => {
       window.removeEventListener("pointermove", move);
       window.removeEventListener("pointerup", drop);
@@ -287,7 +304,7 @@ export async function mount(element, ask) {
   }
   function live() {
     stale();
-    send({ ask: "sigma", marks }, (answer) => drawSigma(answer));
+    send({ ask: "moving", marks }, (answer) => drawSigma(answer));
   }
   function settled() {
     stale();

@@ -14,6 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 from sampling_design import _checks
 from sampling_design.errors import ArgumentError
 from sampling_design.explorer.bench import Bench
+from sampling_design.explorer.socket_frames import TEXT, accepted, frame, messages
 
 MODULE = Path(__file__).with_name("explorer.js")
 LARGEST = 1_000_000
@@ -24,14 +25,34 @@ PAGE = """<!doctype html>
 <title>Explorer</title></head><body><main id="explorer"></main>
 <script type="module" nonce="{nonce}">
 import {{ mount }} from "/explorer.js?token={token}";
-const ask = async (question) => {{
+/* Questions go through one open socket, and answers come back in their order; by POST where it is not open. */
+let socket = null;
+const waiting = [];
+function connect() {{
+  socket = new WebSocket(`ws://${{location.host}}/ask?token={token}`);
+  socket.onmessage = (message) => waiting.shift()[0](JSON.parse(message.data));
+  socket.onclose = () => {{
+    for (const [, failed] of waiting.splice(0)) failed(new Error("the explorer on this machine has ended"));
+    socket = null;
+  }};
+}}
+async function post(text) {{
   const answer = await fetch("/ask", {{
     method: "POST",
     headers: {{ "Content-Type": "application/json", "X-Token": "{token}" }},
-    body: JSON.stringify(question),
+    body: text,
   }});
   if (!answer.ok) throw new Error(`the explorer on this machine says ${{answer.status}}`);
   return answer.json();
+}}
+const ask = (question) => {{
+  const text = JSON.stringify(question);
+  if (socket === null) connect();
+  if (socket.readyState !== WebSocket.OPEN) return post(text);
+  return new Promise((answered, failed) => {{
+    waiting.push([answered, failed]);
+    socket.send(text);
+  }});
 }};
 mount(document.getElementById("explorer"), ask);
 </script></body></html>
@@ -84,17 +105,20 @@ class Handler(BaseHTTPRequestHandler):
             nonce = secrets.token_urlsafe(12)
             page = PAGE.format(token=self.server.token, nonce=nonce)
             policy = (
-                f"default-src 'none'; script-src 'self' 'nonce-{nonce}'; connect-src 'self'; "
-                "style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+                f"default-src 'none'; script-src 'self' 'nonce-{nonce}'; connect-src 'self' "
+                f"ws://{self.headers['Host']}; style-src 'unsafe-inline'; base-uri 'none'; "
+                "form-action 'none'; frame-ancestors 'none'"
             )
             self._send(200, "text/html; charset=utf-8", page.encode(), policy)
+        elif parts.path == "/ask" and self.headers.get("Upgrade", "").lower() == "websocket":
+            self._converse()
         elif parts.path == "/explorer.js":
             self._send(200, "text/javascript; charset=utf-8", MODULE.read_bytes())
         else:
             self._send(404, "text/plain", b"There is nothing here.\n")
 
     def do_POST(self) -> None:
-        """Answer a question; one at a time, since the samples on the bench are one."""
+        """Answer a question."""
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > LARGEST:
             self.close_connection = True
@@ -106,9 +130,36 @@ class Handler(BaseHTTPRequestHandler):
         if urlsplit(self.path).path != "/ask":
             self._send(404, "text/plain", b"There is nothing here.\n")
             return
+        self._send(200, "application/json", self._answer(text.decode("utf-8", "replace")))
+
+    def _converse(self) -> None:
+        """Answer the questions of one page until it goes away: a drag asks too often for a request each."""
+        key, version = self.headers.get("Sec-WebSocket-Key", ""), self.headers.get("Sec-WebSocket-Version")
+        self.close_connection = True
+        # another site's script could not read the token, and may not ask either
+        if self.headers.get("Origin") != f"http://{self.headers['Host']}" or not key or version != "13":
+            self._send(403, "text/plain", b"Open the address that the explorer printed when it began.\n")
+            return
+        self.send_response(101)
+        for name, value in (
+            ("Upgrade", "websocket"),
+            ("Connection", "Upgrade"),
+            ("Sec-WebSocket-Accept", accepted(key)),
+        ):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.flush()
+        # a page may lie open for long between two questions
+        self.connection.settimeout(None)
+        for text in messages(self.rfile, self.wfile, LARGEST):
+            self.server.asked = time.monotonic()
+            self.wfile.write(frame(TEXT, self._answer(text)))
+            self.wfile.flush()
+
+    def _answer(self, text: str) -> bytes:
+        """What the bench says; one at a time, since the samples on it are one."""
         with self.server.turn:
-            answer = self.server.bench.answer_json(text.decode("utf-8", "replace"))
-        self._send(200, "application/json", answer.encode())
+            return self.server.bench.answer_json(text).encode()
 
     def _welcome(self, token: str) -> bool:
         """Whether this is for us: under our own name (no other site's name may lead here) and with our token."""

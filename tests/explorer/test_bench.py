@@ -49,6 +49,37 @@ def test_what_broke_is_said_with_its_repair():
     assert "add one" in bench.answer({"ask": "mend"})["said"]
 
 
+def test_while_a_mark_moves_the_same_is_said_as_where_it_rests():
+    """A drag leaves out what cannot matter: where every window is proven to see all, no period misses a mode."""
+    rng = np.random.default_rng(7)
+    for name, count in (("pathological", 2), ("even", 6), ("laboratory", 3), ("plan", 3)):
+        bench = scene(name)
+        sensors = bench.plant.n_outputs
+        drawn = [np.sort(rng.uniform(0, bench.period, count)) for _ in range(6)]
+        for times in [*drawn, (np.arange(count) + 0.5) * bench.period / count, np.array([1.0, 1.0 + np.pi])]:
+            laid = marks(*times, sensors=sensors)
+            moving, rests = (bench.answer({"ask": ask, "marks": laid}) for ask in ("moving", "sigma"))
+            assert {**moving, "ask": "sigma"} == rests
+            full = bench._broken(rests["lower"], moving=False)
+            assert rests["told"] == [*bench._rules(), *full]
+
+
+def test_a_sigma_that_is_barely_proven_is_still_asked_about():
+    bench = scene("pathological")
+    for off in (1e-3, 1e-7, 1e-11):
+        found = bench.answer({"ask": "moving", "marks": marks(1.0, 1.0 + np.pi + off)})
+        assert bool(found["told"]) == (off < 1e-9)
+        assert (found["lower"] > bench.clear) == (off > 1e-5)
+
+
+def test_modes_that_look_alike_are_named_in_pairs():
+    daily = sd.PeriodicSchedule(np.full(30, 24.0), time_unit="h")
+    bench = Bench(sd.named_plant("tidal_gauge"), sd.Requirement(window=720.0, period=720.0), daily)
+    for ask in ("moving", "sigma"):
+        (told,) = bench.answer({"ask": ask})["told"]
+        assert "alias the modes ±0.523599i and 0:" in told
+
+
 def test_rules_of_the_requirement_are_said():
     wish = sd.Requirement(window=8.0, period=8.0, spacing=1.0, forbidden=[[2.0, 3.0]])
     told = Bench(PLANT, wish).answer({"ask": "sigma", "marks": marks(2.5, 3.2, 6.0)})["told"]

@@ -2,14 +2,17 @@
 
 import http.client
 import json
+import socket
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
 from sampling_design.errors import ArgumentError
 from sampling_design.explorer import scene, serve
 from sampling_design.explorer.server import LARGEST, Server
+from sampling_design.explorer.socket_frames import CLOSE, TEXT, TOO_LARGE, accepted
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +71,56 @@ def test_another_sites_name_for_this_machine_is_refused(server):
 
 def test_a_question_too_large_is_refused(server):
     assert ask(server, "POST", "/ask", X_Token=server.token, Content_Length=str(LARGEST + 1))[0] == 413
+
+
+KEY = "dGhlIHNhbXBsZSBub25jZQ=="
+
+
+@contextmanager
+def talk(server, **wrong):
+    """Yield the answer's head and a stream to a socket that a page would open."""
+    own = f"127.0.0.1:{server.server_port}"
+    token = wrong.pop("token", server.token)
+    named = {"Host": own, "Origin": f"http://{own}", "Upgrade": "websocket", "Connection": "Upgrade"}
+    named |= {"Sec-WebSocket-Key": KEY, "Sec-WebSocket-Version": "13"} | wrong
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as link, link.makefile("rwb") as line:
+        head = "".join(f"{name}: {value}\r\n" for name, value in named.items() if value is not None)
+        line.write(f"GET /ask?token={token} HTTP/1.1\r\n{head}\r\n".encode())
+        line.flush()
+        yield b"".join(iter(line.readline, b"\r\n")).decode(), line
+
+
+def say(line, payload):
+    """A question in one frame with the mask 0, and the kind and text of its answer."""
+    line.write(bytes([128 | TEXT, 128 | 127]) + len(payload).to_bytes(8, "big") + bytes(4) + payload)
+    line.flush()
+    first, size = line.read(2)
+    size = int.from_bytes(line.read(2), "big") if size == 126 else size
+    return first & 15, line.read(size)
+
+
+def test_an_open_socket_answers_as_a_request_does(server):
+    with talk(server) as (head, line):
+        assert head.startswith("HTTP/1.1 101 ")
+        assert f"Sec-WebSocket-Accept: {accepted(KEY)}" in head
+        for question in ('{"ask": "sigma"}', '{"ask": "open"}', "no json", "[1]", '{"ask": "sigma"}'):
+            kind, text = say(line, question.encode())
+            assert kind == TEXT
+            assert json.loads(text) == json.loads(ask(server, "POST", "/ask", question, X_Token=server.token)[1])
+        assert say(line, bytes(LARGEST + 1)) == (CLOSE, TOO_LARGE.to_bytes(2, "big"))
+        assert line.read() == b""
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"token": "guess"}, {"token": ""}, {"Host": "evil.example"}, {"Origin": "http://evil.example"},
+        {"Origin": None}, {"Origin": "null"}, {"Sec-WebSocket-Key": None}, {"Sec-WebSocket-Version": "8"},
+    ],
+)  # fmt: skip
+def test_a_socket_opens_for_our_own_page_only(server, wrong):
+    with talk(server, **wrong) as (head, _):
+        assert head.startswith("HTTP/1.1 403 ")
 
 
 def test_it_listens_on_loopback_only(server):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterator
-from typing import BinaryIO
+from io import BufferedIOBase
 
 KEY_SUFFIX = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 """What every server appends to a browser's key (RFC 6455, section 1.3)."""
@@ -46,7 +46,7 @@ def frame(kind: int, payload: bytes) -> bytes:
     return bytes([LAST | kind]) + length + payload
 
 
-def messages(source: BinaryIO, sink: BinaryIO, largest: int) -> Iterator[str]:
+def messages(source: BufferedIOBase, sink: BufferedIOBase, largest: int) -> Iterator[str]:
     """Yield the texts that a browser sends until it says goodbye; pings are answered, goodbyes returned.
 
     Parameters
@@ -65,7 +65,7 @@ def messages(source: BinaryIO, sink: BinaryIO, largest: int) -> Iterator[str]:
             sink.flush()
 
 
-def _message(source: BinaryIO, sink: BinaryIO, largest: int) -> str:
+def _message(source: BufferedIOBase, sink: BufferedIOBase, largest: int) -> str:
     """The next text, its parts joined."""
     parts: list[bytes] = []
     begun = False
@@ -85,7 +85,7 @@ def _message(source: BinaryIO, sink: BinaryIO, largest: int) -> str:
                 return b"".join(parts).decode("utf-8", "replace")
 
 
-def _frame(source: BinaryIO, most: int) -> tuple[bool, int, bytes]:
+def _frame(source: BufferedIOBase, most: int) -> tuple[bool, int, bytes]:
     """Whether a message ends with the next frame, its kind, and its payload."""
     first, second = _exactly(source, 2)
     kind, size = first & 0x0F, second & 0x7F
@@ -100,7 +100,7 @@ def _frame(source: BinaryIO, most: int) -> tuple[bool, int, bytes]:
     return bool(first & LAST), kind, (int.from_bytes(payload, "big") ^ key).to_bytes(size, "big")
 
 
-def _exactly(source: BinaryIO, size: int) -> bytes:
+def _exactly(source: BufferedIOBase, size: int) -> bytes:
     """So many bytes."""
     found = source.read(size)
     if len(found) < size:

@@ -152,7 +152,11 @@ class Plan(PlanFigures):
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""
-        return f"{' and '.join(LEFT_OUT[name] for name in self.left_out)}: `search_seconds` were spent; give more"
+        return f"{self.missing()}: `search_seconds` were spent; give more"
+
+    def missing(self) -> str:
+        """The same for whoever has no command to give."""
+        return ", and ".join(LEFT_OUT[name] for name in self.left_out)
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""

@@ -12,6 +12,7 @@ from sampling_design._files import write_text
 from sampling_design._record import short
 from sampling_design.errors import FileFormatError
 from sampling_design.planning.dates import PlanDates
+from sampling_design.planning.plan_record import Plan
 
 STYLE = """
 @page { size: A4 portrait; margin: 15mm; }
@@ -62,16 +63,13 @@ def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str =
             note = " (extra)" if entry.added else ""
             time = f"<td>{entry.date:%H:%M}{note}</td>"
             lines.append(f"<tr>{first}{time}{cells}<td class='blank'></td><td class='blank'></td></tr>")
-    goals = "; ".join(
-        f"{g.name} within {short(g.tolerance)}{' ' + g.unit if g.unit else ''} ({g.when()})" for g in plan.goals
-    )
-    notes = "".join(f"<p class='note'>{escape(e.date)}: {escape(e.what)}.</p>" for e in dates.exceptions)
+    notes = "".join(f"<p class='note'>{escape(note)}</p>" for note in _notes(dates))
     title = f"{plan.plant.name or 'Plan'}: samples"
     text = f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style></head><body>
 <h1>{escape(title)}</h1>
 <p>Taken by: {escape(person) or "_" * 28} &nbsp; Times are local ({escape(plan.requirement.calendar.zone)}).<br>
-Kept by these samples: {escape(goals)}.</p>
+{escape(_promised(dates.plan))}</p>
 <table><thead><tr><th>Day</th><th>Time</th>{head}<th>Taken at</th><th>Initials</th></tr></thead>
 <tbody>
 {chr(10).join(lines)}
@@ -80,6 +78,34 @@ Kept by these samples: {escape(goals)}.</p>
 </body></html>
 """
     return write_text(path, text)
+
+
+def _promised(plan: Plan) -> str:
+    """What the samples keep and what they do not, each goal with its tolerance."""
+    said: dict[bool, list[str]] = {True: [], False: []}
+    for goal, reached in zip(plan.goals, plan.reached.tolist(), strict=True):
+        unit, kept = f" {goal.unit}" * bool(goal.unit), reached <= goal.tolerance
+        bound = f"within {short(goal.tolerance)}{unit}"
+        if not kept:
+            bound = f"{short(reached, 4)}{unit} instead of {short(goal.tolerance)}{unit}"
+        said[kept].append(f"{goal.name} {bound} ({goal.when()})")
+    words = {True: "Kept by these samples", False: "Not kept, even if every sample is taken"}
+    return " ".join(f"{words[kept]}: {'; '.join(goals)}." for kept, goals in said.items() if goals)
+
+
+def _notes(dates: PlanDates) -> list[str]:
+    """What whoever takes the samples should know: odd days, what may go wrong, and what nobody has looked at."""
+    notes = []
+    for e in dates.exceptions:
+        doubt = "" if e.ratio <= 1 else " The tolerances are not kept around it."
+        doubt = doubt or ("" if e.proven else " That the tolerances are kept around it was not proven.")
+        notes.append(f"{e.date}: {e.what}.{doubt}")
+    plan = dates.plan
+    if plan.robustness is not None:
+        notes.append(f"{'Away from those days: ' if dates.exceptions else ''}{plan.robustness.explain()}")
+    if plan.left_out:
+        notes.append(f"Not looked at when this plan was made: {plan.missing()}.")
+    return notes
 
 
 def write_form(dates: PlanDates, path: str | os.PathLike[str]) -> Path:

@@ -12,6 +12,7 @@ from sampling_design.cli.track import log
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.files import save_plan
+from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sheet import write_form, write_sheet
 
 
@@ -53,6 +54,36 @@ def test_a_sheet_has_a_line_for_each_sample(dates, tmp_path):
     assert "A &lt;b&gt;" in text
     with pytest.raises(FileFormatError, match=r"a sheet ends in \.html"):
         write_sheet(dates, tmp_path / "sheet.pdf")
+
+
+def test_a_sheet_promises_no_more_than_the_plan(week, dates, tmp_path):
+    """Whoever takes the samples reads what they keep, what they do not, and what nobody has looked at."""
+
+    def page(plan, exceptions=dates.exceptions):
+        altered = replace(dates, plan=plan, exceptions=exceptions)
+        return write_sheet(altered, tmp_path / "sheet.html").read_text()
+
+    kept = page(week)
+    assert "Kept by these samples: level within 3 (always)." in kept
+    assert "Not " not in kept
+    broken = page(replace(week, reached=np.array([3.25])))
+    assert "Not kept, even if every sample is taken: level 3.25 instead of 3 (always)." in broken
+    assert "Kept by" not in broken
+    cut = page(replace(week, left_out=("bound", "robustness")))
+    assert (
+        "Not looked at when this plan was made: how much more accurate a plan of this cost could be, "
+        "and how late samples may be and how many may be lost." in cut
+    )
+    odd = [replace(e, ratio=1.2) for e in dates.exceptions[:1]] + [
+        replace(e, proven=False) for e in dates.exceptions[1:]
+    ]
+    doubted = page(week, tuple(odd))
+    assert doubted.count("The tolerances are not kept around it.") == 1
+    assert doubted.count("That the tolerances are kept around it was not proven.") == len(odd) - 1 >= 1
+    bears = PlanRobustness("h", np.zeros(1), np.array([2.0]), np.ones(1), np.ones(1), 1, np.array([0.9]))
+    said = "Any one sample may be 2 h late (judged in steps of 1 h); any one may be lost;"
+    assert f"Away from those days: {said}" in page(replace(week, robustness=bears))
+    assert f"<p class='note'>{said}" in page(replace(week, robustness=bears), ())
 
 
 def test_times_without_a_calendar_are_no_dates(week):

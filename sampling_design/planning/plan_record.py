@@ -156,7 +156,7 @@ class Plan(PlanFigures):
 
     def missing(self) -> str:
         """The same for whoever has no command to give."""
-        return ", and ".join(LEFT_OUT[name] for name in self.left_out)
+        return "; ".join(LEFT_OUT[name] for name in self.left_out)
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""

@@ -400,6 +400,24 @@ def test_linear_coordinates_change_nothing_that_is_proven():
         certify_inclusion(UNCERTAIN, GapRange(0.2, 2.4), eta=0.02, pieces=8)
 
 
+def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls():
+    """Two states that are nearly the same number: seven decimals of P are indefinite, doubles leave it undecided."""
+    T = np.array([[1.0, 0.0], [1.0, 1e-3]])
+    inverse = np.linalg.inv(T)
+    plant = Plant(T @ OSCILLATOR.A @ inverse, OSCILLATOR.C @ inverse, G=T[:, 1:])
+    part = UncertainParameter("omega^2", 0.9, 1.1, A=T @ np.array(STIFFNESS.A) @ inverse, nominal=1.0)
+    turned = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5, 1.0), eta=0.1, pieces=8)
+    assert turned.solver.details["digits"] == 15
+    assert turned.verify().verdict == "proven"
+
+
+def test_growth_beyond_all_numbers_within_a_gap_is_undecided_and_not_a_warning():
+    plant = Plant([[800.0, 1.0], [0.0, -1.0]], [[1.0, 1.0]])
+    part = UncertainParameter("k", -0.1, 0.1, A=[[0.0, 0.0], [0.0, 1.0]], nominal=0.0)
+    with pytest.raises(UndecidedError, match="no P\\(tau\\) was proven"):
+        certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5, 1.0), eta=0.1, pieces=8)
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [

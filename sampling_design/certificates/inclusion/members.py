@@ -107,11 +107,12 @@ class PosedMembers:
         try:
             prior = np.diag(1 / self.centre.states.scales**2)
             problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
-            Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
+            with np.errstate(over="raise", invalid="raise"):  # growth beyond all numbers within a gap
+                Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
             root = np.linalg.solve(np.linalg.cholesky(Y), np.diag(1 / self.centre.states.scales)).T
             if np.all(np.isfinite(root)) and np.linalg.cond(root) < 1e12:
                 return np.asarray(root)
-        except (SamplingDesignError, np.linalg.LinAlgError):
+        except (SamplingDesignError, np.linalg.LinAlgError, FloatingPointError):
             pass  # the centre alone may have no certificate, or none at this rate
         return np.diag(1 / balance(self.centre.A).d)
 

@@ -15,6 +15,7 @@ from sampling_design.certificates.inclusion.members import INFLATED, InclusionWe
 from sampling_design.certificates.inclusion.program import InclusionProgram, Posed, flow_slacks, jump_slacks
 from sampling_design.certificates.inclusion.stiff import solve_stiff
 from sampling_design.certificates.rigorous.decide import judged
+from sampling_design.errors import ArgumentError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.schedules.gap_range import GapRange
@@ -29,6 +30,8 @@ JOINING = 4
 """Members that join at once."""
 DIGITS = (7, 9, 11, 15)
 """Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
+LONGEST_PROOF = 60.0
+"""Seconds in ball arithmetic for what no short decimals prove in doubles; the work is counted, and ends before that."""
 ROOM = 1e-6
 """By which P1 and P2 stand off from P, relatively."""
 
@@ -164,12 +167,12 @@ class InclusionSearch(PosedMembers):
     def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
         """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
         if self.members.complete:
-            return self._attempt(eta, pieces, began, (0.0,), DIGITS)
+            return self._attempt(eta, pieces, began, (0.0,), DIGITS, len(DIGITS))
         found = None
         for hulled in (True, False) if self.stiff else (False,):
             if hulled and not self.enter_hull(eta):
                 continue
-            made = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:2])
+            made = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:], 1)
             if hulled:
                 self.leave_hull()
             if isinstance(made, InclusionCertificate):
@@ -178,20 +181,34 @@ class InclusionSearch(PosedMembers):
         return found
 
     def _attempt(
-        self, eta: float, pieces: int, began: float, inflated: tuple[float, ...], precisions: tuple[int, ...]
+        self,
+        eta: float,
+        pieces: int,
+        began: float,
+        inflated: tuple[float, ...],
+        precisions: tuple[int, ...],
+        proofs: int,
     ) -> InclusionCertificate | Verification | None:
-        """The same for the members as they are, pushed outwards by these shares."""
+        """The same for the members as they are, pushed outwards by these shares; at most so many proofs of each."""
         verdict: Verification | None = None
         for inflation in inflated:
             self.inflation = inflation
             found = self.solve(eta, pieces)
             if found is None:
                 continue
+            tried = 0
             for digits in precisions:
-                made = self.certificate(found, eta, digits, time.perf_counter() - began)
-                verdict = judged(made.to_dict(), False, 0.0)
+                try:
+                    made = self.certificate(found, eta, digits, time.perf_counter() - began)
+                except ArgumentError:  # so few decimals leave P or its bounds indefinite in the plant's own coordinates
+                    continue
+                last = proofs > 1 and digits == precisions[-1]
+                verdict = judged(made.to_dict(), False, LONGEST_PROOF if last else 0.0)
                 if verdict.passed:
                     return accepted(made)
+                tried += 1
+                if tried == proofs:
+                    break
         return verdict
 
 

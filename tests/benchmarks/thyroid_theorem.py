@@ -14,7 +14,7 @@ if __name__ == "__main__":
     began = time.process_time()
     Qw, R = np.diag(1e4 / PROCESS_BOUND**2), np.diag(2e-2 / NOISE_BOUND**2)
     therapy = "--therapy" in sys.argv
-    plant, eta = (patient_under_therapy(), 0.35) if therapy else (patient_in_tube(), 0.5)
+    plant, eta = (patient_under_therapy(), 0.45) if therapy else (patient_in_tube(), 0.58)
     found = certify_inclusion(plant, GapRange(0.5, 1.5), eta=eta, Qw=Qw, R=R, pieces=3)
     print(found)
     print(f"{time.process_time() - began:.1f} s of processor time")

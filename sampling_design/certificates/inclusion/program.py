@@ -24,6 +24,8 @@ BEARABLE, PACE = 1e3, 4.0
 """Rates per longest gap beyond which flow conditions are posed in their own size; the rate that counts as 1 there."""
 LEAST_SLACKEST, MOST_SLACKEST = 0.01, 4.0
 """Ends of P for the largest slack: the lower one is that part of the slack."""
+LEAST_BOUND = 0.05
+"""Of the matrix that P is drawn to: it stays within a factor of twenty of what it is in the coordinates of the turn."""
 MEMBERS = 512
 """Members whose eigenvalues are found at once."""
 SMALLEST = 1e-7
@@ -251,30 +253,32 @@ class InclusionProgram:
         return self._with_slack(self._pinned(blocks, (self.width - 1,)))
 
     def within(self, ratio: float) -> tuple[Array | None, float, SolverRecord]:
-        """The same with s I <= P <= ratio s I, s <= 1."""
-        shape = vector(np.eye(self.posed.n))
-        last = self.width - 1
-        blocks: list[Block] = [
-            ("nonnegative", sparse.csc_matrix(([1.0], ([0], [last])), shape=(1, self.width)), np.ones(1))
-        ]
+        """The same with a matrix W chosen too: W <= P <= ratio W and I/20 <= W <= I; W stands behind the point."""
+        one, shape, W, more = np.eye(self.pairs), vector(np.eye(self.posed.n)), self.width, self.pairs
+        blocks = [self._block([(W, -one)], shape, more), self._block([(W, one)], -LEAST_BOUND * shape, more)]
         for i in range(self.count):
-            at, one = i * self.pairs, np.eye(self.pairs)
-            blocks.append(self._block([(at, -one), (last, ratio * shape[:, None])], 0 * shape))
-            blocks.append(self._block([(at, one), (last, -shape[:, None])], 0 * shape))
-        return self._with_slack(blocks)
+            at = i * self.pairs
+            blocks.append(self._block([(at, -one), (W, ratio * one)], 0 * shape, more))
+            blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
+        return self._with_slack(self._pinned(blocks, (self.width - 1,), more), more)
 
-    def _with_slack(self, blocks: list[Block]) -> tuple[Array | None, float, SolverRecord]:
-        """The largest variable before the last, which is taken from all flow conditions."""
+    def bound(self, x: Array) -> Array | None:
+        """The W of a point that has one."""
+        return np.asarray(_conic.smat(x[self.width :]), dtype=np.float64) if len(x) > self.width else None
+
+    def _with_slack(self, blocks: list[Block], more: int = 0) -> tuple[Array | None, float, SolverRecord]:
+        """The largest variable before the last of the width, which is taken from all flow conditions."""
         n, size = self.posed.n, self.posed.dynamics.shape[2]
         one = np.zeros((size, size))
         one[:n, :n] = np.eye(n)
         flows, at = len(self.posed.dynamics) * self.ends, self.width - 2
         column = sparse.csc_matrix(vector(one)[:, None])
         fixed = [
-            (kind, sparse.hstack([A[:, :at], column, A[:, at + 1 :]]).tocsc() if i < flows else A, right)
+            (kind, sparse.hstack([A[:, :at], column if i < flows else A[:, [at]], A[:, at + 1 :],
+                                  sparse.csc_matrix((A.shape[0], more))]).tocsc(), right)
             for i, (kind, A, right) in enumerate(self.fixed)
-        ]
-        cost = np.zeros(self.width)
+        ]  # fmt: skip
+        cost = np.zeros(self.width + more)
         cost[at] = -1.0
         found = _conic.solve_cone_program(cost, [*fixed, *blocks], budget=self.budget)
         point = np.asarray(found.x, dtype=np.float64)

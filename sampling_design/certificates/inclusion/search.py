@@ -68,7 +68,10 @@ class InclusionSearch(PosedMembers):
         posed, T = self.inner(eta, pieces)
         if self.stiff:
             fit = solve_stiff(self, eta, pieces, narrow)
-            return None if fit is None else InclusionSolution(fit.posed, fit.P, *fit.ends, fit.T, None, fit.record)
+            if fit is None:
+                return None
+            turned = fit.posed.turned(fit.bound)
+            return InclusionSolution(turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, fit.record)
         for _ in range(ROUNDS):
             found = self._once(posed, T, narrow)
             if found is None:

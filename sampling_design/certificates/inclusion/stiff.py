@@ -47,11 +47,18 @@ class Fitted(NamedTuple):
     P: Array
     slack: float
     record: SolverRecord
+    bound: Array
+    """L of the W = L L' with W <= P <= lambda W, up to a factor."""
+
+    def within(self) -> Array:
+        """P in coordinates where W is I."""
+        own = np.linalg.solve(self.bound, np.linalg.solve(self.bound, self.P).swapaxes(1, 2))
+        return np.asarray((own + own.swapaxes(1, 2)) / 2)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and largest eigenvalue over all nodes."""
-        values = np.linalg.eigvalsh(self.P)
+        """Least and largest eigenvalue over all nodes, there."""
+        values = np.linalg.eigvalsh(self.within())
         return float(values[:, 0].min()), float(values[:, -1].max())
 
     @property
@@ -86,9 +93,10 @@ def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share:
             search.chosen, search.shown = sorted({*search.chosen, *bad}), sorted({*search.shown, *hidden})
             if bad or hidden:
                 continue
-        root = np.linalg.cholesky(np.mean(P, axis=0))
+        root, W = np.linalg.cholesky(np.mean(P, axis=0)), program.bound(x)
         own = np.linalg.solve(root, np.linalg.solve(root, P).swapaxes(1, 2))
-        return Fitted(some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record)
+        bound = np.eye(posed.n) if W is None else np.linalg.solve(root, np.linalg.cholesky(W))
+        return Fitted(some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record, np.asarray(bound))
     return None
 
 

@@ -28,6 +28,7 @@ def thyroid(
         typer.Option(help="How w is read; may be repeated. Default: per_second and per_day."),
     ] = None,
     days: Annotated[float, typer.Option(help="Length of a run.")] = 20.0,
+    degree: Annotated[int, typer.Option(help="Of the polynomials of the state on pieces of 2 h.")] = 3,
     workers: Annotated[int | None, typer.Option(help="Processes; default: one per core.")] = None,
 ) -> None:
     """Repeat the paper's Section VI: hormone concentrations from rare blood samples, against sampling every 2 hours.
@@ -38,19 +39,25 @@ def thyroid(
     Example: sampling-design thyroid --runs 1 --days 0.5 -o out
     """
     from sampling_design.nonlinear import experiment  # late: the other commands need none of it
-    from sampling_design.nonlinear.report import OPEN_POINTS
 
     cases = ["per_second", "per_day"] if not reading else [item.value for item in reading]
     folder = settings.folder()
     path = None if folder is None else folder / "runs.jsonl"
     with settings.progress("thyroid") as progress:
         report = experiment.thyroid_experiment(
-            runs, cases=cases, days=days, seed=settings.seed, path=path, workers=workers, progress=progress
+            runs,
+            cases=cases,
+            days=days,
+            seed=settings.seed,
+            degree=degree,
+            path=path,
+            workers=workers,
+            progress=progress,
         )
     if folder is not None and path is not None:
         settings.wrote(path)
         settings.write_json(folder / "thyroid.json", report.to_dict())
-        shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed)
+        shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed, degree=degree)
         page = report.to_markdown() + f"\nFigures 1 to 3 of the paper, from run 0 ({cases[0]}):\n"
         (folder / "figures").mkdir(exist_ok=True)
         for number in (1, 2, 3):
@@ -59,7 +66,7 @@ def thyroid(
             page += f"\n![{shown.figure(number).explain()}]({name})\n"
         settings.wrote(write_text(folder / "thyroid.md", page))
     open_points = "Not said in the paper, and what is done instead:\n" + "\n".join(
-        f"  {point}: {choice}" for point, choice in OPEN_POINTS
+        f"  {point}: {choice}" for point, choice in report.open_points
     )
     settings.show(report.to_dict(), record_table(report), report.explain(), open_points)
 

@@ -64,20 +64,22 @@ def paper_weights() -> CostFunction:
 
 
 @lru_cache(maxsize=8)
-def _tools(case: str) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator]:
+def _tools(case: str, degree: int = DEGREE) -> tuple[NonlinearPlant, NonlinearMovingHorizonEstimator]:
     """The plant of a case and one estimator, built once a process and used for both schemes."""
     plant = model.thyroid(**CASES[case])
     scheme = NonlinearMovingHorizonEstimator(
         plant,
         horizon=HORIZON,
         prior=model.PRIOR_START,
-        collocation=Collocation(STEP, DEGREE, round(HORIZON / STEP), accuracy=None),
+        collocation=Collocation(STEP, degree, round(HORIZON / STEP), accuracy=None),
         cost=paper_weights(),
     )
     return plant, scheme
 
 
-def patient_run(case: str = "per_second", run: int = 0, *, days: float = 20.0, seed: int = 0) -> PatientRun:
+def patient_run(
+    case: str = "per_second", run: int = 0, *, days: float = 20.0, seed: int = 0, degree: int = DEGREE
+) -> PatientRun:
     """Return one noise realisation with the estimates of both schemes on the 2 h grid.
 
     Parameters
@@ -87,6 +89,8 @@ def patient_run(case: str = "per_second", run: int = 0, *, days: float = 20.0, s
         Number of the realisation; the same number has the same noise in every case.
     days : float
     seed : int
+    degree : int
+        Of the polynomials of the state on pieces of 2 h.
 
     Returns
     -------
@@ -95,11 +99,11 @@ def patient_run(case: str = "per_second", run: int = 0, *, days: float = 20.0, s
     Raises
     ------
     ArgumentError
-        If the case is unknown, or run or days is out of range.
+        If the case is unknown, or run, days or degree is out of range.
     """
     _known_case(case)
     steps = _grid_steps(days)
-    plant, scheme = _tools(case)
+    plant, scheme = _tools(case, _checks.whole("degree", degree, 1))
     rng = np.random.default_rng([_checks.whole("seed", seed), _checks.whole("run", run)])
     times = _checks.freeze(STEP * np.arange(steps + 1))
     w = rng.uniform(-1.0, 1.0, (times.size, 2)) * model.PROCESS_BOUND
@@ -148,6 +152,7 @@ def thyroid_experiment(
     cases: Sequence[str] = ("per_second", "per_day"),
     days: float = 20.0,
     seed: int = 0,
+    degree: int = DEGREE,
     path: str | os.PathLike[str] | None = None,
     workers: Workers = None,
     progress: Callable[[float, str], None] | None = None,
@@ -164,6 +169,8 @@ def thyroid_experiment(
         Length of a run [d].
     seed : int
         Realisation k has the generator of [seed, k].
+    degree : int
+        Of the polynomials of the state on pieces of 2 h.
     path : file, optional
         Result file (JSON lines), written whole after every run; runs that it holds already are not repeated.
     workers : Executor, Client, int or str, optional
@@ -188,7 +195,8 @@ def thyroid_experiment(
 
     Notes
     -----
-    *Assumptions.* What the paper does not say is chosen as `report.OPEN_POINTS` lists it, not fitted to its figures.
+    *Assumptions.* What the paper does not say is chosen as `ThyroidReport.open_points` lists it, not fitted to what it
+    prints.
     *Method.* The root mean square over the 2 h grid of the 6-vector error in z = T x; between samples the
     sample-based estimate is the open loop.
 
@@ -207,6 +215,8 @@ def thyroid_experiment(
     for case in cases:
         _known_case(case)
     settings: Tree = {"days": _grid_steps(days) * STEP, "seed": _checks.whole("seed", seed)}
+    if _checks.whole("degree", degree, 1) != DEGREE:
+        settings["degree"] = degree
     lines = {} if path is None else _read(Path(path), settings)
     wanted = [(case, run) for case in cases for run in range(count)]
     missing = [key for key in wanted if key not in lines]
@@ -221,7 +231,8 @@ def thyroid_experiment(
         if progress is not None:
             done = sum(key in lines for key in wanted)
             progress(done / len(wanted), f"{done} of {len(wanted)} runs")
-    return ThyroidReport(tuple(cases), count, settings["days"], settings["seed"], tuple(lines[key] for key in wanted))
+    found = tuple(lines[key] for key in wanted)
+    return ThyroidReport(tuple(cases), count, settings["days"], settings["seed"], found, degree)
 
 
 def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) -> Iterator[Tree]:
@@ -233,7 +244,7 @@ def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) ->
 
 def _line(job: tuple[str, int, Tree]) -> Tree:
     case, run, settings = job
-    return patient_run(case, run, days=settings["days"], seed=settings["seed"]).summary()
+    return patient_run(case, run, **settings).summary()
 
 
 def _known_case(case: str) -> None:
@@ -260,9 +271,8 @@ def _read(path: Path, settings: Tree) -> dict[tuple[str, int], Tree]:
     rows = [from_json(line, f"{path}, line {i + 1}") for i, line in enumerate(read_text(path).splitlines())]
     if not rows or rows[0].get("format") != FORMAT:
         raise FileFormatError(f"{path}: is no result file of this experiment (its first line must name {FORMAT}).")
-    for key, value in settings.items():
-        if rows[0].get(key) != value:
-            raise ArgumentError(
-                f"`path` {path} holds runs with {key} = {rows[0].get(key)}, asked for {value}. Use another file."
-            )
+    for key, plain in (("days", None), ("seed", None), ("degree", DEGREE)):
+        held, asked = (table.get(key, plain) for table in (rows[0], settings))
+        if held != asked:
+            raise ArgumentError(f"`path` {path} holds runs with {key} = {held}, asked for {asked}. Use another file.")
     return {(row["case"], row["run"]): row for row in rows[1:]}

@@ -29,9 +29,8 @@ OPEN_POINTS = (
     ("formula of the RMSE", "not said; root of the mean over the 2 h grid of the squared 6-vector error in z = T x"),
     ("weight of w", "printed with zeros; those columns have no noise and are left out of the model"),
     ("x(0)", "as printed, though its T4_th and the prior's look exchanged"),
-    ("solver", "not said; Radau collocation of degree 3, pieces of 2 h, IPOPT"),
 )
-"""What the paper does not say, and what is done instead."""
+"""What the paper does not say, and what is done instead; `ThyroidReport.open_points` adds the solver."""
 
 _SPAN_WORDS = {"all": "t = 0 counted", "without_start": "without t = 0", "after_day_1": "after day 1"}
 
@@ -50,6 +49,8 @@ class ThyroidReport(Record):
     seed : int
     lines : tuple of mappings
         One per run, as `PatientRun.summary` gives them, case by case.
+    degree : int
+        Of the polynomials of the state.
     """
 
     cases: tuple[str, ...]
@@ -57,6 +58,13 @@ class ThyroidReport(Record):
     days: float
     seed: int
     lines: tuple[Tree, ...]
+    degree: int = 3
+
+    @property
+    def open_points(self) -> tuple[tuple[str, str], ...]:
+        """What the paper does not say, and what is done instead."""
+        solver = f"not said; Radau collocation of degree {self.degree}, pieces of 2 h, IPOPT"
+        return (*OPEN_POINTS, ("solver", solver))
 
     def rmse(self, case: str, scheme: str, span: str = "all") -> np.ndarray:
         """Return the RMSE of every run of a case (NaN where a run is too short for the span)."""
@@ -89,7 +97,7 @@ class ThyroidReport(Record):
             "paper": dict(PAPER_RMSE),
             "cases": {case: self._case(case) for case in self.cases},
             "failures": self.failures,
-            "open_points": [list(pair) for pair in OPEN_POINTS],
+            "open_points": [list(pair) for pair in self.open_points],
         }
 
     def _case(self, case: str) -> Tree:
@@ -111,10 +119,11 @@ class ThyroidReport(Record):
         """Return the result as a page: figures beside the paper's, solver times, and what is open."""
         data = self.to_dict()["cases"]
         readings = " ".join(f"--reading {case}" for case in self.cases)
-        command = f"sampling-design thyroid --runs {self.runs} --days {short(self.days)} --seed {self.seed} {readings}"
+        degree = "" if self.degree == ThyroidReport.degree else f"--degree {self.degree} "
+        asked = f"--runs {self.runs} --days {short(self.days)} --seed {self.seed} {degree}{readings}"
         parts = [
             "# The paper's Section VI: hormone concentrations from rare blood samples",
-            f"Written by `{command} -o DIR`, as DIR/thyroid.md.",
+            f"Written by `sampling-design thyroid {asked} -o DIR`, as DIR/thyroid.md.",
             f"{self.runs} runs of {short(self.days)} days per reading of w, seed {self.seed}; "
             "RMSE in scaled states, mean over the runs and, in brackets, standard deviation between them.",
             _table(
@@ -130,7 +139,7 @@ class ThyroidReport(Record):
             ),
             self.explain(),
             "What cannot be known from the paper, and what is done instead:",
-            "\n".join(f"- *{point}*: {choice}" for point, choice in OPEN_POINTS),
+            "\n".join(f"- *{point}*: {choice}" for point, choice in self.open_points),
         ]
         return "\n\n".join(parts) + "\n"
 

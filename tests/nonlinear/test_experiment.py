@@ -94,6 +94,8 @@ def test_a_result_file_is_gone_on_with(tmp_path, monkeypatch):
     assert again.to_dict() == report.to_dict()
     with pytest.raises(ArgumentError, match=r"holds runs with days = 0\.25, asked for 0.5"):
         thyroid_experiment(3, **{**options, "days": 0.5})
+    with pytest.raises(ArgumentError, match=r"holds runs with degree = 3, asked for 4"):
+        thyroid_experiment(3, **options, degree=4)
 
 
 def test_two_processes_give_what_one_gives(tmp_path):
@@ -120,6 +122,7 @@ def test_a_foreign_file_is_refused_and_left_alone(tmp_path):
         ({"days": 0.01}, "`days` must be at least one step of 2 hours"),
         ({"days": -1.0}, "`days` must be positive"),
         ({"seed": -1}, "`seed` must be a whole number"),
+        ({"degree": 0}, "`degree` must be a whole number of at least 1"),
         ({"workers": 0}, "`workers` must be a number of processes of at least 1"),
     ],
 )
@@ -143,16 +146,19 @@ def test_failed_problems_are_counted_and_printed():
 
 
 def test_the_page_says_what_cannot_be_known(twenty_days):
-    from sampling_design.nonlinear.report import OPEN_POINTS, ThyroidReport
+    from sampling_design.nonlinear.report import ThyroidReport
 
     report = ThyroidReport(("per_day",), 1, 20.0, 0, (twenty_days.summary(),))
     page = report.to_markdown()
     assert "| the paper | t = 0 counted | 0.2244 | 0.2275 | 1.014 |" in page
     assert f"{report.ratio('per_day'):.3f}" in page
-    assert all(choice in page for _, choice in OPEN_POINTS)
+    assert all(choice in page for _, choice in report.open_points)
     assert json.dumps(report.to_dict(), allow_nan=False)
     assert "cannot be known" in page
     assert "`sampling-design thyroid --runs 1 --days 20 --seed 0 --reading per_day -o DIR`" in page
     assert "t = 0 counted" in str(report)
+    finer = ThyroidReport(("per_day",), 1, 20.0, 0, (twenty_days.summary(),), degree=6).to_markdown()
+    assert "--seed 0 --degree 6 --reading per_day -o DIR`" in finer
+    assert "Radau collocation of degree 6" in finer
     assert "samples instead of" in twenty_days.explain()
     assert twenty_days.figure(2).explain().startswith("The measured states")

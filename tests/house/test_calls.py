@@ -3,30 +3,29 @@
 import ast
 import inspect
 import re
-from pathlib import Path
+from collections.abc import Iterable
 
 import pytest
 
 import sampling_design
+from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
-PACKAGE = Path(__file__).parents[2] / "sampling_design"
-SOURCES = sorted(PACKAGE.rglob("*.py"))
 MOST_BY_PLACE = 8
 """Arguments of one call that are told apart by their place alone."""
 
 
-def calls_by_place(source: str) -> list[ast.Call]:
-    return [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call) and len(n.args) > MOST_BY_PLACE]
+def calls_by_place(inside: Iterable[ast.AST]) -> list[ast.Call]:
+    return [n for n in inside if isinstance(n, ast.Call) and len(n.args) > MOST_BY_PLACE]
 
 
 def test_arguments_are_counted_by_place():
-    assert len(calls_by_place("f(1, 2, 3, 4, 5, 6, 7, 8, 9)")) == 1
-    assert calls_by_place("f(1, 2, 3, 4, 5, 6, 7, 8, i=9)") == []
+    assert len(calls_by_place(ast.walk(ast.parse("f(1, 2, 3, 4, 5, 6, 7, 8, 9)")))) == 1
+    assert calls_by_place(ast.walk(ast.parse("f(1, 2, 3, 4, 5, 6, 7, 8, i=9)"))) == []
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_no_call_tells_many_arguments_apart_by_their_place(path):
-    found = [f"line {call.lineno}: {ast.unparse(call.func)}" for call in calls_by_place(path.read_text())]
+    found = [f"line {call.lineno}: {ast.unparse(call.func)}" for call in calls_by_place(nodes(path))]
     assert not found
 
 
@@ -50,7 +49,7 @@ def public_results() -> dict[str, ast.expr | None]:
     """What doors hand out, and public methods and fields of records and of what stands at the front door."""
     results: dict[str, ast.expr | None] = {}
     for path in SOURCES:
-        for node in ast.parse(path.read_text()).body:
+        for node in parsed(path).body:
             bases = [ast.unparse(base) for base in getattr(node, "bases", [])]
             if isinstance(node, ast.FunctionDef) and "door" in map(ast.unparse, node.decorator_list):
                 results[node.name] = node.returns
@@ -92,7 +91,7 @@ def test_every_long_list_of_arguments_has_its_reason():
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_no_signature_is_a_list_of_everything(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.FunctionDef):
             asked = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
             count = len([a for a in asked if a not in ("self", "cls")])

@@ -2,18 +2,18 @@
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.house.sources import ROOT, SOURCES, nodes
+
 BIBLIOGRAPHY = (ROOT / "docs" / "references.bib").read_text()
 PAPER_ITEMS = re.compile(r"(Definition|Assumption|Theorem|Lemma|Remark|equation|Section|Appendix|appendix)")
 
 
 def citations():
-    for path in sorted((ROOT / "sampling_design").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path in SOURCES:
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
                 doc = ast.get_docstring(node) or ""
                 if "References\n---" in doc:

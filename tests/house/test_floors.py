@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "sampling_design"
+from tests.house.sources import PACKAGE, nodes
+
 FLOORS = {
     "checkers": 0,
     "plants": 1,
@@ -55,7 +56,7 @@ def room_of(module: str) -> str:
 @cache
 def imports(path: Path) -> list[str]:
     found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -147,7 +148,7 @@ def every_import(path: Path) -> set[str]:
     """Files of the house that a file imports anywhere: at its top, inside functions, for the type checker alone."""
     package = ["sampling_design", *path.relative_to(PACKAGE).parent.parts]
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {file_of(alias.name) for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -5,15 +5,15 @@ import re
 from collections import defaultdict
 from pathlib import Path
 
-PACKAGE = Path(__file__).parents[2] / "sampling_design"
+from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
 
 def places() -> dict[tuple[bool, str], list[str]]:
     """Where each class name is defined, apart for the checkers."""
     found = defaultdict(list)
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in SOURCES:
         here = path.relative_to(PACKAGE)
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes(path):
             if isinstance(node, ast.ClassDef):
                 found[here.parts[0] == "checkers", node.name].append(f"{here}:{node.lineno}")
     return found
@@ -26,9 +26,9 @@ def test_no_two_classes_share_a_name():
 def aliases() -> dict[tuple[bool, str], dict[str, list[str]]]:
     """What each name of a type stands for, and where, apart for the checkers."""
     found = defaultdict(lambda: defaultdict(list))
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in SOURCES:
         here = path.relative_to(PACKAGE)
-        for node in ast.parse(path.read_text()).body:
+        for node in parsed(path).body:
             target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
             if isinstance(target, ast.Name) and re.fullmatch(r"[A-Z]\w*[a-z]\w*", target.id) and node.value:
                 if "typer." in ast.unparse(node.value):

@@ -2,12 +2,11 @@
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "sampling_design"
+from tests.house.sources import ROOT, SOURCES, nodes, parsed
+
 SHORTEST_QUOTE = 8
 
 
@@ -17,8 +16,8 @@ def words(node: ast.AST) -> list[str]:
 
 
 def raises():
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path in SOURCES:
+        for node in nodes(path):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
                 name = getattr(node.exc.func, "id", getattr(node.exc.func, "attr", ""))
                 if name not in {"NotImplementedError", "AttributeError", "Exit"} and words(node.exc):
@@ -26,30 +25,23 @@ def raises():
 
 
 def quotes() -> list[str]:
-    """Every `match=` pattern of the tests, and every string of a list of cases in a file that uses `match=`."""
+    """Fixed words of every `match=` of the tests, and of every string in a file whose `match=` is given by cases."""
     found: list[str] = []
     for path in sorted((ROOT / "tests").rglob("*.py")):
-        tree = ast.parse(path.read_text())
-        patterns = [k for n in ast.walk(tree) if isinstance(n, ast.Call) for k in n.keywords if k.arg == "match"]
+        patterns = [k for n in nodes(path) if isinstance(n, ast.Call) for k in n.keywords if k.arg == "match"]
         for keyword in patterns:
             found += words(keyword.value)
         if any(not words(k.value) for k in patterns):
-            found += words(tree)
-    return [re.sub(r"\\(.)", r"\1", q) for q in found]
+            found += words(parsed(path))
+    fixed = [re.split(r"\.\*|\.\+|\[.*?\]|\(|\)|\||\^|\$", re.sub(r"\\(.)", r"\1", q)) for q in found]
+    return sorted({part.strip() for parts in fixed for part in parts if len(part.strip()) >= SHORTEST_QUOTE})
 
 
 QUOTES = quotes()
 
 
 def is_quoted(pieces: list[str]) -> bool:
-    for quote in QUOTES:
-        for part in re.split(r"\.\*|\.\+|\[.*?\]|\(|\)|\||\^|\$", quote):
-            text = part.strip()
-            if len(text) >= SHORTEST_QUOTE and any(
-                text in piece or (len(piece) >= 12 and piece.strip() in text) for piece in pieces
-            ):
-                return True
-    return False
+    return any(text in piece or (len(piece) >= 12 and piece.strip() in text) for text in QUOTES for piece in pieces)
 
 
 @pytest.mark.parametrize(("place", "pieces"), list(raises()), ids=lambda v: v if isinstance(v, str) else "")

@@ -5,7 +5,6 @@ import dataclasses
 import os
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,9 +12,8 @@ import pytest
 
 from sampling_design import Certificate, PeriodicSchedule, Plant
 from tests import kept_certificates, rigour
+from tests.house.sources import PACKAGE, ROOT, SOURCES, nodes
 
-ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "sampling_design"
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "InclusionCertificate", "from_matrices"}
 NO_MAKERS = {
@@ -48,7 +46,7 @@ def judge(tmp_path, monkeypatch):
 
 def constructors(path):
     """(function, kind) of every place in a file that makes a certificate."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.FunctionDef):
             for call in ast.walk(node):
                 if isinstance(call, ast.Call):
@@ -59,7 +57,7 @@ def constructors(path):
 
 def test_certificates_are_made_by_the_watched_functions_only():
     seen = 0
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in SOURCES:
         module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
         makers = {name.split(".")[-1] for name in kept_certificates.MAKERS.get(module, ())}
         for function, kind in constructors(path):

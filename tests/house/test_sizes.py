@@ -3,12 +3,11 @@
 import ast
 import io
 import tokenize
-from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "sampling_design"
-SOURCES = sorted(PACKAGE.rglob("*.py"))
+from tests.house.sources import PACKAGE, SOURCES, nodes
+
 FILE_WALL = 500
 FUNCTION_WALL = 60
 
@@ -34,9 +33,8 @@ def docstring_lines(node: ast.AST) -> set[int]:
 def test_files_and_functions_stay_small(path):
     text = path.read_text()
     assert text.count("\n") <= FILE_WALL
-    tree = ast.parse(text)
     code = code_lines(text)
-    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    functions = [n for n in nodes(path) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
     for function in functions:
         inner = [d for d in ast.walk(function) if isinstance(d, ast.FunctionDef | ast.ClassDef)]
         documented = set().union(*(docstring_lines(d) for d in inner))

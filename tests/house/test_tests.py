@@ -5,14 +5,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.house.sources import nodes, parsed
+
 TESTS = Path(__file__).parents[1]
 FILES = sorted((*TESTS.rglob("test_*.py"), *TESTS.rglob("bench_*.py")))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(TESTS)))
 def test_every_test_asserts_and_none_is_skipped(path):
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             inside = list(ast.walk(node))
             used = {getattr(n, "attr", getattr(n, "id", "")) for n in inside}
@@ -26,4 +27,4 @@ def test_every_law_is_a_sentence_in_a_file_of_its_own():
     for path in (TESTS / "laws").glob("*.py"):
         assert path.name.startswith("test_")
         assert path.stem.count("_") >= 3, f"{path.name} is no sentence"
-        assert ast.get_docstring(ast.parse(path.read_text())), f"{path.name} does not state its law"
+        assert ast.get_docstring(parsed(path)), f"{path.name} does not state its law"

@@ -42,11 +42,15 @@ def test_info_says_when_nothing_needs_samples(shell):
 
 
 @pytest.mark.long
-def test_design_writes_table_picture_and_files(shell, tmp_path):
-    folder = tmp_path / "out"
-    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", folder)
+def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
+    folder, start = tmp_path / "out", "2026-01-05T00:00+01:00"
+    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", folder, "--start", start)
     assert result.code == 0
-    assert {p.name for p in folder.iterdir()} == {"schedule.csv", "design.json", "design.png"}
+    dated = {"calendar.csv", "schedule.ics"}
+    assert {p.name for p in folder.iterdir()} == {"schedule.csv", "design.json", "design.png"} | dated
+    assert (folder / "schedule.ics").read_bytes().startswith(b"BEGIN:VCALENDAR\r\n")
+    lines = (folder / "calendar.csv").read_text().splitlines()
+    assert sum(line.startswith("2026-01-0") for line in lines) == 12
     assert (folder / "design.png").read_bytes().startswith(b"\x89PNG")
     data = json.loads((folder / "design.json").read_text())
     schedule = read_schedule(folder / "schedule.csv")
@@ -85,14 +89,7 @@ def test_design_narrows_the_bound_with_more_branches(shell):
     assert "`branches`" in refused.err
 
 
-@pytest.mark.long
-def test_design_writes_dates_from_a_start_date(shell, tmp_path):
-    start = "2026-01-05T00:00+01:00"
-    result = shell("design", plant("satellite"), REQUIREMENTS / "satellite.toml", "-o", tmp_path, "--start", start)
-    assert result.code == 0
-    assert (tmp_path / "schedule.ics").read_bytes().startswith(b"BEGIN:VCALENDAR\r\n")
-    lines = (tmp_path / "calendar.csv").read_text().splitlines()
-    assert sum(line.startswith("2026-01-0") for line in lines) == 12
+def test_a_calendar_needs_a_folder(shell):
     lonely = shell("design", plant("oscillator"), "--start", "2026-01-05")
     assert lonely.code == 2
     assert "needs a folder" in lonely.err

@@ -29,7 +29,9 @@ def designed(case, window, spacing, samples, **more):
 @pytest.mark.long
 @pytest.mark.parametrize("case", [OSCILLATOR, INTEGRATOR, UNSTABLE])
 def test_enumeration_of_a_grid_stays_below_the_bound_and_within_the_gap(case):
-    design = designed(case, 4.0, 0.5, 3)
+    A, C = case
+    asked = Requirement(window=4.0, spacing=0.5, samples=3)
+    design = design_schedule(Plant(A, C), asked, starts=4, branches=60)
     best, _ = best_on_grid(*case, 4.0, 4.0, 0.5, 3, 24)
     assert best <= design.upper_bound * (1 + 1e-9)
     assert best <= design.sigma_attained * (1 + 1e-6)

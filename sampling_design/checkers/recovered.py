@@ -36,6 +36,8 @@ STEPS = 30  # microseconds of a flow in integers, over the cube of its size
 INEQUALITY = "c'x(t) <= sum lambda y + b(lambda)"
 LOOSE = 1 + 1e-9  # covers the rounding of bounds themselves, which are sums of positive terms
 HALF = 0.5
+# shares of the largest gain, as rows cost, above which that of a one-sided row may change, too; tried in turn
+PLAYS = (1e-5, 1e-8, 0.0)
 
 
 @dataclass
@@ -307,30 +309,32 @@ class Backward:
                 start, lost = value.sum(axis=0), off.sum(axis=0)
             least = shown - doubt + np.maximum(start - lost, 0) + columns.least + columns.noise / LOOSE**2
             return Found(shown + doubt, least, (start + lost) * LOOSE, columns.pushed, columns.noise)
-        return self.closed(columns, shown, doubt, count)
+        return self.closed(columns, gains, shown, doubt)
 
-    def closed(self, columns: Columns, shown: Array, doubt: Array, count: int) -> Found:
+    def closed(self, columns: Columns, gains: Array, shown: Array, doubt: Array) -> Found:
         """Change the gains a little, so that nothing of the start is left: the single rows say what that may cost."""
-        at = np.flatnonzero(self.touched[: self.c.plant.n])
-        n = len(at)
+        at, count = np.flatnonzero(self.touched[: self.c.plant.n]), len(gains)
         rows, wrong = columns.g[at, count:], columns.wrong[:, count:][at]
-        rest, off = columns.g[at, :count], columns.wrong[:, :count][at]
-        if not (rest.any() or off.any()):
-            return self.found(columns, shown, doubt, np.zeros(count))
-        usable = np.array([not one.below for some in self.c.readings for one in some], dtype=bool)
+        size = np.abs(columns.g[at, :count]) + columns.wrong[:, :count][at]
+        more = np.zeros(count)
+        if not size.any():
+            return self.found(columns, shown, doubt, more)
+        below = np.array([one.below for some in self.c.readings for one in some], dtype=bool)
         # in units of what a row costs, so that the change is a cheap one
         price = np.abs(shown[count:]) + doubt[count:] + columns.pushed[count:] + columns.noise[count:]
-        weight = np.where(usable, 1 / np.maximum(price, 1e-300), 0.0)
-        scaled = rows * weight
-        back = weight[:, None] * np.linalg.pinv(scaled) if usable.any() else np.zeros((rows.shape[1], n))
-        left = np.abs(np.eye(n) - rows @ back) + (len(usable) + 4) * EPS * (np.abs(rows) @ np.abs(back))
-        left += wrong @ np.abs(back)
-        norm = float(np.linalg.norm(left, np.inf)) * LOOSE
-        if not norm < HALF:
+        spent, todo = gains * price, np.ones(count, dtype=bool)
+        for play in PLAYS if below.any() else PLAYS[-1:]:
+            usable = ~below | (spent > play * np.abs(spent).max(axis=1, initial=0.0)[:, None])
+            for which in np.unique(usable[todo], axis=0):
+                own = np.flatnonzero(todo & (usable == which).all(axis=1))
+                change = changes(rows, wrong, np.where(which, 1 / np.maximum(price, 1e-300), 0.0), size[:, own])
+                if change is not None:
+                    fits = (gains[own] >= change.T)[:, below & which].all(axis=1)
+                    more[own[fits]] = ((price @ change) * LOOSE)[fits]
+                    todo[own[fits]] = False
+        if todo.any():
             raise Undecided(INEQUALITY, "nothing is known of the start, and the readings do not show it well enough")
-        size = np.abs(rest) + off
-        change = np.abs(back) @ size + np.abs(back).sum(axis=1)[:, None] * (norm / (1 - norm)) * size.max(axis=0)
-        return self.found(columns, shown, doubt, (price @ change) * LOOSE)
+        return self.found(columns, shown, doubt, more)
 
     @staticmethod
     def found(columns: Columns, shown: Array, doubt: Array, more: Array) -> Found:
@@ -338,6 +342,20 @@ class Backward:
         k = len(more)
         least = shown[:k] - doubt[:k] + columns.least[:k] + columns.noise[:k] / LOOSE**2 - more
         return Found(shown[:k] + doubt[:k] + more, least, 0 * more, columns.pushed[:k], columns.noise[:k])
+
+
+def changes(rows: Array, wrong: Array, weight: Array, size: Array) -> Array | None:
+    """Return bounds (R, k) on changes of gains that leave nothing of rests |rest| <= size (n, k); None where none are.
+
+    rows (n, R) are known up to `wrong`; where a weight is 0 a gain stays.
+    """
+    back = weight[:, None] * np.linalg.pinv(rows * weight) if weight.any() else np.zeros((rows.shape[1], len(rows)))
+    left = np.abs(np.eye(len(rows)) - rows @ back) + (len(weight) + 4) * EPS * (np.abs(rows) @ np.abs(back))
+    left += wrong @ np.abs(back)
+    norm = float(np.linalg.norm(left, np.inf)) * LOOSE
+    if not norm < HALF:
+        return None
+    return np.asarray(np.abs(back) @ size + np.abs(back).sum(axis=1)[:, None] * (norm / (1 - norm)) * size.max(axis=0))
 
 
 def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:

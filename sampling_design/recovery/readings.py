@@ -391,7 +391,8 @@ def gathered(
                 )
             spans[row.H.tobytes()] = t
             at.setdefault(row.since, ())
-    at.setdefault(begin, ())
+    if start.root is not None or not at:  # nothing is known of a state: neither of what it was before the first row
+        at.setdefault(begin, ())
     times = sorted(at)
     return Readings(plant, push, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
 

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._conic import INFEASIBLE, UNBOUNDED
+from sampling_design.recovery.free_start import FreeStart
 from sampling_design.recovery.gap_table import GapTable, Quadrature
 from sampling_design.recovery.readings import Readings
 from sampling_design.recovery.record_cones import RecordCones
-from sampling_design.recovery.unknown import told_of_start, unseen
+from sampling_design.recovery.unknown import told_of_start
 
 Array = npt.NDArray[np.float64]
 
@@ -43,9 +44,6 @@ HELD = 1e-13
 
 NOTHING = 1e-10
 """A rest below this share of the gains' terms counts as none where the start is free: rounding."""
-
-UNKNOWN = 1e-6
-"""Share of a target, run back to a free start, in directions that are not seen, from which on it is unbounded."""
 
 LEAST = 1e-12
 """Eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates."""
@@ -209,7 +207,7 @@ class RecordProgram:
         for level in range(1, LEVELS):
             half = (ends[0].value + ends[1].value) / 2
             open_ = [k for k in (0, 1) if ends[k].short > CLOSED * max(half, 0.0)]
-            if self.infeasible or not open_:
+            if (self.infeasible and self._multiple(level - 1) > COARSE) or not open_:
                 break
             for k in open_:
                 finer = self._end(t, row if k == 0 else -row, level)
@@ -233,7 +231,7 @@ class RecordProgram:
             for other in self._fed_back(c, gains, ahead):
                 found = min(found, self.upper(t, row, other), key=lambda end: end.value)
         short = found.bound - added - attained
-        return replace(found, short=short if np.isfinite(short) else 0.0)
+        return replace(found, short=short if np.isfinite(found.bound) and attained < np.inf else 0.0)
 
     def _plainest(self, t: float, row: Array, found: End) -> End:
         """Gains of the last readings alone, where they leave exactly nothing of a free start and prove as much.
@@ -281,6 +279,8 @@ class RecordProgram:
             x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
         if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
             return nothing
+        if self.infeasible:  # nobody knows what is attained
+            return -np.inf, *posed.read(np.asarray(y * size, dtype=np.float64))
         return -float(cost @ x) * size + float(c @ self._near[-1]), *posed.read(np.asarray(y * size, dtype=np.float64))
 
     def _multiple(self, level: int) -> float:
@@ -343,14 +343,26 @@ class RecordProgram:
 
     def _left_nothing(self, c: Array, gains: Array) -> Array:
         """Gains after the least change that takes away what they leave of a free start."""
-        if self.readings.start.root is None:
-            for _ in range(2):
-                rest, scale = self._costates(c, gains)[1], self._terms(c, gains)
-                if np.linalg.norm(self.L.T @ rest) <= NOTHING * 1e-3 * scale:
-                    break
-                change, through = self._start_rows
-                gains = gains + change @ (through.T @ rest)
-        return gains
+        if self.readings.start.root is not None:
+            return gains
+        return self._free.without(gains, self._begun(c), lambda own: self._costates(c, own)[1])
+
+    def _begun(self, c: Array) -> Array:
+        """A target, run back to the start."""
+        return self._costates(c, np.zeros(len(self.H)))[1]
+
+    @cached_property
+    def _free(self) -> FreeStart:
+        read = self.readings
+        told = told_of_start(self.H, self.F, read.offsets, np.eye(len(self.table.D)))
+        return FreeStart(told, read.below, self.unit)
+
+    def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
+        """Whether what gains leave of a free start is rounding."""
+        if not np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains):
+            return False
+        begun = self._begun(c)
+        return self._free.closes(gains, begun, rest) and not self._free.hides(begun)
 
     def _offset(self, k: int, open_: Array, e: Array) -> Array:
         """The costates' difference one time earlier."""
@@ -371,39 +383,17 @@ class RecordProgram:
         return found
 
     @cached_property
-    def _start_rows(self) -> tuple[Array, Array]:
-        """The least change of gains that takes a rest away (for L'rest), and L."""
-        told = told_of_start(self.H, self.F, self.readings.offsets, self.L)
-        rows = np.where(self.readings.below[:, None], 0.0, told) / self.unit[:, None]
-        if not np.isfinite(rows).all():
-            return np.zeros_like(rows), self.L
-        return np.asarray(np.linalg.pinv(rows.T, rcond=HELD) / self.unit[:, None]), self.L
-
-    @cached_property
     def _near(self) -> Array:
         """(K, n) a trajectory without w near the readings: states count from it in a program.
 
         Where states have grown to a million times of what is known of them, a solver's last digits would be seen.
         """
         path = np.zeros((len(self.readings.times), len(self.table.D)))
-        change, through = self._start_rows
         with np.errstate(over="ignore", invalid="ignore"):
-            path[0] = through @ (change.T @ self.readings.shown)
+            path[0] = self._free.start(self.readings.shown)
             for k, F in enumerate(self.F):
                 path[k + 1] = F @ path[k]
         return path if np.isfinite(path).all() else np.zeros_like(path)
-
-    @cached_property
-    def _unseen(self) -> Array:
-        """(n, m) directions of the start that no row shows."""
-        return unseen(told_of_start(self.H, self.F, self.readings.offsets, np.eye(len(self.table.D))))
-
-    def _open(self, c: Array) -> bool:
-        """Whether a target holds something of a free start that no gains can take away."""
-        if not self._unseen.size:
-            return False
-        begun = self._costates(c, np.zeros(len(self.H)))[1]
-        return bool(np.linalg.norm(begun @ self._unseen) > UNKNOWN * np.linalg.norm(begun))
 
     def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
         """(K-1, n) costates just after each gap, and the rest at the start."""
@@ -450,8 +440,7 @@ class RecordProgram:
         if read.start.root is not None:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
         else:
-            closed = np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains) and not self._open(c)
-            start = 0.0 if closed else np.inf
+            start = 0.0 if self._closed(c, gains, rest) else np.inf
         return Budget(float(gains @ read.shown), start, w, self._noise(gains))
 
     def _noise(self, gains: Array) -> float:

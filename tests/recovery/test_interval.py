@@ -9,8 +9,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from sampling_design.recovery.free_start import NEAR, FreeStart
 from sampling_design.recovery.interval import interval, read_record
-from sampling_design.recovery.readings import Mean
+from sampling_design.recovery.readings import Below, Mean
 from sampling_design.recovery.record_program import RecordProgram
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
@@ -227,3 +228,51 @@ def test_both_sides_meet_where_states_have_grown_far_beyond_what_is_known_of_the
         assert -down.value <= row @ x <= up.value
         assert np.abs(row @ x) > 1e5 * half
         assert max(up.short, down.short) <= 0.01 * half
+
+
+@pytest.mark.parametrize("rate", [5.0, 12.0, 20.0, 25.0, 40.0, 80.0])
+def test_what_decays_fast_is_as_unknown_as_anything_else_at_a_start_of_which_nothing_is_known(rate):
+    """The slow state is read at 0 within 10, the sum of both at 1 within .01: the fast one is known within 9 there.
+
+    What rounding hides of a start may make an end infinite, never a finite one too narrow.
+    """
+    plant = sd.Plant(np.diag([-rate, -0.1]), [[0.0, 1.0], [1.0, 1.0]])
+    record = [(0.0, [1.0, np.nan], None), (1.0, [np.nan, 1.0], None)]
+    given = {"w_bound": 0.0, "v_bound": [10.0, 0.01], "of": [[1.0, 0.0]]}
+    found, late = interval(plant, record, **given), 10 * np.exp(-0.1)
+    if rate <= 20:
+        assert found.radii == pytest.approx([late + 0.01], rel=1e-5)
+        assert found.centre == pytest.approx([1 - np.exp(-0.1)], rel=1e-4)
+    assert found.radii[0] >= (late + 0.01) * (1 - 1e-6)
+    assert found.verify(rigorous=True)
+    ignored = RecordProgram(read_record(plant, record, 0.0, [10.0, 0.01], None, None, None))
+    slow = np.array([0.0, 1.0])  # the second reading taken for one of the slow state, as if the fast one were gone
+    assert ignored.upper(1.0, slow, np.array([0.0, 1.0])).value == np.inf
+
+
+def test_time_before_the_first_reading_adds_nothing_to_a_start_of_which_nothing_is_known():
+    plant = sd.Plant(np.diag([-25.0, -0.1]), [[1.0, 1.0]])
+    for before in (0.0, -1.0, -1e3):
+        found = interval(plant, [(0.0, [1.0], None)], w_bound=0.01, v_bound=0.1, prior_time=before, of=[[0.0, 1.0]])
+        assert found.radii == [np.inf]
+
+
+def test_limits_of_detection_bound_a_side_that_nothing_else_does():
+    """x1 within .1 of 0 at 0, at most 1.1 at 1: the velocity is at most 1.2, and nothing bounds it below."""
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1.0]])
+    record = [(0.0, [0.0], None), (1.0, [Below(1.0)], None)]
+    found = interval(plant, record, w_bound=0.0, v_bound=0.1, of="x2")
+    assert found.lower == -np.inf
+    assert found.upper == pytest.approx([1.2], rel=1e-6)
+    assert found.verify(rigorous=True)
+
+
+def test_no_start_is_sought_where_noise_alone_would_make_it_large():
+    """Two readings that show nearly the same: a unit of noise, fitted, is a start of a million, and costs six digits."""
+    told = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-6]])
+    free, noise = FreeStart(told, np.zeros(2, dtype=bool), np.ones(2)), np.array([1.0, -1.0])
+    assert np.linalg.norm(np.linalg.solve(told, noise)) > 1e6
+    assert np.linalg.norm(free.start(noise)) < 10
+    for far in ([3e9, -2e9], [3e9, -3e9]):
+        shown = told @ far + noise
+        assert np.linalg.norm(told @ free.start(shown) - shown) <= NEAR * np.sqrt(2)

@@ -1,0 +1,118 @@
+"""Intervals of random plants and records, in random units, are those of one linear program of the whole record.
+
+Plain readings, limits of detection, composite samples, missing outputs, a bound for each sensor and sample, inputs, a
+start of which nothing is known: the program's ends lie inside the interval, and within a hundredth of its width of it.
+"""
+
+import numpy as np
+import pytest
+
+from sampling_design import Plant
+from sampling_design.recovery.interval import interval
+from sampling_design.recovery.readings import Above, Below, Mean
+from tests.oracles.records import WholeRecord
+
+WITHIN = 0.01
+"""Share of the width that an interval may be wider: what its cells and its solver leave open."""
+
+ROUNDED = 1e-7
+"""Share of the width that rounding and the other solver may take."""
+
+
+def dynamics(rng, n):
+    A, kind = rng.normal(size=(n, n)), rng.integers(5)
+    if kind == 0:
+        return A - np.eye(n) * (np.linalg.eigvals(A).real.max() + rng.uniform())
+    if kind == 1:
+        return np.diag(np.ones(n - 1), 1)
+    if kind == 2:
+        return A - A.T
+    if kind == 3:  # grows
+        return A - np.eye(n) * (np.linalg.eigvals(A).real.max() - 0.3)
+    return np.diag(-(10.0 ** rng.uniform(-2, 1.2, n))) + 0.3 * np.triu(A, 1)  # stiff
+
+
+def reading(rng, value, size, spans):
+    """What is typed of a value, and the limits that it means: plain, under or over a limit."""
+    got, kind = value + size * rng.uniform(-1, 1), rng.uniform()
+    if kind < 0.15:
+        limit = got + rng.uniform()
+        return lambda unit: Below(limit * unit), -np.inf, limit + size
+    if kind < 0.25:
+        limit = got - rng.uniform()
+        return lambda unit: Above(limit * unit), limit - size, np.inf
+    return lambda unit: got * unit, got - size, got + size
+
+
+def drawn(seed, cells=16):
+    """A plant and a record as typed, with the program that knows all about them in plain units."""
+    rng = np.random.default_rng(seed)
+    n, p, q, m = (int(rng.integers(low, high)) for low, high in ((1, 5), (1, 3), (1, 3), (0, 2)))
+    A, B, C, D, G = dynamics(rng, n), *(rng.normal(size=shape) for shape in ((n, m), (p, n), (p, m), (n, q)))
+    wild = rng.uniform() < 0.6  # units of states, outputs, disturbances and of time
+    x, y, w, t = (10.0 ** rng.integers(-6, 7, k) if wild else np.ones(k) for k in (n, p, q, 1))
+    origin = 1.7e9 if t >= 1 and rng.uniform() < 0.4 else 0.0
+    typed = origin + np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 1.2, rng.integers(2, 10)))]) * t
+    times = ((typed - origin) / t).tolist()
+    w_bound, v_bound = rng.uniform(0.01, 1, q), rng.uniform(0.05, 0.6, (len(times), p))
+    start = rng.uniform(0.1, 3, n) if rng.uniform() < 0.5 else None
+    inputs = [(s, rng.normal(size=m)) for s in times if m and rng.uniform() < 0.4]
+    whole = WholeRecord(A, B, C, D, G, times, np.zeros(n), inputs, cells)
+    most = np.concatenate([np.ones(n) if start is None else start, np.resize(w_bound, whole.width - n)])
+    truth = np.append(most * rng.choice([-1, -0.3, 0.5, 1], most.size), 1.0)
+    rows, record, busy = [], [], np.full(p, times[0])
+    for k, s in enumerate(times):
+        found = []
+        for i in range(p):
+            since = rng.choice([a for a in times if busy[i] <= a < s]) if s > busy[i] and rng.uniform() < 0.2 else None
+            if since is None and k + 1 < len(times) and i and rng.uniform() < 0.2:
+                found.append(np.nan)
+                continue
+            own = whole.row(s, i, since)
+            said, low, high = reading(rng, own @ truth, v_bound[k, i], since)
+            rows.append((own, low, high))
+            busy[i] = busy[i] if since is None else s
+            say = said(y[i])
+            found.append(say if since is None else Mean(say, since=typed[times.index(since)]))
+        record.append((typed[k], found, next((u for a, u in inputs if a == s), None)))
+    free = [(None, None)] * n if start is None else [(-a, a) for a in start]
+    bounds = free + [(-a, a) for a in np.resize(w_bound, whole.width - n)]
+    c = rng.normal(size=n)
+    in_x = x[:, None]
+    plant = Plant(
+        A * in_x / x / t,
+        C / x * y[:, None],
+        G=G * in_x / w / t,
+        B=B * in_x / t if m else None,
+        D=D * y[:, None] if m else None,
+    )
+    given = {"w_bound": w_bound * w, "v_bound": v_bound * y, "of": (c / x)[None]}
+    if start is not None:
+        given |= {"initial_error": start * x}
+    return plant, record, given, whole.ends(c, times[-1], rows, bounds)
+
+
+def judge(seed):
+    plant, record, given, (low, high) = drawn(seed)
+    found = interval(plant, record, **given)
+    assert found.disproof is None
+    (lower,), (upper,) = found.lower, found.upper
+    known = [abs(end) for end in (low, high) if np.isfinite(end)]
+    width = high - low if len(known) == 2 else max([1.0, *known])
+    for own, end, sign in ((lower, low, -1.0), (upper, high, 1.0)):
+        if np.isinf(end):
+            assert own == end
+        else:
+            assert -ROUNDED * width <= sign * (own - end) <= WITHIN * width
+    assert found.verify()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_interval_is_what_a_linear_program_of_the_record_says(seed):
+    judge(seed)
+
+
+@pytest.mark.long
+def test_so_is_that_of_two_hundred_more():
+    for seed in range(12, 212):
+        judge(seed)

@@ -268,7 +268,7 @@ def test_limits_of_detection_bound_a_side_that_nothing_else_does():
 
 
 def test_no_start_is_sought_where_noise_alone_would_make_it_large():
-    """Two readings that show nearly the same: a unit of noise, fitted, is a start of a million, and costs six digits."""
+    """Two readings show nearly the same: a unit of noise, fitted, is a start of a million, and costs six digits."""
     told = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-6]])
     free, noise = FreeStart(told, np.zeros(2, dtype=bool), np.ones(2)), np.array([1.0, -1.0])
     assert np.linalg.norm(np.linalg.solve(told, noise)) > 1e6

@@ -1,5 +1,7 @@
 """Sigma, counts, existence and accuracy over a box of constant parameters: proven, attained, refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -146,17 +148,34 @@ def test_no_plant_of_a_cell_lies_below_what_its_corners_say(seed):
     cell = whole(model)._replace(half=rng.uniform(0.1, 1.0, (1, model.m)))
     times = 0.4 * np.arange(k)
 
-    def sigma(u):
+    def sigma(u, unit):
         A, C = model.at(u[None])
-        rows = np.vstack([C[0] @ expm(A[0] * t) for t in times]) / model.unit
+        rows = np.vstack([C[0] @ expm(A[0] * t) for t in times]) / unit
         return np.linalg.svd(rows, compute_uv=False)[model.n - 1]
 
-    reached = least_over(model, cell, family, min(sigma(u) for u in points_of(cell)))
-    inside = cell.half[0] * rng.uniform(-1.0, 1.0, (50, model.m))
-    assert reached <= min(sigma(u) for u in inside) * (1 + 1e-9)
+    far = replace(model, unit=10.0 ** rng.uniform(-3, 3, model.n))  # units far apart
+    for judged, half in ((model, 1.0), (far, 1.0), (model, 0.01), (far, 0.01)):
+        small = cell._replace(half=cell.half * half)
+        least, inner = (min(sigma(u, unit) for u in points_of(small)) for unit in (judged.unit, np.ones(model.n)))
+        inside = small.half[0] * rng.uniform(-1.0, 1.0, (50, model.m))
+        allowed = min(sigma(u, judged.unit) for u in inside) * (1 + 1e-9)
+        assert least_over(judged, small, family, least) <= least_over(judged, small, family, least, inner) <= allowed
     narrow = cell._replace(half=cell.half * 1e-12)
-    least = min(sigma(u) for u in points_of(narrow))
+    least = min(sigma(u, model.unit) for u in points_of(narrow))
     assert least_over(model, narrow, family, least) >= 0.9 * least  # tight where a cell is small
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e13])
+def test_units_far_apart_leave_the_worst_case_a_bound(unit):
+    plant, family = oscillator(0.99, 1.01), SpacedWindows(4.0, 4, 0.3)
+    D, inverse = np.diag([1.0, unit]), np.diag([1.0, 1 / unit])
+    known = Plant(D @ plant.nominal.A @ inverse, plant.nominal.C @ inverse)
+    part = replace(plant.parameters[0], A=D @ plant.parameters[0].A @ inverse)
+    found = worst_case_sigma(UncertainPlant(known, [part]), family, budget=20.0)
+    assert found.closed
+    for x in (0.99, 1.0, 1.01):
+        rows = np.vstack([plant.at([x]).C @ expm(plant.at([x]).A * t) for t in found.witness]) @ inverse
+        assert found.lower <= np.linalg.svd(rows, compute_uv=False)[1] * (1 + 1e-9)
 
 
 def test_corners_that_are_seen_prove_nothing_of_a_frequency_between_them_that_is_not():

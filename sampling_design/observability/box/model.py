@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design._balance import balance
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
 from sampling_design.plants.uncertain import UncertainPlant
 
 Array = npt.NDArray[np.float64]
@@ -96,6 +97,11 @@ class BoxModel:
         """A and C, (K, n, n) and (K, p, n), at u (K, m)."""
         move = u - self.start
         return self.A + np.tensordot(move, self.parts_A, 1), self.C + np.tensordot(move, self.parts_C, 1)
+
+    def balanced_at(self, u: Array) -> Plant:
+        """The plant at one u in balanced coordinates z."""
+        A, C = self.at(u[None])
+        return Plant(A[0], C[0])
 
     def values(self, u: Array) -> dict[str, float]:
         """The parameters at one u, all of the plant's by name, inside of their ranges."""

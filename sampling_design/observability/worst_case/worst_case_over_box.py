@@ -11,12 +11,13 @@ import numpy.typing as npt
 
 from sampling_design._record import Plain, short
 from sampling_design.evidence import Claim
-from sampling_design.observability.box.expansion import BoxCells
+from sampling_design.observability.box.expansion import UP, BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
 from sampling_design.observability.worst_case.cells_over_box import (
     FINER,
+    WIDE,
     SigmaOfOne,
     least_over,
     parts_of,
@@ -135,7 +136,8 @@ def _searched(
     model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
-    began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], float]()
+    began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], tuple[float, float]]()
+    wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
     open_, bound, best = whole(model), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
         k = int(np.argmin(bound))
@@ -149,12 +151,14 @@ def _searched(
                 return _record(model, family, rtol, "budget", len(judged), low, best)
             if tuple(u.tolist()) not in judged:
                 lower, upper, times = one(model.plant.at(model.values(u)), FINER * rtol, left)
-                judged[tuple(u.tolist())] = lower
+                inner = one(model.balanced_at(u), FINER * rtol, left)[0] if wide else 0.0
+                # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
+                judged[tuple(u.tolist())] = max(lower, inner / (UP * float(model.unit.max()))), inner
                 best = (upper, u, times) if upper < best[0] else best
             if best[0] == 0:
                 return _record(model, family, rtol, "unseen", len(judged), 0.0, best)
-        least = min(judged[tuple(u.tolist())] for u in points)
-        reached = max(least_over(model, cell, family, least), float(bound[k]))
+        least, inner = np.min([judged[tuple(u.tolist())] for u in points], axis=0).tolist()
+        reached = max(least_over(model, cell, family, least, inner), float(bound[k]))
         open_, bound = open_.take(rest), bound[rest]
         if reached >= (1 - rtol) * best[0]:
             closed = min(closed, reached)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import json
 import math
 import os
@@ -29,6 +30,9 @@ _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 _SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")
 """A matrix as other programs write it: [0 1; -1 0]."""
+
+_BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")
+"""A row as other programs write it: [1 0]."""
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
@@ -92,10 +96,20 @@ def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
 
 def _unreadable(where: str, error: OSError) -> FileFormatError:
     if isinstance(error, FileNotFoundError):
-        return FileFormatError(f"{where}: no such file.", where)
+        return FileFormatError(f"{where}: no such file.{_nearby(where)}", where)
     if isinstance(error, IsADirectoryError):
         return FileFormatError(f"{where}: is a folder, expected a file.", where)
     return FileFormatError(f"{where}: cannot be read ({error.strerror}).", where)
+
+
+def _nearby(where: str) -> str:
+    """The file in the same folder that may have been meant."""
+    with suppress(OSError, ValueError):
+        found = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
+        name = Path(where).name
+        near = [each for each in sorted(found) if Path(each).stem == name] or difflib.get_close_matches(name, found, 1)
+        return f" Did you mean {near[0]}?" if near else ""
+    return ""
 
 
 def separator(header: str) -> str:
@@ -310,6 +324,8 @@ def from_toml(text: str, where: str) -> Tree:
         slip = "Was the file cut off?"
         if _SEMICOLONS.search(text):
             slip = "Rows stand in brackets of their own: A = [[0.0, 1.0], [-1.0, 0.0]]."
+        elif _BLANKS.search(text):
+            slip = "Numbers have commas between, and a row stands in two brackets: C = [[1.0, 0.0]]."
         raise FileFormatError(f"{where}: is not valid TOML ({error}). {slip}", where) from None
     except (RecursionError, ValueError):
         raise _unreasonable(where) from None

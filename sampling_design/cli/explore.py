@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from sampling_design import _checks
 from sampling_design.cli import reading
 from sampling_design.cli.accuracy import NUMBERS
 from sampling_design.cli.plan import schedule_for
@@ -48,13 +49,13 @@ def explore(
 
     Example: sampling-design explore examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
-    from sampling_design.explorer import Bench, serve
+    from sampling_design.explorer import SCENES, Bench, serve
     from sampling_design.explorer import scene as ready_made
 
     if scene is not None:
         if plant_file is not None:
             raise ArgumentError(f"`--scene` {scene} brings its own plant, got {plant_file} too. Leave one out.")
-        bench = ready_made(scene)
+        bench = ready_made(_checks.word("--scene", scene, SCENES))
         bench.folder = settings.folder()
     else:
         plant, requirement = _wanted(settings, plant_file, requirement_file)

@@ -26,14 +26,26 @@ if TYPE_CHECKING:
     from sampling_design.schedules.family import AnySchedule
 
 T = TypeVar("T")
-_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate|plan-requirement|plan)\b")
+_FORMAT = re.compile(r"sampling-design[/ ](plant|schedule|requirement|certificate|plan-requirement|plan|design)\b")
 _KEYS = {
-    "plant": {"matrices", "states", "outputs"},
+    "plant": {"matrices", "states", "outputs", "A", "C"},
     "requirement": {"window", "period", "spacing", "samples", "target_sigma", "forbidden", "fixed", "cost_limit"},
     "certificate": {"P1", "P2", "lam", "claim"},
     "schedule": {"times", "gaps"},
 }
 """Keys that tell a file which does not name its own kind."""
+_MIXED = {
+    ("measurement", "schedule"): (
+        "Are the arguments in their order? "
+        'A schedule begins with the line "# sampling-design schedule; time_unit=h; period=24".'
+    ),
+    ("design", "schedule"): "The schedule of a design is in schedule.csv, written beside it.",
+    ("requirement", "plan requirement"): (
+        "`design` takes it; a plan requirement says how well what must be known, and `sampling-design new --within` "
+        "writes one."
+    ),
+}
+"""The likely slip where one kind of file is given for another."""
 
 
 def plant(path: Path) -> Plant:
@@ -98,12 +110,8 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
     except SamplingDesignError:
         found, where = kind_of(path), str(path)
         if found not in (kind, ""):
-            begins = ' A schedule begins with the line "# sampling-design schedule; time_unit=h; period=24".'
-            raise FileFormatError(
-                f"{where}: is a {found} file, expected a {kind} file. Are the arguments in their order?"
-                + begins * ((found, kind) == ("measurement", "schedule")),
-                where,
-            ) from None
+            slip = _MIXED.get((found, kind), "Are the arguments in their order?")
+            raise FileFormatError(f"{where}: is a {found} file, expected a {kind} file. {slip}", where) from None
         raise
 
 

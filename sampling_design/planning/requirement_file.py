@@ -21,6 +21,7 @@ from sampling_design.checkers.strict import (
     text,
     word,
 )
+from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
@@ -127,6 +128,8 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
         As for `read_plan_requirement`.
     """
     with usable(where):
+        if data and "format" not in data:
+            raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
         tree = _TREE(data, "")
         tree.pop("format")
         tree.pop("plant", None)

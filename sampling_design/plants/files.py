@@ -64,6 +64,8 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
            [-1.,  0.]])
     """
     where = os.fspath(path)
+    if not Path(where).suffix and not Path(where).exists():
+        _files.read_bytes(where)  # says so, and what may have been meant
     read = _by_suffix(where, {"toml": _read_toml, "json": _read_json, "mat": _read_mat, "npz": _read_npz})
     return plant_from_dict(read(where), where, time_unit)
 
@@ -111,7 +113,11 @@ def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: st
 def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     if not data:
         raise ArgumentError("the file is empty, expected a plant.")
+    if stray := [key for key in MATRICES if key in data and "matrices" not in data]:
+        raise ArgumentError(f"`{stray[0]}` stands in a table: write the line [matrices] before it.")
     _checks.known_keys("the file", data, _TREE)
+    if "format" not in data:
+        raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a plant file?")
     matrices = _table(data, "matrices")

@@ -43,7 +43,6 @@ PLANTS, REQUIREMENTS, DATA, PLANS = (OSCILLATOR.parents[1] / folder for folder i
         (("design", REQUIREMENTS / "oscillator.toml", OSCILLATOR), "is a requirement file, expected a plant file"),
         (("design", OSCILLATOR, OSCILLATOR), "is a plant file, expected a requirement file"),
         (("plan", OSCILLATOR), "is a plant file, expected a plan requirement file"),
-        (("plan", OSCILLATOR, REQUIREMENTS / "oscillator.toml"), "is a requirement file, expected a plan requirement"),
         (("next", OSCILLATOR), "is a plant file, expected a plan file"),
         (("info", PLANS / "oscillator.toml"), "is a plan requirement file, expected a plant file"),
         (("sigma", OSCILLATOR, OSCILLATOR), "is a plant file, expected a schedule file"),

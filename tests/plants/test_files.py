@@ -99,7 +99,8 @@ def edited(tmp_path, change):
     ("change", "message"),
     [
         (lambda t: t.update(format="sampling-design/plant/2"), "`format` must be 'sampling-design/plant/1', got"),
-        (lambda t: t.pop("format"), "`format` must be .* got None. Is this a plant file"),
+        (lambda t: t.pop("format"), "`format` is missing: the file begins with the line format = "),
+        (lambda t: t.update(t.pop("matrices")), r"`A` stands in a table: write the line \[matrices\] before it"),
         (lambda t: t.pop("time_unit"), "`time_unit` is missing"),
         (lambda t: t.update(time_unit="sec"), "`time_unit` must be one of ms, s, min, h, d, wk, got 'sec'"),
         (lambda t: t.update(time_unitt="s"), "unknown key 'time_unitt' in the file. Did you mean 'time_unit'"),

@@ -92,6 +92,8 @@ def requirement_from_dict(data: Tree, where: str = "requirement") -> Requirement
         As for `read_requirement`.
     """
     with usable(where):
+        if data and "format" not in data:
+            raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
         tree = _TREE(data, "")
         del tree["format"]
         samples = tree.get("samples")

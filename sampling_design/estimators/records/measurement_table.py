@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import islice
@@ -300,7 +301,10 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
     wanted = [*plant.outputs.names, *plant.inputs.names]
     missing = [name for name in wanted if name not in header]
     if missing:
-        near = [name for name in header if name.lower().startswith(missing[0].lower())]
+        free = [name for name in header if name and name not in (*stamps, *wanted)]
+        near = [name for name in free if name.lower().startswith(missing[0].lower())]
+        near = near or [name for name in free if missing[0].lower().startswith(name.lower())]
+        near = near or difflib.get_close_matches(missing[0], free, 1)
         slip = f" Is it {near[0]!r}? Names stand as in the plant, without units." if near else ""
         told = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
         raise FileFormatError(told, where)

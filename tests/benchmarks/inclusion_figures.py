@@ -19,7 +19,11 @@ from sampling_design import GapRange, Plant, UncertainParameter, UncertainPlant,
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.nonlinear import examples
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.thyroid_logs import DOSE, patient_in_tube, patient_under_therapy
 from tests.laws import test_no_pair_of_trajectories_violates_a_nonlinear_certificate as pairs
+from tests.oracles import patients
+from tests.oracles.inclusions import adversary
 
 from .arena.nonlinear import inertial_chain
 
@@ -121,7 +125,8 @@ proof alone.
 ADVERSARIES = f"""
 Adversarial pairs of trajectories, at least {PAIRS} of each plant that stay in its region where so many were found:
 starts near and far, disturbances that push apart along the worst direction of P(tau), gaps at both ends. The largest
-squared distance over what Assumption 7 allows, of those that left until they did:
+squared distance over what Assumption 7 allows, of those that left until they did. Of linear plants the ratio is that
+of all pairs and all disturbances at once, along {PAIRS} schedules on which the parameters switch between corners:
 
 | plant | stayed, of pairs flown | largest ratio |
 |---|---|---|"""
@@ -137,6 +142,8 @@ def main(chosen: tuple[str, ...]) -> None:
         (name, 5, partial(proven, name, theirs, make, said)) for name, theirs, make, said in [*linear(), *nonlinear()]
     ]
     made += [(name, 3, partial(flown, name)) for name in pairs.PLANTS]
+    made += [(name, 3, partial(flown_patients, *each)) for name, each in PATIENTS.items()]
+    made += [(name, 3, partial(switched, *each)) for name, each in SWITCHED.items()]
     for name, width, cells in made:
         if name.startswith(chosen or ""):
             kept[name, width + 1] = f"| {' | '.join([name, *cells()])} |"
@@ -157,6 +164,35 @@ def flown(name: str) -> list[str]:
     """Pairs that stayed, and the largest ratio of all."""
     worst, stayed, every = pairs.fly(name, PAIRS)
     return [f"{stayed} of {every}", f"{worst:.4f}"]
+
+
+def flown_patients(name: str, make: Callable[[], NonlinearPlant], dose: float) -> list[str]:
+    """The same of all pairs of so many trajectories."""
+    plant, rng = make(), np.random.default_rng(0)
+    starts = patients.scattered(plant, TRAJECTORIES, rng)
+    worst, stayed = patients.largest_ratio(stored(name)(), plant, starts, PATIENTS_GAPS, rng, dose)
+    return [f"{stayed} of {TRAJECTORIES * (TRAJECTORIES - 1) // 2}", f"{worst:.4f}"]
+
+
+def switched(make: Callable[[], UncertainPlant], family: GapRange, eta: float) -> list[str]:
+    """The largest ratio of all pairs of an uncertain linear plant, whose parameters switch at any time."""
+    plant, rng = make(), np.random.default_rng(0)
+    found = certify_inclusion(plant, family, eta=eta)
+    members = [(each.A, each.C, each.G) for _, each in plant.constant_members(rng)]
+    worst = max(adversary(found, members, rng) for _ in range(PAIRS))
+    return [f"all, on {PAIRS} schedules", f"{worst:.4f}"]
+
+
+TRAJECTORIES, PATIENTS_GAPS = 50, np.array([0.5, 1.5, 1.5, 0.7, 1.5])
+PATIENTS = {
+    "thyroid patient, untreated": ("thyroid_patient", patient_in_tube, 0.0),
+    "thyroid patient, under therapy": ("thyroid_therapy", patient_under_therapy, DOSE),
+}
+SWITCHED = {
+    "oscillator, frequency varying by 20 %": (partial(oscillator, 0.2), GapRange(0.5, 1.5), 0.1),
+    "inertial chain": (inertial_chain, GapRange(0.005, 0.25), 0.3),
+}
+"""Certificate or plant, and with what it is flown."""
 
 
 if __name__ == "__main__":

@@ -145,7 +145,8 @@ def largest_box(
     Notes
     -----
     *Claim.* `share` is proven; at `refuted` a plant fails. *Method.* BoxCells of the box, those nearest to the nominal
-    values first; no cell beyond a plant that fails is looked at.
+    values first; no cell beyond a plant that fails is looked at. *Numerical aspects.* Cells are proven in doubles, with
+    room for rounding (1e-8 of every norm), not in balls; for sigma, `window_sigma(found.box, ..., rigorous=True)` is.
 
     Examples
     --------

@@ -115,6 +115,11 @@ class RasterWindow:
         else:
             self._build(soft)
 
+    @property
+    def staged(self) -> bool:
+        """Whether it is so large that it is solved stage by stage."""
+        return self._stages is not None
+
     def _build(self, soft: list[int]) -> None:
         self._built = True
         motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]

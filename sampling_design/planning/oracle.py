@@ -29,6 +29,9 @@ FAR = 0.5
 
 MOST_KNOTS = 400
 
+SHALLOW = (16, 4)
+"""Shares of the past that refute a choice first, where all of it makes a large program."""
+
 FARTHEST = 200
 """Periods beyond which the past is not followed."""
 
@@ -46,6 +49,8 @@ class Oracle:
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
         spread = any(goal.spread for goal in problem.goals)
         self.spread = RasterFilter(problem, motion, self.work) if spread else None
+        self._kept: tuple[object, tuple[float, list[HiddenMotion]]] = None, (0.0, [])
+        """The last choice that took long to judge and was not refuted, and what it came to."""
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def count(self, work: Work) -> None:
@@ -65,24 +70,37 @@ class Oracle:
             return np.inf, []
         goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
         turns = all(goal.at != "given times" for goal in self.problem.goals)
-        worst, found, known = self._deviations(chosen)
+        worst, found = self._deviations(chosen)
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        order = np.argsort(-gaps, kind="stable").tolist() if goals else []
-        for k in order[: LONGEST if longest and turns else None]:
-            if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
-                like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
-                if like in known:
-                    continue
-                known.add(like)
-            for attack in self._gap(chosen, int(at[k]), int(gaps[k]), goals, above):
-                found.append(attack)
-                worst = max(worst, attack.reach)
-            if worst > above:
-                break
+        order = np.argsort(-gaps, kind="stable")[: LONGEST if longest and turns else None].tolist() if goals else []
+        key, depths = (chosen.tobytes(), self.back, above, longest), self._depths(chosen, above) if order else []
+        if key == self._kept[0]:
+            return self._kept[1]
+        for back in depths:
+            known: set[bytes] = set()
+            for k in order:
+                if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
+                    like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
+                    if like in known:
+                        continue
+                    known.add(like)
+                attacks = self._gap(chosen, int(at[k]), int(gaps[k]), goals, above, back)
+                found += [attack for attack in attacks if back == depths[-1] or attack.reach > above]
+                worst = max([worst, *(attack.reach for attack in attacks)])
+                if worst > above:
+                    return worst, found
+        if len(depths) > 1:
+            self._kept = key, (worst, found)
         return worst, found
 
-    def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenMotion], set[bytes]]:
+    def _depths(self, chosen: Mask, above: float) -> list[int]:
+        """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
+        if above == np.inf or not self.back or not self._window(chosen, self.problem.steps, self.back).staged:
+            return [self.back]
+        return [self.back // share for share in SHALLOW] + [self.back]
+
+    def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenMotion]]:
         """Worst ratio of the goals that are standard deviations, and tangents there."""
         worst, found = 0.0, []
         for g, ratio in enumerate(self.spread.worst(chosen[None])[0] if self.spread else []):
@@ -90,7 +108,7 @@ class Oracle:
                 worst = max(worst, float(ratio))
                 attack = self.tangent(chosen.astype(float), g)
                 found += [attack] if attack is not None else []
-        return worst, found, set()
+        return worst, found
 
     def tangent(self, z: Array, g: int) -> HiddenMotion | None:
         """A tangent of a goal's variance at a point (M, p), fractions of measurements too."""
@@ -108,11 +126,13 @@ class Oracle:
                     return found
         return None
 
-    def _gap(self, chosen: Mask, last: int, length: int, goals: list[int], above: float) -> list[HiddenMotion]:
+    def _gap(
+        self, chosen: Mask, last: int, length: int, goals: list[int], above: float, back: int
+    ) -> list[HiddenMotion]:
         """The strongest attacks that end in the gap after a sample."""
         if not self.back:
             self._look_back(chosen, last, length, goals)
-        window = self._window(chosen, last, self.back)
+        window = self._window(chosen, last, back or self.back)
         best: list[HiddenMotion] = []
         for g in goals:
             looks = self.looked(window, g, last, length, above)

@@ -12,10 +12,12 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
+from sampling_design._record import short
 from sampling_design._units import spoken
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
+from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.blind import finer_raster, modes_of
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover, cheapest
@@ -184,7 +186,7 @@ class _Planning:
         worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(attacks, 1.0)
         if worst > 1:
-            self._refuse(worst)
+            self._refuse(attacks)
         everything = self._densest()
         search.add(self.oracle.judge(everything, longest=True)[1], 1.0)
         search.seed(1.0)
@@ -420,13 +422,20 @@ class _Planning:
             chosen = other
         return chosen
 
-    def _refuse(self, worst: float) -> None:
-        kept = ", ".join(f"{g.name} {g.tolerance * worst:.4g}" for g in self.problem.goals)
+    def _refuse(self, attacks: list[HiddenMotion]) -> None:
+        """Say which goals not even all that is allowed keeps, each with what it does keep."""
+        ratios = np.zeros(len(self.problem.goals))
+        if self.oracle.spread is not None:
+            ratios = np.asarray(self.oracle.spread.worst(self.problem.allowed[None])[0], dtype=float).copy()
+        for attack in attacks:
+            if attack.flight is not None:
+                ratios[attack.goal] = max(ratios[attack.goal], attack.reach)
+        each = list(zip(self.problem.goals, ratios.tolist(), strict=True))
+        kept = ", ".join(f"{g.name} {short(g.tolerance * r)} instead of {short(g.tolerance)}" for g, r in each if r > 1)
         raise InfeasibleRequirementError(
-            f"Not even measuring at every allowed time keeps the tolerances: {worst:.4g} times as large ones could be "
-            f"kept at best ({kept}).",
+            f"Not even measuring at every allowed time keeps the tolerances: at best {kept} could be kept.",
             "accuracy",
-            {g.name: g.tolerance * worst * (1 + 4 * MARGIN) for g in self.problem.goals},
+            {g.name: g.tolerance * max(1.0, r * (1 + 4 * MARGIN)) for g, r in each},
         )
 
     def _record(self, chosen: Mask, proof: GoalProofs, bound: PlanBound, sure: bool = True) -> Plan:

@@ -2,8 +2,9 @@
 
     python -m tests.benchmarks.plan_search [TIMES] [CASE or RIVAL ...]
 
-One line for each case and rival, so that they can be run one by one. Both look for times on the raster, judged by the search's own program; their best is then proven by `accuracy`: it must
-neither lie below what the plan says is out of reach, nor below the plan by more than its gap.
+One line for each case and rival, so that they can be run one by one. Both look for times on the raster, judged by the
+search's own program; their best is then proven by `accuracy`: it must neither lie below what the plan says is out of
+reach, nor below the plan by more than its gap.
 """
 
 from __future__ import annotations

@@ -72,3 +72,26 @@ def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
     assert search.deepened(chosen, found, np.inf) == pytest.approx(found, rel=SETTLED)
     assert oracle.back == kept
     assert search.deepened(chosen, found, found / 2) == found
+
+
+def test_a_short_past_refutes_and_what_held_is_not_judged_twice(monkeypatch):
+    monkeypatch.setattr("sampling_design.planning.adversary.MANY", 100)
+    problem, chosen = posed(BODY, 6.4, 0.2, [0, 26], w_bound=[0.02, 0.02])
+    oracle = Oracle(problem, motion_of(problem))
+    oracle.back = 32 * 16
+    worst, attacks = oracle.judge(chosen)
+    assert len(attacks) == 2
+    solved, reach = [], oracle.reach
+    monkeypatch.setattr(oracle, "reach", lambda window, *rest: solved.append(len(window.knots)) or reach(window, *rest))
+    refuted, found = oracle.judge(chosen, above=0.5 * worst)
+    assert 0.5 * worst < refuted <= worst * (1 + 1e-3)
+    assert all(attack.reach > 0.5 * worst for attack in found)
+    assert max(solved) <= 4  # a sixteenth of the past
+    held, _ = oracle.judge(chosen, above=1.01 * worst)
+    assert held == pytest.approx(worst, rel=1e-3)
+    assert max(solved) > 30
+    solved.clear()
+    assert oracle.judge(chosen, above=1.01 * worst)[0] == held
+    assert not solved
+    assert oracle.judge(chosen, above=0.9 * worst)[0] > 0.9 * worst  # another question: judged anew
+    assert solved

@@ -54,6 +54,10 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
         sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN), **BARE)
     nearest = refused.value.nearest["position"]
     assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
+    both = sd.PlanRequirement({"position": 0.1, "velocity": 0.9}, **GIVEN)
+    with pytest.raises(InfeasibleRequirementError, match=r"at best position 0.2\d+ instead of 0.1 could be") as refused:
+        sd.plan(OSCILLATOR, both, **BARE)
+    assert refused.value.nearest == {"position": nearest, "velocity": 0.9}  # what holds already is left as it is
 
 
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():

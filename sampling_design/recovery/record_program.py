@@ -24,8 +24,8 @@ from sampling_design.recovery.unknown import told_of_start
 
 Array = npt.NDArray[np.float64]
 
-TOLERANCE = 1e-6
-"""Asked of the solver; what it leaves open widens an interval, never breaks it."""
+TOLERANCE = (1e-6, 3e-8, 1e-9)
+"""Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
 DIFFUSE = 1e6
 """Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
@@ -66,7 +66,7 @@ ALIKE = 1e-6
 DISPROVED = 1e-9
 """A contradiction must exceed this share of its terms before the bounds count as disproved."""
 
-LEVELS = 3
+LEVELS = len(TOLERANCE)
 """Levels of cells."""
 
 GROWN = 1e3
@@ -194,7 +194,15 @@ class RecordProgram:
         if level not in self._levels:
             cells = [gap.cells(level) for gap in self.gaps]
             self._levels[level] = RecordCones(
-                self.readings, self._near, self.F, cells, self.table.D, self.L, self.H, self.unit, tolerance=TOLERANCE
+                self.readings,
+                self._near,
+                self.F,
+                cells,
+                self.table.D,
+                self.L,
+                self.H,
+                self.unit,
+                tolerance=TOLERANCE[min(level, LEVELS - 1)],
             )
         return self._levels[level]
 

@@ -21,7 +21,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
-from sampling_design.observability.windows.window_sigma import window_sigma
+from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.planning.plan import plan
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
@@ -262,7 +262,7 @@ class Bench:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
         shown = window_sigma(self.seen, self.schedule, self.window, budget=LIVE_BUDGET)
         profile = shown.profile
-        broken = [] if shown.lower > self.clear else self._broken(shown.lower, moving)
+        broken = [] if shown.lower > self.clear else self._broken(shown, moving)
         return {
             "t": profile.t.tolist(),
             "sigma": profile.sigma.tolist(),
@@ -297,7 +297,7 @@ class Bench:
             )
         return told
 
-    def _broken(self, lower: float, moving: bool) -> list[Plain]:
+    def _broken(self, found: WindowSigma, moving: bool) -> list[Plain]:
         """Why sigma is zero, or nearly: which modes the period does not tell apart.
 
         A "no" is confirmed by a run of the covariance over many periods only where the marks have come to rest.
@@ -305,7 +305,10 @@ class Bench:
         decide = judged if moving else certificate_exists
         existence = decide(self.split.retained, self.schedule, 0.0)
         if existence.exists:
-            return [] if lower > 0 else ["Some window holds too few samples: sigma is zero there."]
+            if found.status == "too few samples":
+                return ["Some window holds too few samples: sigma is zero there."]
+            end = f"the window that ends {found.witness.position}"
+            return [] if found.lower > 0 else [f"Of {end} nothing is proven: it misses a state, or rounding hides it."]
         if existence.eigenvalue is None or not existence.partners:
             return [
                 f"These samples miss something in every window, however many periods one waits: {existence.reason}."

@@ -60,8 +60,8 @@ def test_while_a_mark_moves_the_same_is_said_as_where_it_rests():
             laid = marks(*times, sensors=sensors)
             moving, rests = (bench.answer({"ask": ask, "marks": laid}) for ask in ("moving", "sigma"))
             assert {**moving, "ask": "sigma"} == rests
-            full = bench._broken(rests["lower"], moving=False)
-            assert rests["told"] == [*bench._rules(), *full]
+            sigma = sd.window_sigma(bench.plant.scaled(), bench.schedule, bench.window)
+            assert rests["told"] == [*bench._rules(), *bench._broken(sigma, moving=False)]
 
 
 def test_a_sigma_that_is_barely_proven_is_still_asked_about():
@@ -70,6 +70,17 @@ def test_a_sigma_that_is_barely_proven_is_still_asked_about():
         found = bench.answer({"ask": "moving", "marks": marks(1.0, 1.0 + np.pi + off)})
         assert bool(found["told"]) == (off < 1e-9)
         assert (found["lower"] > bench.clear) == (off > 1e-5)
+
+
+def test_what_is_not_known_is_not_called_zero():
+    """Growth e^400 within the window: there are samples enough, and doubles cannot tell what they show."""
+    plant = sd.Plant([[400.0, 0.0], [0.0, -1.0]], [[1.0, 1.0]], time_unit="s")
+    bench = Bench(plant, sd.Requirement(window=1.0, period=1.0))
+    (told,) = bench.answer({"ask": "sigma", "marks": marks(0.2, 0.7)})["told"]
+    assert told == "Of the window that ends just after 1.2 nothing is proven: it misses a state, or rounding hides it."
+    turning = Bench(PLANT, sd.Requirement(window=2.0, period=TURN))
+    (told,) = turning.answer({"ask": "sigma", "marks": marks(0.2, 1.2)})["told"]
+    assert told == "Some window holds too few samples: sigma is zero there."
 
 
 def test_modes_that_look_alike_are_named_in_pairs():

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._record import Record, counted
+from sampling_design._record import Record, counted, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
@@ -311,8 +311,20 @@ class PlantEquations(Record):
 
     @cached_property
     def centre(self) -> Plant:
-        """The linearisation about a state of the region."""
-        found = self.linearise(self.region.about, StateRegion(*self.bounds["inputs"]).middle)
+        """The linearisation about a state of the region.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not finite there.
+        """
+        try:
+            found = self.linearise(self.region.about, StateRegion(*self.bounds["inputs"]).middle)
+        except ArgumentError as error:
+            raise ArgumentError(
+                f"`plant` must have a finite linearisation at {short(self.region.about)}, the state that its region is "
+                f"judged about ({str(error).rstrip('.')}). Choose a region without the pole, or another `about`."
+            ) from None
         return replace(found, name=self.name)
 
     def with_bounds(self, **boxes: object) -> Self:

@@ -20,6 +20,7 @@ from sampling_design import (
 )
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.certificates.inclusion.program import InclusionProgram
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
@@ -409,6 +410,22 @@ def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls
     turned = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5, 1.0), eta=0.1, pieces=8)
     assert turned.solver.details["digits"] == 15
     assert turned.verify().verdict == "proven"
+
+
+def test_what_an_inaccurate_solver_leaves_is_no_solution(monkeypatch):
+    """An indefinite P has a negative ratio of its ends, which is less than any: it must not count as the narrowest."""
+    narrow = InclusionProgram.narrow
+
+    def spoilt(self, ratio, floor):
+        x, W, record = narrow(self, ratio, floor)
+        return None if x is None else -x, W, record
+
+    monkeypatch.setattr(InclusionProgram, "narrow", spoilt)
+    found = certify_inclusion(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1, pieces=8)
+    assert found.verify().verdict == "proven"
+    monkeypatch.setattr(InclusionProgram, "matrices", lambda self, x: -np.ones((self.count, 2, 2)))
+    with pytest.raises(UndecidedError, match="no P\\(tau\\) was proven"):
+        certify_inclusion(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1, pieces=8)
 
 
 def test_growth_beyond_all_numbers_within_a_gap_is_undecided_and_not_a_warning():

@@ -161,3 +161,17 @@ def test_plants_of_others_have_a_model(plant):
     members = plant.members(np.random.default_rng(0))
     assert members.dynamics.shape[1:] == (plant.n_states, plant.n_states + plant.n_disturbances)
     assert plant.model_to_dict()["kind"] == "nonlinear"
+
+
+def test_a_region_with_a_pole_in_its_middle_is_refused_in_its_own_words():
+    shown = [lambda x, u, v: [x[0] + v[0]], lambda x, u, v: [1 / x[0] + v[0]]]
+    moves = [lambda x, u, w: [x[1], -1 / x[0] + w[0]], lambda x, u, w: [x[1], -x[0] + w[0]]]
+    for f, h in zip(moves, shown, strict=True):
+        plant = NonlinearPlant(f, h, SIZES).in_region([-1.0, -1.0], [1.0, 1.0])
+        with pytest.raises(
+            ArgumentError, match=r"must have a finite linearisation at \[0, 0\], the state that its region"
+        ):
+            certify_inclusion(plant, GapRange(0.1, 0.5), eta=0.05, pieces=4)
+    beside = NonlinearPlant(moves[0], shown[0], SIZES).in_region([0.0, -1.0], [1.0, 1.0])
+    with pytest.raises(UndecidedError, match="no P"):  # the Jacobian is unbounded at the region's edge
+        certify_inclusion(beside, GapRange(0.1, 0.5), eta=0.05, pieces=4)

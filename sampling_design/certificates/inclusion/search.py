@@ -91,6 +91,8 @@ class InclusionSearch(PosedMembers):
             return None
         P = search.matrices(x)
         best = self._found(some, P, T, search.diagonals(x), record)
+        if not best.low > 0:  # a solver that was inaccurate
+            return None
         if not narrow:
             return best
         current, basis = some, np.eye(some.n)
@@ -102,6 +104,8 @@ class InclusionSearch(PosedMembers):
             current, basis = current.turned(turn), basis @ turn
             own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
             found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, search.diagonals(x), record)
+            if not found.low > 0:
+                break
             done = found.lam > NARROW_ENOUGH * best.lam
             best = found if found.lam < best.lam else best
             if done:

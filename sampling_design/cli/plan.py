@@ -49,10 +49,13 @@ def info(
         tables += [record_table(count), count.explain()]
         left = plant.n_states - split.retained.n_states
         if left:
+            kept = split.retained.n_states
+            means = "its one retained direction" if kept == 1 else f"its {kept} retained directions"
+            others, counts = f"The other {left} fade by themselves and need", "some of them are counted too"
+            if left == 1:
+                others, counts = "The other one fades by itself and needs", "it may be counted too"
             tables.append(
-                f"To determine the state means here: its {split.retained.n_states} retained directions. "
-                f"The other {left} fade by themselves and need no samples; "
-                "with a larger --decay-rate some of them are counted too."
+                f"To determine the state means here: {means}. {others} no samples; with a larger --decay-rate {counts}."
             )
         data["counts"] = count.to_dict()
     folder = settings.folder()

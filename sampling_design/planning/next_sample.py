@@ -81,15 +81,21 @@ class NextSample(Record):
         return f"{date:%H:%M}" if same else self.when(t, self.now)
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("now", self.when(self.now)), ("latest", f"{self.when(self.latest)}, {', '.join(self.outputs)}")]
-        rows += [(f"{name} alone", f"by {self.when(t)}") for name, t in self.alone.items()]
-        rows.append(("best", f"{self.when(self.best)}, {', '.join(self.best_outputs)}"))
+        rows = [("now", self.when(self.now)), ("latest", self._told(self.latest, self.outputs))]
+        rows += [(f"{name} alone", f"by {self.when(t)}") for name, t in self.alone.items() if np.isfinite(t)]
+        rows += [("best", self._told(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def _told(self, t: float, outputs: tuple[str, ...]) -> str:
+        """A time and what is read then."""
+        return ", ".join([self.when(t), *(outputs if np.isfinite(t) else ())])
 
     def explain(self) -> str:
         """Say when to sample."""
         if not np.isfinite(self.latest):
-            return "No allowed sample keeps the tolerances any more: sample as soon as the place is open."
+            after = f" ({short(self.ratio, 4)} of them after the last one tried)" if np.isfinite(self.ratio) else ""
+            text = f"No allowed sample is proven to keep the tolerances any more{after}: keep to the plan's next one"
+            return f"{text}, or sample as soon as the place is open."
         alone = [
             f"{name} alone by {self._beside(t)}"
             for name, t in self.alone.items()

@@ -38,6 +38,9 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
     assert f"by {told.date(9 * day):%a %d %b} 00:00" in replace(told, latest=9 * day).explain()
     assert found.to_dict()["latest"]["date"].endswith("+01:00")
+    none = replace(found, latest=-np.inf, best=-np.inf, alone={outputs[0]: -np.inf}, ratio=1.001, proven=False)
+    assert "any more (1.001 of them after the last one tried): keep to the plan's next one" in none.explain()
+    assert dict(none._rows()) == {"now": found.when(0.0), "latest": "never", "of the tolerance": "1.001 (not proven)"}
 
 
 def test_samples_as_planned_change_nothing_of_what_is_proven(week):

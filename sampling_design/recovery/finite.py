@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow
+from sampling_design.errors import UndecidedError
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.atoms import Atoms
@@ -34,6 +35,9 @@ NO_ERROR = 1e-9
 
 UNSEEN = 1e-9
 """A free direction counts as unseen if its samples are below this share of what the strongest one shows."""
+
+BLURRED = 1e-7
+"""Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""
 
 LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
 """Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
@@ -143,19 +147,50 @@ def finite_atoms(chain: SampleChain) -> list[Atoms]:
 
 
 def _determined(free: Array, seen: list[Array]) -> Array:
-    """Orthonormal columns that span what nothing free and unseen touches."""
+    """Orthonormal columns that span what nothing free and unseen touches.
+
+    Raises
+    ------
+    UndecidedError
+        If something free has decayed so far that rounding hides whether it is seen, or where it points.
+    """
     n = len(free)
     rows = np.vstack(seen)
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
     if not free.shape[1]:
         return np.eye(n)
-    sizes, right = np.zeros(free.shape[1]), np.eye(free.shape[1])
+    shown = np.linalg.norm(rows, axis=0)
+    sizes, right = _strengths(rows)
+    open_ = sizes <= UNSEEN * max(1.0, float(sizes[0]))
+    # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
+    alike = _strengths(rows / np.where(shown > 0, shown, 1.0))[0]
+    if np.count_nonzero(alike <= UNSEEN * max(1.0, float(alike[0]))) < np.count_nonzero(open_):
+        raise _faded()
+    if not open_.any():
+        return np.eye(n)
+    unseen = right[open_].T
+    open_ends = free @ unseen
+    length, reach = np.linalg.norm(open_ends, axis=0), [float(np.linalg.norm(free[:, v != 0])) for v in unseen.T]
+    if np.any(length <= BLURRED * np.array(reach)):
+        raise _faded()
+    left, strength, _ = np.linalg.svd(open_ends / length)
+    if strength[-1] <= UNSEEN * strength[0]:
+        raise _faded()
+    return np.asarray(left[:, len(strength) :])
+
+
+def _strengths(rows: Array) -> tuple[Array, Array]:
+    """How much of each direction rows show, and the directions (as rows)."""
+    width = rows.shape[1]
+    sizes, right = np.zeros(width), np.eye(width)
     if len(rows):
         _, found, right = np.linalg.svd(rows)
         sizes[: found.size] = found
-    open_ends = free @ right[sizes <= UNSEEN * max(1.0, float(sizes[0]))].T
-    if not open_ends.shape[1]:
-        return np.eye(n)
-    left, strength, _ = np.linalg.svd(open_ends / np.linalg.norm(open_ends, axis=0))
-    rank = int(np.sum(strength > UNSEEN * strength[0]))
-    return np.asarray(left[:, rank:])
+    return sizes, right
+
+
+def _faded() -> UndecidedError:
+    return UndecidedError(
+        "undecided: of a start of which nothing is known, something becomes so small beside the rest, before samples "
+        "show it or until now, that doubles cannot tell what is left of it. Bound it by `initial_error`."
+    )

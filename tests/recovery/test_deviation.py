@@ -190,7 +190,7 @@ def test_a_start_of_which_nothing_is_known_leaves_no_trace(A, C, growth):
     truth = from_nothing(A.tolist(), C, 1.0, 0.3, times, 4.0)
     weak = growth == 20.0 and A[0, 1] != 0
     said = (
-        pytest.raises(UndecidedError, match="the samples show some state so weakly")
+        pytest.raises(UndecidedError, match=r"the samples show some state so weakly|becomes so small beside the rest")
         if weak
         else contextlib.nullcontext()
     )

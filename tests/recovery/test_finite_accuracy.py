@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from tests.oracles import accuracy as oracle
 
 PLANT = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -191,3 +191,40 @@ def test_a_row_that_is_known_at_its_sample_alone_says_so():
     found = sd.accuracy(plant, sd.Schedule([0.0]), w_bound=0.1, v_bound=0.1, end=2.0)
     assert "at single times only" in str(found)
     assert "Where the samples determine them, some estimator guarantees position within 0.1" in found.explain()
+
+
+STIFF = sd.Schedule([0.0, 1.0], np.array([[True, False], [False, True]]))
+
+
+def stiff(rate, turn=0.0):
+    """A fast state that only the second sample shows, beside a slow one that both do; and a row of both."""
+    Q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    C = np.array([[0.0, 1.0], [1.0, 1.0]]) @ Q.T
+    return sd.Plant(Q @ np.diag([-rate, -0.1]) @ Q.T, C, G=Q), np.array([[1000.0, 1.0]]) @ Q.T
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+@pytest.mark.parametrize("rate", [5.0, 12.0])
+def test_a_fast_state_of_which_nothing_is_known_is_known_from_where_it_is_seen(rate, turn):
+    plant, row = stiff(rate, turn)
+    found = sd.accuracy(plant, STIFF, w_bound=[1e-6, 1e-6], v_bound=[0.1, 0.1], of=row)
+    # the slow one is known to .1 e^-.1 by then, the fast one to .1 more, and the two errors have opposite signs
+    assert found.at_samples[0, 1] == pytest.approx(100 + 999 * 0.1 * np.exp(-0.1), rel=1e-4)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_what_has_faded_before_it_is_seen_is_not_taken_for_unseen(turn):
+    """The row was promised to within .094 where the truth is about 190."""
+    plant, row = stiff(40.0, turn)
+    with pytest.raises(UndecidedError, match="becomes so small beside the rest"):
+        sd.accuracy(plant, STIFF, w_bound=[1e-6, 1e-6], v_bound=[0.1, 0.1], of=row)
+    bounded = sd.accuracy(plant, STIFF, w_bound=[1e-6, 1e-6], v_bound=[0.1, 0.1], of=row, initial_error=[1.0, 1.0])
+    assert bounded.upper[0] < 1001 * np.sqrt(2)  # where it begins, in turned coordinates
+
+
+def test_what_no_sample_shows_stays_unknown_however_fast_it_fades():
+    known = {"w_bound": [1e-3, 1e-3], "v_bound": 0.1}
+    found = sd.accuracy(sd.Plant(np.diag([-40.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known)
+    assert found.upper == pytest.approx([np.inf, 0.1], rel=1e-3)
+    with pytest.raises(UndecidedError, match="becomes so small beside the rest"):
+        sd.accuracy(sd.Plant(np.diag([-400.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known)

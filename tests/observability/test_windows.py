@@ -284,3 +284,14 @@ def test_bad_input(arguments, message):
     given = {"plant": OSCILLATOR, "schedule": PeriodicSchedule([0.5]), "window": 1.5, **arguments}
     with pytest.raises(ArgumentError, match=message):
         window_sigma(**given)
+
+
+@pytest.mark.parametrize("growth", [30.0, 340.0, 350.0, 400.0])
+def test_growth_whose_square_is_no_number_hides_nothing(growth):
+    """From e^355 on sigma was said to be zero to rounding, with e^400 attained."""
+    plant = Plant([[growth]], [[1.0]])
+    found = window_sigma(plant, PeriodicSchedule([0.5, 0.5], 0.2), 1.0)
+    # the window that begins just after a sample has one half a period later, and another as it ends
+    assert found.status == "closed"
+    assert found.lower == pytest.approx(np.exp(growth / 2), rel=2e-3)
+    assert found.upper == pytest.approx(np.exp(growth / 2), rel=2e-3)

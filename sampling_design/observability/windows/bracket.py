@@ -143,7 +143,9 @@ class _Pieced:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
             sigma = 1 / value
-            least = self.plant.n_states * _EPS * np.linalg.norm(back, axis=(1, 2))
+            largest = np.abs(back).max(axis=(1, 2), initial=np.finfo(float).tiny)  # its square may overflow
+            size = np.linalg.norm(back / largest[:, None, None], axis=(1, 2)) * largest
+            least = self.plant.n_states * _EPS * size
         return np.asarray(least >= sigma)
 
     def ceiling(self, h: Array, fa: Array, fb: Array, ga: Array, gb: Array) -> Array:

@@ -90,6 +90,12 @@ class _RowGatherer:
         return sparse.csc_matrix((values, (rows, at)), shape=(self.count, columns))
 
 
+def in_stages(motion: Motion, knots: npt.NDArray[np.intp]) -> bool:
+    """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
+    many = sum(len(motion.gap(int(d))[2]) for d in np.diff(knots)) * motion.G.shape[1]
+    return not motion.ball and many > MANY
+
+
 class RasterWindow:
     """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
 
@@ -108,17 +114,12 @@ class RasterWindow:
         self._soft, self._built = soft, False
         self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
         self._stages: StageProgram | None = None
-        if faint is None and not motion.ball and self._w_at[-1] - self._w_at[0] > MANY:
+        if faint is None and in_stages(motion, knots):
             seen_rows = [motion.H[chosen] for chosen in seen]
             self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
             self.price, self.entries = STAGES, int(len(knots) * n**1.5)
         else:
             self._build(soft)
-
-    @property
-    def staged(self) -> bool:
-        """Whether it is so large that it is solved stage by stage."""
-        return self._stages is not None
 
     def _build(self, soft: list[int]) -> None:
         self._built = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.adversary import Flight, RasterWindow, opened
+from sampling_design.planning.adversary import Flight, RasterWindow, in_stages, opened
 from sampling_design.planning.attacks import HiddenMotion, peaks_of
 from sampling_design.planning.motion import Blindness, Motion, hidden_at
 from sampling_design.planning.problem import Goal, PlanProblem
@@ -74,7 +74,8 @@ class Oracle:
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
         order = np.argsort(-gaps, kind="stable")[: LONGEST if longest and turns else None].tolist() if goals else []
-        key, depths = (chosen.tobytes(), self.back, above, longest), self._depths(chosen, above) if order else []
+        key = chosen.tobytes(), self.back, above, longest
+        depths = self._depths(chosen, int(at[order[0]]), above) if order else []
         if key == self._kept[0]:
             return self._kept[1]
         for back in depths:
@@ -94,9 +95,9 @@ class Oracle:
             self._kept = key, (worst, found)
         return worst, found
 
-    def _depths(self, chosen: Mask, above: float) -> list[int]:
+    def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
         """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
-        if above == np.inf or not self.back or not self._window(chosen, self.problem.steps, self.back).staged:
+        if above == np.inf or not self.back or not in_stages(self.motion, self._knots(chosen, last, self.back)):
             return [self.back]
         return [self.back // share for share in SHALLOW] + [self.back]
 
@@ -166,15 +167,19 @@ class Oracle:
         return found
 
     def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
-        """The window of samples of an endless schedule up to a step, and the step at which it starts."""
+        """The window of samples of an endless schedule up to a step."""
+        knots = self._knots(chosen, last, back)
+        return RasterWindow(self.motion, knots, chosen[knots % self.problem.steps])
+
+    def _knots(self, chosen: Mask, last: int, back: int) -> npt.NDArray[np.intp]:
+        """The steps of its samples."""
         steps = self.problem.steps
         at = np.flatnonzero(chosen.any(axis=1))
         periods = back // steps + 1
         knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
         knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
         long = np.flatnonzero(np.diff(knots) > self.motion.longest)
-        knots = knots[long[-1] + 1 :] if long.size else knots
-        return RasterWindow(self.motion, knots, chosen[knots % steps])
+        return knots[long[-1] + 1 :] if long.size else knots
 
     def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:
         """Find how far back matters."""

@@ -28,7 +28,7 @@ def test_a_plan_requirement_and_a_scene_open_too(shell):
     assert "is open at" in shell("explore", FILES[0], plan, *ENDS).out
     assert "is open at" in shell("explore", "--scene", "set", *ENDS).out
     assert "brings its own plant" in shell("explore", plan, "--scene", "set", *ENDS).err
-    assert "`name` must be one of" in shell("explore", "--scene", "opera", *ENDS).err
+    assert "`--scene` must be one of" in shell("explore", "--scene", "opera", *ENDS).err
     assert "`PLANT` is missing: give a plant file" in shell("explore", *ENDS).err
 
 

@@ -103,9 +103,12 @@ class PlanDates(Record):
         samples = counted(len(self.entries), "sample")
         if not self.exceptions:
             return f"{samples} as planned; no change of the clocks and no holiday among them."
-        bad = [e.date for e in self.exceptions if not (e.proven and e.ratio <= 1)]
-        text = f"{samples} with {counted(len(self.exceptions), 'exception')}"
-        return f"{text}; every tolerance is kept across them." if not bad else f"{text}; not kept: {', '.join(bad)}."
+        told = f"{samples} with {counted(len(self.exceptions), 'exception')}"
+        bad = [e.date for e in self.exceptions if e.ratio > 1]
+        doubtful = [e.date for e in self.exceptions if e.ratio <= 1 and not e.proven]
+        for words, dates in (("not kept", bad), ("not proven", doubtful)):
+            told += f"; {words}: {', '.join(dates)}" if dates else ""
+        return f"{told}." if bad or doubtful else f"{told}; every tolerance is kept across them."
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""

@@ -11,7 +11,7 @@ from sampling_design._checks import freeze
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.search import ChainSearch, RowSearch
 from sampling_design.recovery.unknown import open_modes
-from sampling_design.recovery.witness import AccuracyWitness, attains, physical
+from sampling_design.recovery.witness import KEPT, AccuracyWitness, attains, physical
 
 Array = npt.NDArray[np.float64]
 
@@ -38,15 +38,18 @@ def strongest_witness(
         for strike in finder.strikes[j] or [finder.idle(j)]:
             values = np.where(sure, np.abs(opened.mu @ strike.end) + opened.below, -1.0)
             strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
-    for value, offset, strike in sorted(strikes, key=lambda a: -a[0]):
-        if best is not None and best[0].value >= value:
+    top = (1 - KEPT) * max(value for value, *_ in strikes)
+    for value, offset, strike in sorted(strikes, key=lambda a: (-min(a[0], top), a[2].sample)):  # of equals the first
+        if best is not None and best[0].value >= (1 - KEPT) * value:
             break
         witness = physical(row, found.opened[strike.sample], strike, offset)
+        closed = witness.simulate(question.bounds.w).w
+        witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
         value, excess = attains(witness, question.bounds, question.initial)
         factor = max(excess, 1.0)
         w, states = freeze(witness.w / factor), freeze(witness.states / factor)
         witness = replace(witness, w=w, states=states, value=value / factor)
-        if best is None or witness.value > best[0].value:
+        if best is None or witness.value > best[0].value * (1 + KEPT):
             best = witness, strike.sample, offset
     assert best is not None
     return best

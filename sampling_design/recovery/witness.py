@@ -74,16 +74,23 @@ class AccuracyWitness(Record):
     outputs: npt.NDArray[np.bool_]
     value: float
 
-    def simulate(self) -> WitnessRun:
+    def simulate(self, units: Array | None = None) -> WitnessRun:
         """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
 
         Every gap is flown anew from the state at its first sample. What rounding leaves open at its end is closed by a
         change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
         the samples is exactly `states`, its w is `w` but for that change. NaN in w says that no change closes it.
+
+        Parameters
+        ----------
+        units : (q,) array, optional
+            In which the change is least, such as the bounds on w; an entry of 0 does not change. Default: the largest
+            of each entry of `w`.
         """
-        plant, scale, size = self.plant, self.scales(), np.max(np.abs(self.w), axis=0, initial=0.0)
+        plant, scale = self.plant, self.scales()
+        size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
+        A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
         size = np.where(size > 0, size, 1.0)
-        A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]
         n, q = G.shape
         joint = np.zeros((n + q, n + q))
         joint[:n] = np.hstack([A, G])
@@ -182,7 +189,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     Without `initial` the schedule is endless and the witness starts from rest; with it, one that starts at the first
     node may start anywhere in that set.
     """
-    v, x, moved = witness.simulate()
+    v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
     period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
     legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[period]))
     begun = 0.0

@@ -210,6 +210,8 @@ def test_a_fast_state_of_which_nothing_is_known_is_known_from_where_it_is_seen(r
     found = sd.accuracy(plant, STIFF, w_bound=[1e-6, 1e-6], v_bound=[0.1, 0.1], of=row)
     # the slow one is known to .1 e^-.1 by then, the fast one to .1 more, and the two errors have opposite signs
     assert found.at_samples[0, 1] == pytest.approx(100 + 999 * 0.1 * np.exp(-0.1), rel=1e-4)
+    # an entry of w that the witness hardly uses closes its flight as well: up to 1e4 times too little was said
+    assert found.lower[0] > 0.999 * found.upper[0]
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])

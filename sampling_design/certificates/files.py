@@ -15,7 +15,7 @@ from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Ce
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.checkers import grammar
+from sampling_design.checkers import claims, detectability, family_file, schedule_file
 from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import Altered, BadFile, Tree
@@ -97,7 +97,7 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         If the digest does not fit.
     """
     try:
-        found = grammar.certificate(data)
+        found = claims.certificate(data)
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
         if isinstance(error, Altered):
@@ -127,11 +127,11 @@ def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertifica
     )
 
 
-def _sampled(data: Tree, plant: Plant, found: grammar.Sampled) -> Certificate:
+def _sampled(data: Tree, plant: Plant, found: schedule_file.Sampled) -> Certificate:
     return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
-def _of_family(data: Tree, plant: Plant, found: grammar.OfFamily) -> FamilyCertificate:
+def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyCertificate:
     edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in found.graph.edges]
     # words as they were written: whole numbers and others
     graph = PathCompleteGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
@@ -141,7 +141,7 @@ def _of_family(data: Tree, plant: Plant, found: grammar.OfFamily) -> FamilyCerti
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 
-def _detectable(data: Tree, plant: Plant, found: grammar.Detectability) -> DetectabilityCertificate:
+def _detectable(data: Tree, plant: Plant, found: detectability.Detectability) -> DetectabilityCertificate:
     values = {key: data[key] for key in ("P", *_RATES, "method")}
     solver = None if data["solver"] is None else SolverRecord(**data["solver"])
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
@@ -159,9 +159,9 @@ def _values(data: Tree) -> Tree:
 
 
 READERS: dict[type, Callable[..., AnyCertificate]] = {
-    grammar.Sampled: _sampled,
-    grammar.OfFamily: _of_family,
-    grammar.Detectability: _detectable,
+    schedule_file.Sampled: _sampled,
+    family_file.OfFamily: _of_family,
+    detectability.Detectability: _detectable,
     Inclusion: _inclusion,
 }
 """What the auditor read of a file -> the record that it is for everybody else."""

@@ -29,9 +29,8 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     import numpy as np
 
-    from .grammar import certificate
+    from .claims import certificate, claim_of
     from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
-    from .proofs import PROOFS
     from .strict import Altered, BadFile
     from .work import MOST_WORK, Work
 
@@ -39,7 +38,7 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     try:
         c = certificate(data)
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
-            found = PROOFS[type(c)](c, work)
+            found = claim_of(data).prove(c, work)
     except Altered as error:
         return Verdict(BAD_FILE, "digest", str(error))
     except BadFile as error:

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from .grammar import Family, GapRange, Graph, Jitter, LostSamples, SpacedWindows, Times
+from .family_file import Family, GapRange, Graph, Jitter, LostSamples, SpacedWindows
 from .outcome import Refused
+from .schedule_file import Times
 
 Word = tuple[Fraction, ...]
 

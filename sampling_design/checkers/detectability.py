@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .grammar import Detectability
 from .numbers import EPS, symmetric
-from .outcome import Refused
-from .strict import Array
+from .outcome import Proven, Refused
+from .parts import AROUND, RATES, SOLVER, Claim, Plant, sized
+from .strict import Array, Tree, matrix, or_nothing, positive, table, word
+from .work import Work
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
@@ -29,6 +30,36 @@ Number = Any
 Numbers = npt.NDArray[Any]
 """Doubles, or Fractions."""
 INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
+
+
+METHODS = ("riccati", "lmi", "proof", "given")
+TABLE = table(
+    {
+        **AROUND,
+        **RATES,
+        **{"P": matrix(), "c_w": positive, "c_y": positive, "method": word(*METHODS)},
+        "solver": or_nothing(SOLVER),
+    },
+    whole="the certificate",
+)
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """A file of claim "detectability": A'P + PA + (1 + margin) eta P - c_y C'C etc., no schedule."""
+
+    plant: Plant
+    P: Array
+    eta: float
+    c_w: float
+    c_y: float
+    margin: float
+
+
+def detectability(read: Tree, plant: Plant) -> Detectability:
+    """A file of this claim."""
+    rates = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
+    return Detectability(plant, sized(read["P"], "P", plant.n), **rates)
 
 
 @dataclass(frozen=True)
@@ -136,3 +167,12 @@ def failure(name: str, amount: float, direction: Array, how: str) -> Refused:
     shown = ", ".join(f"{x:.3g}" for x in along[:8]) + (", ..." if len(along) > 8 else "")
     reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms ({how}), along [{shown}]"
     return Refused(name, reason, amount, direction=along)
+
+
+def proven(c: Detectability, work: Work) -> Proven:
+    """The proof, and what it proves in words."""
+    how, slack = prove(c)
+    return Proven(INEQUALITY, f"P > 0 and {INEQUALITY}, {how}", slack)
+
+
+CLAIM = Claim(TABLE, detectability, proven)

@@ -9,11 +9,11 @@
 import numpy as np
 
 from .cover import judge
+from .family_file import OF_FAMILY, OfFamily, of_family
 from .frame import Frame, Index, largest, size, turned
-from .grammar import OfFamily
-from .numbers import EPS, definite, problem
-from .outcome import Refused
-from .sampled import targets
+from .numbers import EPS, definite, problem, targets
+from .outcome import Proven, Refused, holds
+from .parts import Claim
 from .strict import Array
 from .work import Work
 
@@ -94,3 +94,11 @@ class Intervals(Frame):
             amount = float(1 / values[k] - 1)
             reason = f"{self.inequality} fails by {-amount:.3g} at gap {h[k]:.6g}"
             raise Refused(self.inequality, reason, amount, float(h[k]))
+
+
+def proven(c: OfFamily, work: Work) -> Proven:
+    """The proof, and what it proves in words."""
+    return holds(*prove(c, work), "every schedule of the family, every real window start and every later t")
+
+
+CLAIM = Claim(OF_FAMILY, of_family, proven)

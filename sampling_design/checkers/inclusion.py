@@ -18,16 +18,17 @@ from itertools import product
 
 import numpy as np
 
-from .inclusion_file import Box, Inclusion, Parameter, Region, Vertices, moved
-from .numbers import EPS, SAFE, symmetric
-from .outcome import Refused, Undecided
+from .inclusion_file import INCLUSION, Box, Inclusion, Parameter, Region, Vertices, inclusion, moved
+from .numbers import EPS, RESOLUTION, SAFE, symmetric
+from .outcome import Proven, Refused, Undecided, holds
+from .parts import Claim
 from .robust import definite_robustly
 from .slopes import Parts, enclosed
 from .strict import Array, Mask
+from .work import Work
 
 FLOW = "[P' + A'P + PA + eta P, PG; G'P, -Qw] < 0"
 JUMP = "P(0) < P(tau) + C'R~C"
-RESOLUTION = 1e-3  # lam is stated to within this share
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 BELOW = 1e-10  # share by which R~ is taken smaller than its floats, so that its own inequality has room
 MOST_PARAMETERS = 10  # of a box whose corners are tried one by one; beyond that multipliers are needed
@@ -467,3 +468,11 @@ class Cells:
         left, right = high.copy(), low.copy()
         left[rows, side], right[rows, side] = middle, middle
         return np.concatenate([low, right]), np.concatenate([left, high])
+
+
+def proven(c: Inclusion, work: Work) -> Proven:
+    """The proof, and what it proves in words."""
+    return holds(*prove(c), "every plant of the model, all gaps in the range and every real window start")
+
+
+CLAIM = Claim(INCLUSION, inclusion, proven)

@@ -15,6 +15,7 @@ from .programs import Program
 from .strict import (
     Array,
     Reader,
+    Tree,
     anything,
     flag,
     list_of,
@@ -125,9 +126,8 @@ class Inclusion:
     multipliers: Array | None
 
 
-def inclusion(value: object, plant: Plant) -> Inclusion:
+def inclusion(read: Tree, plant: Plant) -> Inclusion:
     """The judged content of a file's table."""
-    read = INCLUSION(value, "")
     weights = weights_of(read, plant)
     if read["witness"] is not None:
         raise refuse("witness", "must be null: a certificate for an inclusion has no witness")

@@ -1,6 +1,5 @@
 """What a file of claim "interval" holds: what was read, the bounds, and gains that prove the ends of rows."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,6 +8,7 @@ import numpy as np
 from .parts import AROUND, Plant
 from .strict import (
     Array,
+    Tree,
     flag,
     list_of,
     matrix,
@@ -96,9 +96,8 @@ class OfInterval:
     factors: dict[str, tuple[float, Array]] | None
 
 
-def of_interval(data: Mapping[str, object], plant: Plant) -> OfInterval:
-    """The claim in the plain data of a file, every size derived from the plant and compared."""
-    read = INTERVAL(data, "")
+def of_interval(read: Tree, plant: Plant) -> OfInterval:
+    """The claim in a file's table, every size derived from the plant and compared."""
     n, q = plant.n, plant.G.shape[1]
     B = read["plant"]["matrices"].get("B", np.zeros((n, 0)))
     rows, R = read["rows"]["matrix"], sum(len(each.rows) for each in read["readings"])

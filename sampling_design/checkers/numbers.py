@@ -16,6 +16,7 @@ from .strict import Array
 EPS = float(np.finfo(float).eps)  # twice the rounding of one operation: what is of second order is paid by that
 SKEW = 1e-12  # entries that differ from their mirror by more, relative to the diagonal, make a matrix not symmetric
 SAFE = 1e-140, 1e140  # sizes of numbers of which no product of two underflows or overflows
+RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 MOST_EXACT = 40  # states up to which a matrix that floats leave open is decided in rational numbers
 
 
@@ -55,6 +56,14 @@ def problem(plant: Plant, weights: Weights) -> Problem:
     S = inner(plant.G, weights.Qw, x)
     safe(A, C, S, P1, V)
     return Problem(A=A, C=C, S=S, P1=P1, P2=P2, V=V, loose=loose, eta=weights.eta, units=x)
+
+
+def targets(numbers: Problem, margin: float, P1: Array, lam: float) -> list[tuple[Array, str]]:
+    """What every window must stay above: (1 + margin) P1 and P2/lam, the latter to within the resolution."""
+    return [
+        ((1 + margin) * P1, "(1 + margin) P1 <= Pi(t)"),
+        ((1 - RESOLUTION) * numbers.P2 / lam, "(1 - 1e-3) P2 <= lam Pi(t)"),
+    ]
 
 
 def unit(P: Array) -> Array:

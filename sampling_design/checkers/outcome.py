@@ -2,8 +2,6 @@
 
 from dataclasses import asdict, dataclass
 
-from .strict import Tree
-
 PROVEN, REFUTED, UNDECIDED, BAD_FILE = "proven", "refuted", "undecided", "bad file"
 EXIT_CODES = {PROVEN: 0, REFUTED: 1, BAD_FILE: 2, UNDECIDED: 3}
 
@@ -34,6 +32,20 @@ class Undecided(Refused):
 
 
 @dataclass(frozen=True)
+class Proven:
+    """An inequality that holds, one sentence, and its relative slack."""
+
+    inequality: str
+    reason: str
+    slack: float
+
+
+def holds(inequality: str, slack: float, subject: str) -> Proven:
+    """Say that an inequality holds for its subject."""
+    return Proven(inequality, f"{inequality} for {subject}, slack {slack:.3g}", slack)
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The verdict on one file.
 
@@ -59,7 +71,7 @@ class Verdict:
         """0 proven, 1 the mathematics says no, 2 bad file, 3 undecided."""
         return EXIT_CODES[self.verdict]
 
-    def to_dict(self) -> Tree:
+    def to_dict(self) -> dict[str, object]:
         """Plain data."""
         return {"passed": self.passed, **asdict(self)}
 

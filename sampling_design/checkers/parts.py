@@ -5,11 +5,12 @@ Sizes come from the plant: n states, p outputs, q disturbances.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from .outcome import Proven
 from .signals import signals_of
 from .strict import (
     Array,
@@ -91,6 +92,19 @@ class Weights:
     margin: float
 
 
+@dataclass(frozen=True)
+class Claim:
+    """What a file of a claim holds, no more and no less; its judged content; and what proves it.
+
+    `table` reads the file, `record(read, plant)` makes the record of what was read, and `prove(record, work)` raises
+    `Refused` or `Undecided` where there is no proof.
+    """
+
+    table: Reader
+    record: Callable[..., object]
+    prove: Callable[..., Proven]
+
+
 def digest(data: Mapping[str, object]) -> str:
     """Return the SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) without the key `digest`."""
     rest = {key: value for key, value in data.items() if key != "digest"}
@@ -122,5 +136,6 @@ def weights_of(read: Tree, plant: Plant) -> Weights:
     """Weights of the sizes of the plant."""
     n, p, q = plant.n, len(plant.C), plant.G.shape[1]
     sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
-    values: Tree = {key: sized(read[key], key, size) for key, size in sizes.items()}
-    return Weights(**values, **{key: read[key] for key in NUMBERS})
+    found = {key: read[key] for key in (*sizes, *NUMBERS)}
+    found |= {key: sized(found[key], key, size) for key, size in sizes.items()}
+    return Weights(**found)

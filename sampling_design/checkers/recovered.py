@@ -21,10 +21,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from .interval_file import OfInterval
+from .interval_file import INTERVAL, OfInterval, of_interval
 from .long_numbers import UNIT, doubles, long, long_flow, product
 from .numbers import EPS, safe
-from .outcome import Refused, Undecided
+from .outcome import Proven, Refused, Undecided, holds
+from .parts import Claim
 from .strict import Array, Mask
 from .work import Work
 
@@ -378,3 +379,11 @@ def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:
         wrong[known + 1 : 2 * known + 1] = made * LOOSE
         known *= 2
     return E, wrong, mean * d, (4 * (n + TERMS) * EPS * mean_size * LOOSE + 1e-30) * d
+
+
+def proven(c: OfInterval, work: Work) -> Proven:
+    """The proof, and what it proves in words."""
+    return holds(*prove(c, work), "every row and every trajectory within the bounds")
+
+
+CLAIM = Claim(INTERVAL, of_interval, proven)

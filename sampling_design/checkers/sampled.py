@@ -10,13 +10,13 @@ It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the co
 import numpy as np
 
 from .frame import Flows, Frame, Index, dominating, largest, least, size, turned
-from .grammar import Sampled, Times, Witness
-from .numbers import EPS, Problem, problem
-from .outcome import Refused, Undecided
+from .numbers import EPS, RESOLUTION, Problem, problem, targets
+from .outcome import Proven, Refused, Undecided, holds
+from .parts import Claim
+from .schedule_file import SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Mask
 from .work import Work
 
-RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first
 ROUNDS = 60  # halvings of a cell or of a time step: below the resolution of a double
@@ -28,16 +28,6 @@ SUSPECTS = 200  # windows at once in which a violation is looked for: those of t
 JUMP = 3  # periods that are followed until it is asked where their gains would settle: slow plants take no longer
 LOST = 1e6  # where the target is I: what comes here with more noise does not come back
 INFLATION = 1e-2  # noise added per sample, where the target is I, to find the family B_i; then less and less
-
-Target = tuple[Array, str]
-
-
-def targets(numbers: Problem, margin: float, P1: Array, lam: float) -> list[Target]:
-    """What every window must stay above: (1 + margin) P1 and P2/lam, the latter to within the resolution."""
-    return [
-        ((1 + margin) * P1, "(1 + margin) P1 <= Pi(t)"),
-        ((1 - RESOLUTION) * numbers.P2 / lam, "(1 - 1e-3) P2 <= lam Pi(t)"),
-    ]
 
 
 def prove(c: Sampled, work: Work | None = None) -> tuple[str, float]:
@@ -304,3 +294,11 @@ class Windows(Frame):
         wrong = float(z @ E @ z + np.abs(z @ rest) + 2 * rest @ rest / lowest)
         wrong += 4 * self.n * EPS * float(np.abs(z) @ (np.abs(Y) @ np.abs(z) + np.abs(x)))
         return float(x @ x / (x @ z)), wrong / float(x @ z)
+
+
+def proven(c: Sampled, work: Work) -> Proven:
+    """The proof, and what it proves in words."""
+    return holds(*prove(c, work), "every real window start and every later t")
+
+
+CLAIM = Claim(SAMPLED, of_schedule, proven)

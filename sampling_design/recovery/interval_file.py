@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import __version__, _files
 from sampling_design._checks import freeze
 from sampling_design._record import Plain
-from sampling_design.checkers import grammar
+from sampling_design.checkers import claims
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.parts import FORMAT, digest
 from sampling_design.checkers.strict import Altered, BadFile
@@ -111,7 +111,7 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
     where = os.fspath(path)
     data = _files.from_json(_files.read_text(where), where)
     try:
-        found = grammar.certificate(data)
+        found = claims.certificate(data)
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
         said = f"{where}: {'' if isinstance(error, Altered) else 'is no interval: '}{sentence}"

@@ -10,7 +10,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import exactly
 from sampling_design._record import Plain
-from sampling_design.checkers import grammar
+from sampling_design.checkers import family_file
 from sampling_design.checkers.strict import anything
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import SamplingFamily
@@ -71,7 +71,7 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     missing = [key for key in needed if key not in data]
     if missing:
         raise ArgumentError(f"a family of kind {kind!r} needs `{missing[0]}`.")
-    exactly(grammar.family if kind in grammar.FAMILIES else anything, data)
+    exactly(family_file.family if kind in family_file.FAMILIES else anything, data)
     values = {key: data[key] for key in (*needed, *optional) if key in data}
     if "schedule" in values:
         values["schedule"] = schedule_from_dict(values["schedule"])

@@ -15,7 +15,7 @@ from sampling_design._door import door
 from sampling_design._files import csv_rows, decimal, from_json, read_text, to_json, write_text
 from sampling_design._record import Plain
 from sampling_design._units import check_time_unit
-from sampling_design.checkers import grammar
+from sampling_design.checkers import schedule_file
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
@@ -78,7 +78,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
         _checks.known_keys("a finite schedule", data, ("kind", "times", "outputs", *_DETAILS))
         if "times" not in data:
             raise ArgumentError("a finite schedule needs `times`.")
-        _files.exactly(grammar.FINITE, data)
+        _files.exactly(schedule_file.FINITE, data)
         return Schedule(data["times"], outputs, **details)
     if kind != "periodic":
         raise ArgumentError(f'`kind` of a schedule must be "finite" or "periodic", got {kind!r}.')
@@ -86,7 +86,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     _checks.known_keys("a periodic schedule", data, known)
     if ("times" in data) != ("period" in data):
         raise ArgumentError("a periodic schedule needs `times` and `period` together, got only one of them.")
-    _files.exactly(grammar.PERIODIC, data)
+    _files.exactly(schedule_file.PERIODIC, data)
     if "gaps" not in data:
         if "times" not in data:
             raise ArgumentError("a periodic schedule needs `gaps`, or `times` and `period`.")

@@ -21,7 +21,7 @@ from sampling_design import (
     robustness,
 )
 from sampling_design.certificates.form import seal
-from sampling_design.checkers import check, detectability, grammar
+from sampling_design.checkers import check, claims, detectability
 from sampling_design.checkers.detectability import INEQUALITY
 from sampling_design.checkers.outcome import Refused
 from sampling_design.errors import CertificateError, FileFormatError
@@ -354,7 +354,7 @@ def test_each_proof_stops_at_the_first_thing_that_is_wrong(change, words):
     data = stated(0)
     change(data)
     with pytest.raises(Refused, match=words):
-        detectability.prove(grammar.certificate(redigested(data)))
+        detectability.prove(claims.certificate(redigested(data)))
 
 
 def test_digest_and_claim_come_first():

@@ -11,7 +11,7 @@ import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from sampling_design.certificates.form import seal
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import check, families, grammar
+from sampling_design.checkers import check, claims, families
 from sampling_design.checkers.outcome import Refused
 from sampling_design.checkers.strict import BadFile
 from tests.oracles.families import step_holds
@@ -173,7 +173,7 @@ def test_nominal_schedules_are_judged_too():
     del data["times"]["schedule"]["period"]
     data["digest"] = seal.digest(data)
     with pytest.raises(BadFile, match="must have `times` and `period` together, or neither"):
-        grammar.certificate(data)
+        claims.certificate(data)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_what_is_no_certificate_is_refused_in_words(change, words):
     found = verdict(data)
     assert words in found["reason"]
     with pytest.raises((Refused, BadFile), match=re.escape(words)):
-        families.prove(grammar.certificate(data))
+        families.prove(claims.certificate(data))
 
 
 def test_claim_and_digest_come_first():

@@ -12,7 +12,7 @@ import pytest
 from sampling_design import PeriodicSchedule, Plant, certify, load_certificate
 from sampling_design.certificates.rigorous.ball_problem import Unproven
 from sampling_design.certificates.rigorous.decide import _decided
-from sampling_design.checkers import check, grammar, sampled, strict
+from sampling_design.checkers import check, claims, parts, sampled, strict
 from sampling_design.checkers.cover import need
 from sampling_design.checkers.frame import Frame
 from sampling_design.checkers.numbers import definite, problem
@@ -29,7 +29,7 @@ def text():
 
 
 def redigested(data):
-    return {**data, "digest": grammar.digest(data)}
+    return {**data, "digest": parts.digest(data)}
 
 
 CASES = [
@@ -81,7 +81,7 @@ def test_what_is_not_exactly_right_is_refused_with_its_place(change, words, tmp_
     with suppress(ValueError):  # an infinity has no digest, and is refused before it is asked for
         data = redigested(data)
     with pytest.raises(BadFile, match=re.escape(words)):
-        grammar.certificate(data)
+        claims.certificate(data)
     assert check(data)["verdict"] == "bad file"
     with pytest.raises((ArgumentError, FileFormatError), match=re.escape(words)):
         raise_as_a_file(data, tmp_path)
@@ -97,10 +97,10 @@ def raise_as_a_file(data, folder):
 
 def test_what_is_no_table_or_altered_is_refused(tmp_path):
     with pytest.raises(BadFile, match="must hold one table, got list"):
-        grammar.certificate([])
+        claims.certificate([])
     altered = json.loads(text()) | {"eta": 0.3}
     with pytest.raises(BadFile, match="the digest does not fit the content: something was altered"):
-        grammar.certificate(altered)
+        claims.certificate(altered)
     path = tmp_path / "c.json"
     path.write_text(json.dumps(altered))
     with pytest.raises(FileFormatError, match="the digest does not fit the content") as caught:
@@ -155,7 +155,7 @@ def test_single_values():
 
 
 def test_what_floats_can_not_decide_says_so():
-    made = grammar.certificate(json.loads(text()))
+    made = claims.certificate(json.loads(text()))
     numbers, seen = problem(made.plant, made.weights), made.schedule.seen
     with pytest.raises(Undecided, match="its left side is nearly singular"):
         Frame(numbers, -np.eye(2), "x", seen)
@@ -239,7 +239,7 @@ def test_data_of_too_many_values_are_refused(monkeypatch):
 
 
 def test_weights_that_no_factor_holds_are_undecided():
-    made = grammar.certificate(json.loads(text()))
+    made = claims.certificate(json.loads(text()))
     numbers = problem(made.plant, made.weights)
     frame = Frame(numbers, numbers.P2, "x", np.ones((1, 1), bool))
     with pytest.raises(Undecided, match="a weight is nearly singular"):

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import sampling_design as sd
-from sampling_design.checkers import check, grammar, recovered
+from sampling_design.checkers import check, claims, recovered
 from sampling_design.checkers.long_numbers import BITS, doubles, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
@@ -239,13 +239,13 @@ def gains_at(found, gains, k):
 
 
 def recovered_parts(found):
-    c = grammar.certificate(found._sealed())
+    c = claims.certificate(found._sealed())
     return recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
 
 
 def proven(data, work=np.inf):
     with np.errstate(all="ignore"):  # as the checkers' door does
-        return recovered.prove(grammar.certificate(sealed(data)), recovered.Work(work))
+        return recovered.prove(claims.certificate(sealed(data)), recovered.Work(work))
 
 
 def unseen(data):
@@ -292,7 +292,7 @@ def test_why_it_is_not_proven(whole, forge, error, words):
 def test_what_rounding_hides_is_undecided(whole):
     """An end between what the gains prove and what they are at least."""
     data = copy.deepcopy(whole[1])
-    c = grammar.certificate(data)
+    c = claims.certificate(data)
     most, least = recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()
     data["upper"][0] = float((most[0] + least[0]) / 2)
     with pytest.raises(Undecided, match="rounding is as large as what is left"):

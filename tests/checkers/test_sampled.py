@@ -28,7 +28,7 @@ from sampling_design import (
 )
 from sampling_design import checkers as checker
 from sampling_design.certificates.form import seal
-from sampling_design.checkers import grammar, outcome, sampled
+from sampling_design.checkers import claims, outcome, sampled
 from tests.oracles import riccati as oracle
 
 ROOM = Path(checker.__file__).parent
@@ -197,7 +197,7 @@ def test_each_proof_stops_at_the_first_thing_that_is_wrong(change, words):
     data = certificates()[0].to_dict()
     change(data)
     with pytest.raises(outcome.Refused, match=words):
-        sampled.prove(grammar.certificate(redigested(data)))
+        sampled.prove(claims.certificate(redigested(data)))
 
 
 def test_digest_and_claim_come_first():

@@ -8,7 +8,7 @@ from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, cert
 from sampling_design._ball_flow import BallFlow, fallen
 from sampling_design._balls import ball, floats, matrix, precision
 from sampling_design.certificates.form.verdict import verdict_of
-from sampling_design.checkers import grammar, numbers, sampled
+from sampling_design.checkers import claims, numbers, sampled
 from sampling_design.checkers.frame import largest
 from sampling_design.checkers.work import Work
 
@@ -27,7 +27,7 @@ def drawn(seed):
     P2, eta = root @ root.T + 0.1 * np.eye(n), float(rng.uniform(0.1, 2.0))
     weights = {"P1": P2 / 2, "P2": P2, "Qw": np.eye(2), "R": [[2.0]], "Qv": [[2.0]]}
     made = Certificate.from_matrices(plant, PeriodicSchedule([0.7, 1.1]), **weights, eta=eta, lam=2.0)
-    file = grammar.certificate(made.to_dict())
+    file = claims.certificate(made.to_dict())
     problem = numbers.problem(file.plant, file.weights)
     return rng, sampled.Windows(problem, file.schedule, problem.P2, "Y <= I")
 
@@ -133,7 +133,7 @@ def test_carried_apart_a_matrix_stays_above_the_flow(rate):
     """V D V' of both rooms lies above e^{As} N e^{A's} all along a step, and is far below one speed for all."""
     plant, schedule = stiff_chain(rate)
     weights = {"P1": np.eye(4) / 2, "P2": np.eye(4), "Qw": np.eye(4), "R": [[2.0]], "Qv": [[2.0]]}
-    file = grammar.certificate(Certificate.from_matrices(plant, schedule, **weights, eta=0.3, lam=2.0).to_dict())
+    file = claims.certificate(Certificate.from_matrices(plant, schedule, **weights, eta=0.3, lam=2.0).to_dict())
     problem = numbers.problem(file.plant, file.weights)
     frame = sampled.Windows(problem, file.schedule, problem.P2, "Y <= I")
     rng = np.random.default_rng(5)

@@ -18,7 +18,7 @@ from sampling_design.certificates import files
 from sampling_design.certificates.form.seal import sealed, write_certificate
 from sampling_design.certificates.rigorous import decide
 from sampling_design.certificates.rigorous.ball_problem import REFUTED, Decision, Unproven, reading
-from sampling_design.checkers import check, grammar, parts, proofs, strict
+from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Refused
 
@@ -39,7 +39,11 @@ class Decay:
 TABLE = strict.table(
     {**parts.AROUND, "P": strict.matrix(), "eta": strict.positive, "solver": strict.or_nothing(parts.SOLVER)}
 )
-CLAIM = grammar.Claim(TABLE, lambda read, data, plant: Decay(plant, parts.sized(read["P"], "P", plant.n), read["eta"]))
+
+
+def record(read: Any, plant: parts.Plant) -> Decay:
+    return Decay(plant, parts.sized(read["P"], "P", plant.n), read["eta"])
+
 
 # 2. the proof of its inequality, in rational numbers: nothing is rounded
 
@@ -48,14 +52,16 @@ def exact(M: Any) -> Any:
     return np.array([Fraction(x) for x in np.ravel(M).tolist()], dtype=object).reshape(np.shape(M))
 
 
-def prove(c: Decay, work: Any) -> proofs.Proven:
+def prove(c: Decay, work: Any) -> outcome.Proven:
     A, P = exact(c.plant.A), exact(c.P)
     P = (P + P.T) / 2
     for form in (P, -(A.T @ P + P @ A + Fraction(c.eta) * P)):
         if downhill(form)[0] is not None:
             raise Refused(INEQUALITY, f"{INEQUALITY} fails")
-    return proofs.Proven(INEQUALITY, f"{INEQUALITY}, in rational numbers", 0.0)
+    return outcome.Proven(INEQUALITY, f"{INEQUALITY}, in rational numbers", 0.0)
 
+
+CLAIM = parts.Claim(TABLE, record, prove)
 
 # 3. the record that everybody else has, and its reader
 
@@ -100,8 +106,7 @@ def in_balls(data: Any, clock: Any) -> Decision:
 
 @pytest.fixture(autouse=True)
 def known(monkeypatch):
-    monkeypatch.setitem(grammar.CLAIMS, "decay", CLAIM)
-    monkeypatch.setitem(proofs.PROOFS, Decay, prove)
+    monkeypatch.setitem(claims.CLAIMS, "decay", CLAIM)
     monkeypatch.setitem(files.READERS, Decay, read)
     monkeypatch.setitem(decide.CLAIMS, "decay", in_balls)
 
@@ -136,6 +141,6 @@ def test_an_altered_file_and_a_forged_key_are_no_certificate(certificate):
     data = json.loads(json.dumps(certificate.to_dict()))
     assert "digest" in check(data | {"eta": 0.1})["reason"]
     forged = data | {"P1": [[1.0]]}
-    forged["digest"] = grammar.digest(forged)
+    forged["digest"] = parts.digest(forged)
     assert check(forged)["verdict"] == "bad file"
     assert "unknown key 'P1'" in check(forged)["reason"]

@@ -18,7 +18,7 @@ import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, Schedule, SpacedWindows
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.checkers import check
-from sampling_design.checkers.grammar import digest
+from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.uncertain import UncertainPlant

@@ -17,7 +17,7 @@ from sampling_design.certificates.exact.riccati import supremum
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import grammar, numbers
+from sampling_design.checkers import numbers, parts
 from sampling_design.checkers.work import Work
 from tests.rescale import Units
 
@@ -113,7 +113,7 @@ def drawn(seed):
         if rng.random() < 0.7:
             for row in data["plant"]["matrices"]["G"]:
                 row[k] = 0.0
-    data["digest"] = grammar.digest(data)
+    data["digest"] = parts.digest(data)
     return data, kind
 
 

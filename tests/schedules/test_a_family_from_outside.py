@@ -13,7 +13,7 @@ import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.certificates.compare.robustness import _Breaker, _tried
 from sampling_design.certificates.families.graphs import graph_of
-from sampling_design.checkers import check, cover, grammar, strict
+from sampling_design.checkers import check, cover, family_file, parts, strict
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
@@ -122,14 +122,14 @@ class Shifted(SamplingFamily, kind="shifted"):
 
 
 @dataclass(frozen=True)
-class Planned(grammar.Family):
+class Planned(family_file.Family):
     """What an auditor reads of it."""
 
     gaps: tuple[float, float]
     slack: float
 
 
-def covers_day_and_night(family: Planned, graph: grammar.Graph) -> None:
+def covers_day_and_night(family: Planned, graph: family_file.Graph) -> None:
     """Words are what came last: 0 after a day's gap, 1 after a night's."""
     for u, word in enumerate(graph.words):
         cover.need(not u or word in ((0,), (1,)), u, "the word is neither day nor night")
@@ -141,7 +141,9 @@ def covers_day_and_night(family: Planned, graph: grammar.Graph) -> None:
 
 
 READ = strict.table({"kind": strict.text, **dict.fromkeys(("day", "night", "slack"), strict.positive)})
-grammar.FAMILIES["day-and-night"] = grammar.Kind(READ, lambda d, plant: Planned((d["day"], d["night"]), d["slack"]))
+family_file.FAMILIES["day-and-night"] = family_file.Kind(
+    READ, lambda d, plant: Planned((d["day"], d["night"]), d["slack"])
+)
 cover.COVERED[Planned] = covers_day_and_night
 
 
@@ -185,7 +187,7 @@ def test_it_is_certified_and_its_graph_is_not_trusted(certificate):
     data = json.loads(json.dumps(certificate.to_dict()))
     graph = data["graph"]
     graph["edges"] = [e for e in graph["edges"] if not e[0] or graph["words"][e[1]] != [1]]  # no night after a day
-    data["digest"] = grammar.digest(data)
+    data["digest"] = parts.digest(data)
     assert check(data)["verdict"] == "refuted"
     assert "gap 1" in check(data)["reason"]
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from sampling_design._record import Plain, Record, short
 from sampling_design.checkers import check
-from sampling_design.checkers.grammar import Sampled, certificate
+from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.outcome import Refused
 from sampling_design.checkers.sampled import replay
+from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Tree
 from sampling_design.checkers.work import Work
 

@@ -32,7 +32,7 @@ from sampling_design.certificates.rigorous.dissipation_balls import detectabilit
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.inclusion_balls import inclusion
 from sampling_design.certificates.rigorous.refutation import refute
-from sampling_design.checkers.grammar import certificate
+from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
 

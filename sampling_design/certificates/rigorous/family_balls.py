@@ -34,8 +34,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
     positive_definite,
     reading,
 )
+from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import judge
-from sampling_design.checkers.grammar import OfFamily, certificate
+from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import Refused
 from sampling_design.checkers.strict import Tree
 

@@ -17,7 +17,7 @@ from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Decision, Unproven, positive_definite
-from sampling_design.checkers.grammar import certificate
+from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.inclusion import FLOW, JUMP
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
 from sampling_design.checkers.programs import Instruction

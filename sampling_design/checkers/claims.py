@@ -1,0 +1,40 @@
+"""Which file decides which claim, and the judged content of a certificate file of any claim."""
+
+from collections.abc import Mapping
+from importlib import import_module
+
+from .parts import FORMAT, Claim, digest, plant_of
+from .strict import Altered, BadFile, plain, refuse
+
+CLAIMS: dict[str, str | Claim] = {
+    "assumption-7": "sampled",
+    "family": "families",
+    "detectability": "detectability",
+    "inclusion": "inclusion",
+    "interval": "recovered",
+}
+"""Each claim and the file whose `CLAIM` decides it, opened when one comes: what is not opened has no part in it."""
+
+
+def claim_of(data: Mapping[str, object]) -> Claim:
+    """What the file claims, or BadFile."""
+    if data.get("format") != FORMAT:
+        raise refuse("format", f"must be {FORMAT!r}, got {data.get('format')!r:.60}. Is this a certificate file?")
+    name = data.get("claim")
+    if not isinstance(name, str) or name not in CLAIMS:
+        known = ", ".join(map(repr, CLAIMS))
+        raise BadFile(f"`claim` must be {known} here, got {name!r:.60}")
+    where = CLAIMS[name]
+    found = where if isinstance(where, Claim) else import_module(f".{where}", __package__).CLAIM
+    assert isinstance(found, Claim)
+    return found
+
+
+def certificate(data: Mapping[str, object]) -> object:
+    """Return the certificate in the plain data of a file, as the record of its claim, or raise BadFile."""
+    data = plain(data)
+    claim = claim_of(data)
+    read = claim.table(data, "")
+    if data["digest"] != digest(data):
+        raise Altered("the digest does not fit the content: something was altered after it was written")
+    return claim.record(read, plant_of(read["plant"]))

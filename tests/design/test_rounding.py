@@ -1,14 +1,17 @@
 """What a bound rests on, against exact arithmetic: badly conditioned plants, bad coordinates, growth."""
 
+from math import comb
+
 import mpmath
 import numpy as np
 import pytest
 
 from sampling_design import Plant, library
 from sampling_design._linalg import expm_batch
+from sampling_design.design.bounds.derivatives import largest_derivatives
 from sampling_design.design.bounds.evidence import BoundPart
 from sampling_design.design.bounds.local_bound import _rounding
-from sampling_design.design.bounds.weak_duality import value_at
+from sampling_design.design.bounds.weak_duality import cell_count, peaks, piece_edges, profile, roofs, value_at
 from sampling_design.design.problem.gram import ROUNDING
 from sampling_design.design.problem.numbers import DesignProblem
 from tests.oracles.filters import matrix
@@ -102,3 +105,38 @@ def test_weights_that_rounding_swallows_prove_nothing():
     for weights, proves in ((np.eye(2), False), (np.diag([1.0, 0.0]), True)):
         value = BoundPart("placed", np.zeros(1), weights[None], np.zeros((0, 2))).value_for(problem)
         assert np.isfinite(value) == proves
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_roofs_cover_what_is_seen_inside_their_pieces(name):
+    problem = posed(name)
+    T, rng = problem.window, np.random.default_rng(4)
+    edges = piece_edges(T, np.linspace(0.0, T, cell_count(problem) + 1))
+    places = rng.integers(edges.size - 1, size=3)
+    lags = edges[places] + rng.uniform(size=3) * np.diff(edges)[places]
+    for F in few_directions(problem):
+        seen = roofs(profile(problem, np.zeros(1), F @ np.swapaxes(F, 1, 2), edges), problem.mask(edges[:-1]))
+        for place, lag in zip(places, lags, strict=True):
+            assert exactly(problem, F[0], lag)[1] <= mpmath.mpf(float(seen[place]))
+
+
+def test_roofs_are_near_where_outputs_see_little_of_a_large_state():
+    problem = posed("eight integrators")
+    edges = piece_edges(problem.period, np.linspace(0.0, problem.window, cell_count(problem) + 1))
+    for F in few_directions(problem):
+        g = profile(problem, np.zeros(1), F @ np.swapaxes(F, 1, 2), edges)
+        # |C|^2 |Y'''| alone would be worth hundreds of times the highest peak of the state that is seen least
+        assert roofs(g, problem.mask(edges[:-1])).max() <= 1.001 * peaks(g).max()
+
+
+def test_derivatives_of_a_form_are_bounded_over_its_reach_and_near():
+    problem = posed("eight integrators")
+    A, C, reach = problem.rows.A, problem.rows.C, 0.02 * problem.window
+    E = expm_batch(A, 0.8 * problem.window + reach * np.array([0.0, *np.linspace(-1.0, 1.0, 21)]))
+    for F in few_directions(problem):
+        most = largest_derivatives(A, C[None], (E[0] @ F[0])[None], np.array([reach]))[:, 0]
+        y = [C @ np.linalg.matrix_power(A, i) @ E[1:] @ F[0] for i in range(4)]
+        for p in range(4):
+            true = abs(sum(comb(p, i) * np.sum(y[i] * y[p - i], axis=(1, 2)) for i in range(p + 1))).max()
+            assert true <= most[p] * (1 + 1e-6)
+            assert most[p] <= 40 * true  # norms alone: more than a million times

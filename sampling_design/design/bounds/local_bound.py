@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from sampling_design import _conic
 from sampling_design._linalg import expm_batch
+from sampling_design.design.bounds.derivatives import largest_derivatives
 from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.design.problem.numbers import DesignProblem
@@ -39,6 +40,7 @@ _LEAST_RATIO = 1e-12  # of the sigma^2 aimed at: what a window sees in the middl
 _NOTHING = 1e-200  # of what windows see: a sigma^2 aimed at that is less is 0
 _WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a cut beside its share of the Hessian
 _PLACES = 9  # of a lag's range at which a form is looked at for its extremes
+_BLIND = 30.0  # times what is seen: where the norms of states are more, they say little
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
 
 
@@ -319,6 +321,8 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     bend = 2 * np.einsum("spr,spr->s", dy, dy) + 2 * np.einsum("spr,spr->s", y, ddy)
     size = np.einsum("spn,spn->s", C, C) * spread
     most = size * np.stack([np.linalg.norm(M, axis=(1, 2)) for M in (Y, first, second, third)])
+    if np.sum(most[0]) > _BLIND * np.sum(value):
+        most = np.minimum(most, largest_derivatives(A, C, F, terms.reach))
     most[0] = np.minimum(most[0], value + most[1] * terms.reach)
     most = np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0)
     turned = float(np.linalg.norm(A, 2)) * terms.reach

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch, rows_ahead
+from sampling_design.design.bounds.derivatives import change_of_bend, remainder_of_bend
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +28,7 @@ NARROWER = 1e-11
 ends."""
 
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
+_LOOSE = 1e-5  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
 
@@ -44,8 +46,10 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     """Evaluate g on the pieces between `edges`, which must hold every jump of g.
 
     With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
-    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|. Y is carried to nodes, a
-    few to each unit of 1/|A|; on the pieces between them rows Ce^{Au} alone are worked out, n times as cheap.
+    g'' = C(AAY + 2AYA' + YA'A')C', and |g'''| <= |C|^2 e^{2|A|h} |third derivative of Y|. Where the outputs see little
+    of a large Y, that is far too much, and the derivatives up to a higher order are worked out one by one. Y is carried
+    to nodes, a few to each unit of 1/|A|; on the pieces between them rows Ce^{Au} alone are worked out, n times as
+    cheap. What rounding may take from g, as a share of its highest peak, is added to both ends.
     """
     rows, period = problem.rows, problem.period
     A, C = rows.A, rows.C
@@ -64,24 +68,22 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     node = node.reshape(-1)
     step = expm_batch(A, count * apart)
     Y = step @ Y0[base.astype(np.intp)] @ np.swapaxes(step, 1, 2)
-    third = Y
-    for _ in range(3):
-        third = A @ third + third @ A.T
-    size = np.linalg.norm(third, axis=(1, 2))[node]
     begin = left - bases[used][home] - ahead * apart
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
-        growth = np.where(size > 0, np.exp(2 * norm * (begin + width)), 1.0)
-    sharpness = (growth * size * width)[:, None] * np.sum(C**2, axis=1)
+        growth = np.exp(2 * norm * (begin + width))[:, None] * np.sum(C**2, axis=1)
     c, held = rows_ahead(C, A, begin), Y[node]
     first, seen = c @ A, c @ held
     bend = 2 * np.sum(seen * (first @ A) + (first @ held) * first, axis=2)
     end = rows_ahead(C, A, begin + width)
-    return Profile(
-        edges,
-        np.sum(seen * c, axis=2),
-        np.sum((end @ held) * end, axis=2),
-        np.maximum(-bend, 0.0) + sharpness,
-    )
+    g_left, g_right = np.sum(seen * c, axis=2), np.sum((end @ held) * end, axis=2)
+    high = float(np.max([g_left, g_right], initial=0.0))
+    sharpness = remainder_of_bend(A, Y, 3, node, width, growth)
+    loose = np.any(sharpness * (width**2 / 8)[:, None] > _LOOSE * high, axis=1)
+    if loose.any():
+        finer = change_of_bend(A, c[loose], Y, node[loose], width[loose], growth[loose])
+        sharpness[loose] = np.minimum(sharpness[loose], finer)
+    rounded = rows.rounding * high
+    return Profile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness)
 
 
 def peaks(g: Profile) -> Array:

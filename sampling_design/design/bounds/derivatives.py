@@ -1,0 +1,79 @@
+"""Derivatives of what outputs see of a multiplier, g(t) = C e^{At} Y e^{A't} C', one by one.
+
+Norms bound them all at once: |g^(q)| <= |C|^2 e^{2|A|t} |q-th derivative of Y|. Where the outputs see little of a large
+Y, as of many integrators, that is too much by orders of magnitude. By Taylor's formula the lower derivatives are known
+from those at one time, and only one of high order is left to the norms, with a factor h^q/q!.
+"""
+
+from __future__ import annotations
+
+from math import comb, factorial
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_ORDER = 16  # up to which derivatives of a form over the range of a lag are worked out
+_ORDER_OF_BEND, _TOGETHER = 9, 4096  # the same over a piece, which is short; pieces that are worked out at once
+
+
+def remainder_of_bend(A: Array, Y: Array, order: int, node: npt.NDArray[np.intp], width: Array, growth: Array) -> Array:
+    """How much g'' may change over a piece by its derivatives from an order q of g on: h^(q-2)/(q-2)! sup |g^(q)|."""
+    unit = np.max(np.abs(Y), axis=(1, 2))  # squares of what has grown are no numbers
+    Y = Y / np.maximum(unit, np.finfo(float).tiny)[:, None, None]
+    for _ in range(order):
+        Y = A @ Y + Y @ A.T
+    size = unit * np.linalg.norm(Y, axis=(1, 2))
+    scaled = (size[node] * width ** (order - 2) / factorial(order - 2))[:, None]
+    return np.asarray(np.where(scaled > 0, growth, 1.0) * scaled)
+
+
+def change_of_bend(A: Array, c: Array, Y: Array, node: npt.NDArray[np.intp], width: Array, growth: Array) -> Array:
+    """How much g'' = (c e^{At} Y e^{A't} c')'' may change over pieces of that `width` that begin with the rows c."""
+    slopes = _slopes_of_bend(A, c, Y, node, width)
+    return np.asarray(slopes + remainder_of_bend(A, Y, _ORDER_OF_BEND, node, width, growth))
+
+
+def _slopes_of_bend(A: Array, c: Array, Y: Array, node: npt.NDArray[np.intp], width: Array) -> Array:
+    """How much g'' may change over a piece by the third and higher derivatives of g at its beginning.
+
+    The q-th is the sum of binom(q, i) (c A^i) Y (c A^(q-i))'.
+    """
+    found = np.zeros(c.shape[:2])
+    for low in range(0, len(c), _TOGETHER):
+        part = slice(low, low + _TOGETHER)
+        rows = [c[part]]
+        for _ in range(1, _ORDER_OF_BEND):
+            rows.append(rows[-1] @ A)
+        seen = [row @ Y[node[part]] for row in rows]
+        for q in range(3, _ORDER_OF_BEND):
+            derivative = sum(comb(q, i) * np.sum(seen[i] * rows[q - i], axis=2) for i in range(q + 1))
+            found[part] += np.abs(derivative) * (width[part, None] ** (q - 2) / factorial(q - 2))
+    return found
+
+
+def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
+    """Bounds of the derivatives 0 to 3 of |C e^{At} F|^2 over |t| <= reach: from those at 0 up to a higher order.
+
+    What is left is bounded by norms. That alone says little where C sees little of what is large in F.
+    """
+    seen, state = [C @ F], F
+    for _ in range(1, _ORDER):
+        state = A @ state
+        seen.append(C @ state)
+    unit = np.maximum(np.max(np.abs(F), axis=(1, 2)), np.finfo(float).tiny)
+    F = F / unit[:, None, None]
+    Y = F @ np.swapaxes(F, 1, 2)
+    for _ in range(_ORDER):
+        Y = A @ Y + Y @ A.T
+    with np.errstate(over="ignore"):
+        last = np.einsum("spn,spn->s", C, C) * np.exp(2 * float(np.linalg.norm(A, 2)) * reach)
+        last = last * np.linalg.norm(Y, axis=(1, 2)) * unit**2
+    found = np.zeros((4, len(F)))
+    for q in range(_ORDER + 1):
+        pairs = (comb(q, i) * np.einsum("spr,spr->s", seen[i], seen[q - i]) for i in range(q + 1))
+        size = last if q == _ORDER else np.abs(sum(pairs))
+        for p in range(min(q, 3) + 1):
+            found[p] += size * reach ** (q - p) / factorial(q - p)
+    return found

@@ -21,7 +21,6 @@ if not __package__:  # run as a file: its folder is the package
 
 if TYPE_CHECKING:
     from .outcome import Verdict
-    from .strict import Tree
     from .work import Work
 
 
@@ -50,7 +49,7 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     return Verdict(PROVEN, found.inequality, found.reason, found.slack)
 
 
-def check(data: Mapping[str, object], work: "Work | None" = None) -> "Tree":
+def check(data: Mapping[str, object], work: "Work | None" = None) -> dict[str, object]:
     """Return the verdict as plain data; the check does at most this `work` (`work.MOST_WORK` unless told)."""
     return verdict(data, work).to_dict()
 

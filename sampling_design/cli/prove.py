@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -81,7 +81,7 @@ def certify(
     """
     plant = reading.plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
-    families: Tree = {k: v for k, v in given.items() if v is not None}
+    families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if detectability:
         _refuse_samples(schedule_file, families)
         _detectability(settings, plant, certificate_file, eta, noise_budget)
@@ -102,7 +102,7 @@ def certify(
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
 
 
-def _refuse_samples(schedule: Path | None, families: Tree) -> None:
+def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> None:
     if schedule is not None or families:
         other = "a SCHEDULE file" if schedule is not None else "`--" + next(iter(families)) + "`"
         raise ArgumentError(f"`--detectability` is about the plant alone and goes without {other}.")

@@ -197,11 +197,11 @@ def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[
     return table[suffix]
 
 
-def _read_toml(where: str) -> Tree:
+def _read_toml(where: str) -> dict[str, object]:
     return _files.from_toml(_files.read_text(where), where)
 
 
-def _read_json(where: str) -> Tree:
+def _read_json(where: str) -> dict[str, object]:
     return _files.from_json(_files.read_text(where), where)
 
 
@@ -221,11 +221,11 @@ def _toml_matrix(key: str, rows: list[list[float]]) -> str:
     return f"{key} = [\n{lines}]\n"
 
 
-def _as_json(tree: Tree) -> bytes:
+def _as_json(tree: Mapping[str, object]) -> bytes:
     return _files.to_json(tree).encode("utf-8")
 
 
-def _read_npz(where: str) -> Tree:
+def _read_npz(where: str) -> dict[str, object]:
     content = _files.read_bytes(where)
     try:
         _check_archive(content, where)
@@ -252,7 +252,7 @@ def _check_archive(content: bytes, where: str) -> None:
         raise FileFormatError(f"{where}: is too large: {size} bytes, expected at most {MOST_BYTES}.", where)
 
 
-def _read_mat(where: str) -> Tree:
+def _read_mat(where: str) -> dict[str, object]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadWarning
 
@@ -268,7 +268,7 @@ def _read_mat(where: str) -> Tree:
     return _tree({key: value for key, value in flat.items() if not key.startswith("__")}, where)
 
 
-def _tree(flat: Mapping[str, Any], where: str) -> Tree:
+def _tree(flat: Mapping[str, Any], where: str) -> dict[str, object]:
     """Return flat array names as the tree of the file format."""
     try:
         _checks.known_keys("the file", flat, _FLAT)
@@ -277,14 +277,15 @@ def _tree(flat: Mapping[str, Any], where: str) -> Tree:
         raise _located(where, error) from None
 
 
-def _tree_of(flat: Mapping[str, Any]) -> Tree:
-    tree: Tree = {"format": FORMAT, "matrices": {}}
+def _tree_of(flat: Mapping[str, Any]) -> dict[str, object]:
+    tree: dict[str, object] = {"format": FORMAT, "matrices": {}}
     tree["matrices"] = {key: _plain(key, flat[key]) for key in MATRICES if key in flat}
     for key in ("format", "name", "time_unit"):
         if key in flat:
             tree[key] = "".join(_words(key, flat[key]))
     for group in GROUPS:
-        table: Tree = {k: _words(f"{group}_{k}", flat[f"{group}_{k}"]) for k in _KEYS[:2] if f"{group}_{k}" in flat}
+        named = {k: f"{group}_{k}" for k in _KEYS[:2] if f"{group}_{k}" in flat}
+        table: dict[str, object] = {k: _words(name, flat[name]) for k, name in named.items()}
         if f"{group}_scales" in flat:
             table["scales"] = np.ravel(_plain(f"{group}_scales", flat[f"{group}_scales"]))
         if table:

@@ -8,7 +8,7 @@ from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
 CEILING = 65
 """How often `Any` stands in code today. Lower it whenever a room needs fewer; never raise it."""
-TREES = 99
+TREES = 81
 """How often `Tree` does, the one name for a table of plain data whose values the checker does not know."""
 
 
@@ -28,6 +28,7 @@ def test_the_number_of_any_only_goes_down():
         used = uses(nodes(path))
         for name, found in rooms.items():
             found[path.relative_to(PACKAGE).parts[0]] += used[name]
+    assert CEILING + TREES < 150
     for name, ceiling in (("Any", CEILING), ("Tree", TREES)):
         told = ", ".join(f"{room} {count}" for room, count in rooms[name].most_common() if count)
         assert rooms[name].total() <= ceiling, f"{rooms[name].total()} uses of `{name}`: {told}"

@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from sampling_design._record import Plain, Record, short
-from sampling_design.checkers import check
+from sampling_design.checkers import verdict
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.outcome import Refused
 from sampling_design.checkers.sampled import replay
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.strict import Tree
 from sampling_design.checkers.work import Work
 
 
@@ -84,6 +83,7 @@ def replays(data: Mapping[str, object]) -> bool:
     return True
 
 
-def verdict_of(data: Tree, work: Work | None = None) -> Verification:
+def verdict_of(data: Mapping[str, object], work: Work | None = None) -> Verification:
     """Return the verdict of the independent checker on the plain data of a certificate; it does at most this work."""
-    return Verification(**check(data, work))
+    found = verdict(data, work)
+    return Verification(passed=found.passed, **vars(found))

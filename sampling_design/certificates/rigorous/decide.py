@@ -87,7 +87,7 @@ class RigorousVerification(Verification):
         return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
 
 
-def judged(data: Tree, rigorous: bool, budget: float) -> Verification:
+def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verification:
     """Return the verdict on the plain data of a certificate.
 
     The checker says yes and no only beyond its bound of all rounding; what it leaves undecided goes to ball arithmetic,
@@ -99,7 +99,9 @@ def judged(data: Tree, rigorous: bool, budget: float) -> Verification:
     return verify_rigorously(data, budget, None if rigorous else Work(HANDED_OVER))
 
 
-def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None) -> RigorousVerification:
+def verify_rigorously(
+    data: Mapping[str, object], budget: float = 60.0, work: Work | None = None
+) -> RigorousVerification:
     """Decide in ball arithmetic whether what a certificate file states is true.
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
@@ -137,7 +139,7 @@ def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            found |= _decided(data, clock)
+            found |= _decided(dict(data), clock)
     except Unproven as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
     except OutOfTime:
@@ -152,7 +154,7 @@ def verify_rigorously(data: Tree, budget: float = 60.0, work: Work | None = None
     return RigorousVerification(**found, seconds=time.perf_counter() - began)
 
 
-def _decided(data: Tree, clock: Clock) -> Tree:
+def _decided(data: Tree, clock: Clock) -> dict[str, object]:
     try:
         certificate(data)
     except BadFile as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -13,7 +14,6 @@ from sampling_design import _checks
 from sampling_design._door import doors
 from sampling_design._linalg import expm_batch, psd_root
 from sampling_design._record import Plain
-from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at, relax_placed
@@ -206,7 +206,7 @@ class UpperBound:
         return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
-    def from_dict(cls, data: Tree) -> UpperBound:
+    def from_dict(cls, data: Mapping[str, object]) -> UpperBound:
         """The inverse of `to_dict`.
 
         Raises
@@ -259,7 +259,7 @@ def _number(key: str, value: object) -> float:
     return float(value)
 
 
-def _table(where: str, data: object, keys: tuple[str, ...]) -> Tree:
+def _table(where: str, data: object, keys: tuple[str, ...]) -> dict[str, object]:
     """The data, if they are a table with exactly these keys."""
     if not isinstance(data, dict):
         raise ArgumentError(f"{where} must be a table of names and values, got {_checks.described(data)}.")

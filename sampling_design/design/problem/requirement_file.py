@@ -10,7 +10,6 @@ from sampling_design._door import door
 from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
-    Tree,
     by_name,
     count,
     flag,
@@ -72,7 +71,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
 
 
 @door
-def requirement_from_dict(data: Tree, where: str = "requirement") -> Requirement:
+def requirement_from_dict(data: Mapping[str, object], where: str = "requirement") -> Requirement:
     """Return the requirement in a tree of plain data; the inverse of `Requirement.to_dict`.
 
     Parameters

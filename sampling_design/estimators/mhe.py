@@ -190,20 +190,22 @@ class MovingHorizonEstimator(WindowedEstimator):
             return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
     def _advance(self, state: State, sample: Taken) -> Node:
-        self._prepare(state, sample.t)
-        y, mask, feedthrough = self._measured(state, sample)
-        start = self._start(state, sample.t)
-        flow, drift = self._last_gap(state, sample.t)
-        scheduled = self._fits_schedule(state, sample.t, mask)
-        held = (y, mask, feedthrough), (flow, drift)
+        t = sample.t
+        self._prepare(state, t)
+        measured = y, mask, feedthrough = self._measured(state, sample)
+        flow, drift = last_gap = self._last_gap(state, t)
+        scheduled = self._fits_schedule(state, t, mask)
         limits = self._limited(sample, feedthrough)
-        free = not sample.told and not (start.inside and state.last.limited >= start.inside[0].t)
-        slid = self._slid(state, start, sample.t, *held) if free else None
-        solved = slid or self._solved(state, start, sample, *held, limits)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            start = self._start(state, t)
+            free = not sample.told and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
+            solved = self._slid(state, start, t, measured, last_gap) if free else None
+        if solved is None:
+            solved = self._solved(state, start, sample, measured, last_gap, limits)
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
-        details = SolveDetails(window_start=start.s, engine=solved.engine, cost=solved.cost)
-        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift, solved.half)
+        details: SolveDetails = {"window_start": start.s, "engine": solved.engine, "cost": solved.cost}
+        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift, solved.precision)
         node = self._node(state, taken, after, found, details, solved.note, scheduled)
         self._histories.keep(node)
         return node

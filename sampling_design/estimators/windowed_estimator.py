@@ -18,7 +18,7 @@ from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict
-from sampling_design.estimators.online.rounded import faded, rounding
+from sampling_design.estimators.online.rounded import Precision, faded, rounding
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
 from sampling_design.estimators.window.square_root import covariance_root
@@ -44,10 +44,7 @@ class Start(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a window says of its last sample: state, covariance, what they are worth, and how they were found.
-
-    `half` is U with U U' = Y^-1, where it is known.
-    """
+    """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
 
     x: Array
     Y: Array
@@ -55,7 +52,7 @@ class Answer(NamedTuple):
     engine: str = ""
     note: str = ""
     cost: float = np.nan
-    half: Array | None = None
+    precision: Precision | None = None
 
 
 class WindowedEstimator(OpenLoopEstimator):
@@ -71,6 +68,7 @@ class WindowedEstimator(OpenLoopEstimator):
         """Begin to remember windows; to be called once weights and bounds are set."""
         self._histories = Histories(self.weights, self._sample_energy)
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
+        self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
     def _prepare(self, state: State, t: float) -> None:
         """Put the three gaps of a new window that may be unknown into the table, in one batch."""
@@ -79,7 +77,7 @@ class WindowedEstimator(OpenLoopEstimator):
         if s > nodes[0].t:
             at = state.node_before(s)
             gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
-        self.table.known([gap for gap in gaps if gap > 0])
+        self.table.known(gaps if min(gaps) > 0 else [gap for gap in gaps if gap > 0])
 
     def _expect(self, times: Array) -> None:
         kept = np.array([node.t for node in self.state.nodes])
@@ -97,7 +95,10 @@ class WindowedEstimator(OpenLoopEstimator):
         return self.table.one(b - a), self._drift.between(state, a, b)
 
     def _start(self, state: State, t: float) -> Start:
-        """Return where the window of a solve at t begins, with the online estimate there."""
+        """Return where the window of a solve at t begins, with the online estimate there.
+
+        Numbers that overflow are looked at, so that numpy need not tell of them.
+        """
         nodes, s = state.nodes, t - self.horizon
         slack = SAME_TIME * math.ulp(max(abs(t), self.horizon))
         given = nodes[0].sample.y is None
@@ -117,16 +118,16 @@ class WindowedEstimator(OpenLoopEstimator):
         if not math.isfinite(beta):
             return Start(s, x, beta, None, inside)
         factor = self.weights.prior_factor
-        worst = float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
-        return Start(s, x, worst * beta, None, inside)
+        if self._worst[0] is not Y:
+            self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
+        return Start(s, x, self._worst[1] * beta, None, inside)
 
     def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self._between(state, node.t, s)
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, beta = self._flown(node, flow, drift)
-            if math.isfinite(x.dot(x) + np.vdot(Y, Y)):
-                return x, Y, beta
+        x, Y, beta = self._flown(node, flow, drift)
+        if math.isfinite(x.dot(x)) and math.isfinite(np.vdot(Y, Y)):
+            return x, Y, beta
         self._refuse_overflow(flow, x, s)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
             x, Y, beta = self._ahead(node, flow, drift)
@@ -142,7 +143,10 @@ class WindowedEstimator(OpenLoopEstimator):
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
     ) -> Answer | None:
-        """Return what the window without constraints says, from what is remembered of it; None where that is no use."""
+        """Return what the window without constraints says, from what is remembered of it; None where that is no use.
+
+        Numbers that overflow are looked at, so that numpy need not tell of them.
+        """
         if self.constraints.active or t <= start.s:
             return None
         opening, nodes, s = None, state.nodes, start.s
@@ -153,23 +157,22 @@ class WindowedEstimator(OpenLoopEstimator):
         prior = self._fixed_prior if start.root is None else start.root @ start.root.T
         flow, drift = last_gap
         new = Arriving(t, *measured, flow, drift)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            held = self._histories.of(nodes, first)
-            if held is None:
-                return None
-            sliding, at = held
-            if first == len(nodes):
-                gap = self._between(state, s, t)
-                reference = gap[0].F.dot(start.x) + gap[1]
-            else:
-                node = nodes[first]
-                own = node.flow if first > 0 and nodes[first - 1].t == s else None
-                gap = self._between(state, s, node.t) if own is None else (own, node.drift)
-                reference = flow.F.dot(nodes[-1].x) + drift
-            if not sliding.append(new, reference, predicted=first < len(nodes)):
-                return None
-            self._histories.begun(sliding)
-            optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
+        held = self._histories.of(nodes, first)
+        if held is None:
+            return None
+        sliding, at = held
+        if first == len(nodes):
+            gap = self._between(state, s, t)
+            reference = gap[0].F.dot(start.x) + gap[1]
+        else:
+            node = nodes[first]
+            own = node.flow if first > 0 and nodes[first - 1].t == s else None
+            gap = self._between(state, s, node.t) if own is None else (own, node.drift)
+            reference = flow.F.dot(nodes[-1].x) + drift
+        if not sliding.append(new, reference, predicted=first < len(nodes)):
+            return None
+        self._histories.begun(sliding)
+        optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
         if optimum is None:
             return None
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self._lost(t - s)
@@ -177,7 +180,7 @@ class WindowedEstimator(OpenLoopEstimator):
         found = self._judged(terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].sound:
             return None
-        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.half)
+        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
 
     def _left_out(self, sample: Taken, start: Start) -> str:
         """What is said of a mean that began before the window."""

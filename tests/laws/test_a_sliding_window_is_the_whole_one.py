@@ -73,6 +73,7 @@ def record(plant, count=60, regular=False, start=0.0, seed=0, inputs=False, lost
 CASES = {
     "irregular": (spring(), {}, {}),
     "regular": (spring(), {"regular": True}, {}),
+    "regular, inputs": (spring(), {"regular": True, "inputs": True}, {"eta": 2.0}),
     "inputs": (spring(), {"inputs": True}, {}),
     "undiscounted": (spring(), {}, {"eta": 0.0}),
     "filtered": (spring(), {}, {"arrival": "filtered"}),
@@ -115,6 +116,27 @@ def test_in_any_units(seed):
     mhe.run(moved)
     assert mhe.slid > 30
     assert mhe.worst < SAME
+
+
+LOST = (18, 19, 31, 44)
+
+
+def test_a_regular_record_that_breaks_off():
+    """The factor of the window before serves only while gaps and outputs are the same for all of one, and after."""
+    plant = CASES["lost outputs"][0]
+    rows = [(t, y, None) for t, y, _ in record(plant, 80, regular=True)]
+    for k in LOST:
+        rows[k][1][1] = np.nan
+    rows = [*rows[:50], *((t - 0.25, y, None) for t, y, _ in rows[50:])]
+    mhe, found, before = Watched(plant, **settings(plant, {})), set(), None
+    for k, row in enumerate(rows):
+        Y = mhe.update(*row).covariance
+        if Y is before:
+            found.add(k)
+        before = Y
+    assert mhe.worst < SAME
+    assert found.isdisjoint({at + since for at in LOST for since in range(8)} | set(range(50, 58)))
+    assert {28, 29, 30, 41, 42, 43, 60, 70, 79} <= found
 
 
 def test_a_sample_at_the_prior_and_late_ones():

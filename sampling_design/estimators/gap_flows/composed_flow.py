@@ -76,9 +76,10 @@ class ComposedFlow:
         if 0 < len(gaps) <= FEW and n <= SMALL and max(gaps) < BASE * self._unit:
             flow = self._near(gaps)
         else:
-            flow = self._far(np.array(gaps, dtype=np.float64))
-        W = flow[:, :, 2 * n :]
-        return flow[:, :, :n], flow[:, :, n : 2 * n], (W + W.transpose(0, 2, 1)) / 2
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite: its users look
+                flow = self._far(np.array(gaps, dtype=np.float64))
+        half = flow[:, :, 2 * n :] / 2
+        return flow[:, :, :n], flow[:, :, n : 2 * n], half + half.transpose(0, 2, 1)
 
     def _near(self, gaps: Sequence[float]) -> Array:
         """Flows over a few gaps of one level, each from the polynomial around its piece."""

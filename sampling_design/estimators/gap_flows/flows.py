@@ -61,7 +61,7 @@ class GapFlow:
     """
 
     __slots__ = (
-        "F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "_size", "gap", "growth", "inputs", "integral",
+        "F", "W", "_arrival", "_band", "_inputs", "_joint", "_loose", "_passed", "_roots", "_size", "gap", "growth",
     )  # fmt: skip
 
     def __init__(
@@ -70,17 +70,31 @@ class GapFlow:
         growth: float,
         F: Array,
         W: Array,
-        integral: Array,
-        inputs: Array,
+        passed: tuple[Array, int, Array],
         roots: tuple[Array, Array] | None = None,
     ):
-        self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
+        self.gap, self.growth, self.F, self.W = gap, growth, F, W
+        self._passed = passed  # the integrals of some gaps, which of them this one is, and B
+        self._inputs: Array | None = None
         self._roots = roots
         self._band: Array | None = None
         self._loose = 0.0
         self._size: Array | None = None
         self._arrival: tuple[Array, Arrival | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
+
+    @property
+    def integral(self) -> Array:
+        """Return int_0^h e^{A s} ds."""
+        integrals, number, _ = self._passed
+        return np.asarray(integrals[number])
+
+    @property
+    def inputs(self) -> Array:
+        """Return that times B."""
+        if self._inputs is None:
+            self._inputs = self.integral @ self._passed[2]
+        return self._inputs
 
     @property
     def size(self) -> Array:
@@ -134,15 +148,16 @@ class GapFlow:
         None where that would lose digits. What was asked for last is kept.
         """
         if self._arrival is None or self._arrival[0] is not Y:
-            self._arrival = Y, _arrival(self._carried(Y))
+            self._arrival = Y, _arrival(self.carried(Y))
         return self._arrival[1]
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
-        moved = self._carried(Y)
+        moved = self.carried(Y)
         return (moved + moved.T) / 2
 
-    def _carried(self, Y: Array) -> Array:
+    def carried(self, Y: Array) -> Array:
+        """Return growth F Y F' + W, symmetric but for rounding."""
         moved: Array = self.F.dot(Y).dot(self.F.T)
         moved *= self.growth
         moved += self.W
@@ -208,17 +223,17 @@ class FlowTable:
         return self.get((gap,))[0] if found is None else found
 
     def _fill(self, gaps: list[float]) -> None:
-        weights = self.weights
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
-            F, integral, W = self._flow.over(gaps)
-            inputs = integral @ weights.plant.B if weights.plant.n_inputs else np.zeros((*F.shape[:2], 0))
-            roots: dict[float, tuple[Array, Array]] = {}
-            if self.constant_w:
-                roots = dict(zip(gaps, self._constant_roots(integral, gaps), strict=True))
-                W = np.array([root @ root.T for root, _ in roots.values()])
-        for k, gap in enumerate(gaps):
-            growth = math.exp(weights.eta * gap) if weights.eta * gap < LONGEST else math.inf
-            self._table[gap] = GapFlow(gap, growth, F[k], W[k], integral[k], inputs[k], roots.get(gap))
+        eta, B, table = self.weights.eta, self.weights.plant.B, self._table
+        F, integral, W = self._flow.over(gaps)
+        roots: list[tuple[Array, Array] | None] = [None] * len(gaps)
+        if self.constant_w:
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
+                found = self._constant_roots(integral, gaps)
+                W = np.array([root @ root.T for root, _ in found])
+            roots = list(found)
+        for k, (gap, transition, noise, root) in enumerate(zip(gaps, F, W, roots, strict=True)):
+            growth = math.exp(eta * gap) if eta * gap < LONGEST else math.inf
+            table[gap] = GapFlow(gap, growth, transition, noise, (integral, k, B), root)
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
         """Roots and their pseudo-inverses; NaN where they overflowed."""
@@ -288,10 +303,7 @@ def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
     if found is None:
         return None, 0.0
     half, condition = found
-    n = len(W)
-    both = np.empty((n, 2 * n))
-    both[:, :n] = half.dot(F)
-    np.negative(half, out=both[:, n:])
+    both = np.concatenate((half.dot(F), -half), axis=1)
     joint = both.T.dot(both)
     if not math.isfinite(np.vdot(both, both)):  # its trace
         return None, 0.0

@@ -285,9 +285,11 @@ def estimate_of(**entries: object) -> Estimate:
 def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
     """Return an estimate with what its interval is proven from."""
     found = object.__new__(Estimate)
-    found.__dict__.update(estimate.__dict__, proof=proof)
-    for kept in ("radii", "_of_states"):
-        found.__dict__.pop(kept, None)
+    entries = found.__dict__
+    entries.update(estimate.__dict__, proof=proof)
+    if "radii" in entries or "_of_states" in entries:
+        for kept in ("radii", "_of_states"):
+            entries.pop(kept, None)
     return found
 
 

@@ -118,6 +118,9 @@ class InputHistory(Sequence[tuple[float, Array]]):
         return self._view(self._log, start, self._end)
 
 
+NO_INPUTS = InputHistory()
+
+
 class State(NamedTuple):
     """Everything an estimator knows. Never changed; `step` returns a new one.
 
@@ -130,7 +133,7 @@ class State(NamedTuple):
     """
 
     nodes: tuple[Node, ...]
-    inputs: InputHistory = InputHistory()
+    inputs: InputHistory = NO_INPUTS
     reached: tuple[float, float, Array] | None = None
 
     @property
@@ -151,13 +154,15 @@ class State(NamedTuple):
 
     def trimmed(self, memory: float, least: int = 0) -> State:
         """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
-        limit = self.last.t - memory
-        first = min(self.node_before(limit), len(self.nodes) - 1 - least)
+        nodes, inputs = self.nodes, self.inputs
+        first = min(self.node_before(nodes[-1].t - memory), len(nodes) - 1 - least)
         if first <= 0:
             return self
-        nodes = self.nodes[first:]
-        keep = max(0, self.inputs.until(nodes[0].t) - 2)
-        return State(nodes, self.inputs.since(keep) if keep else self.inputs)
+        nodes = nodes[first:]
+        if inputs is NO_INPUTS:
+            return State(nodes)
+        keep = max(0, inputs.until(nodes[0].t) - 2)
+        return State(nodes, inputs.since(keep) if keep else inputs)
 
 
 _time = attrgetter("t")
@@ -179,7 +184,7 @@ class Drift:
     def between(self, state: State, a: float, b: float) -> Array:
         """Return the integral over [a, b]; u is zero before the first input."""
         inputs = state.inputs
-        if b <= a or not len(inputs):
+        if inputs is NO_INPUTS or b <= a or not len(inputs):
             return self.none
         total, start = self.none, a
         if state.reached is not None and state.reached[0] == a and state.reached[1] <= b:

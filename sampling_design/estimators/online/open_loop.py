@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -20,7 +21,7 @@ from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
 from sampling_design.estimators.online.history import Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.rounded import faded, in_units_of, moved, passed, rounding
+from sampling_design.estimators.online.rounded import Precision, faded, in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Push, StartError, Told
@@ -72,16 +73,13 @@ class MeasuredSample(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What is held after a sample: state and covariance, and the flow and drift that led to it.
-
-    `half` is U with U U' = Y^-1, where it is known.
-    """
+    """What is held after a sample: state, covariance, the flow and drift that led there, Y's precision where known."""
 
     x: Array
     Y: Array
     flow: GapFlow
     drift: Array
-    half: Array | None = None
+    precision: Precision | None = None
 
 
 class OpenLoopEstimator(OnlineEstimator):
@@ -241,9 +239,9 @@ class OpenLoopEstimator(OnlineEstimator):
         """Return an estimate with its two flags and, in words, why one is down."""
         if not sound:
             beta = np.nan
-        certified = sound and not self.radius_note and math.isfinite(beta) and bool(np.isfinite(Y).all())
+        certified = sound and not self.radius_note and math.isfinite(beta) and _is_finite(Y)
         if contradiction is not None:
-            note = f"{note} The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
+            note = f"{note} {_contradicted(contradiction)}"
         elif self.radius_note:
             note = f"{note} {self.radius_note}"
         elif not certified:
@@ -267,47 +265,28 @@ class OpenLoopEstimator(OnlineEstimator):
         scheduled: bool = False,
     ) -> Node:
         """Return the node of a sample, with the estimate that is handed out; its rounding widens the radius."""
-        last, flow = state.last, held.flow
-        size, condition = in_units_of(held.Y, passed(last, flow, held.drift, held.x), held.half)
+        last, (x, Y, flow, drift, precision) = state.nodes[-1], held
+        sample, y, mask, feedthrough, limits = measured
+        size, condition = in_units_of(Y, passed(last, flow, None if drift is self._drift.none else drift, x), precision)
         loose = max(last.loose, flow.loose)
-        beta = found.beta * (1 + FLOWN * condition + loose) + moved(found.beta, size)
+        beta, status, sound, contradiction = found
+        beta = beta * (1 + FLOWN * condition + loose) + moved(beta, size)
+        t = sample.t
         estimate = self._estimate(
-            measured.sample.t,
-            held.x,
-            held.Y,
-            beta,
-            found.status,
-            sound=found.sound,
-            scheduled=scheduled,
-            contradiction=found.contradiction,
-            note=note,
-            **details,
+            t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note, **details
         )
+        limited = t if sample.told else last.limited
+        size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         return Node(
-            t=measured.sample.t,
-            y=measured.y,
-            mask=measured.mask,
-            feedthrough=measured.feedthrough,
-            x=held.x,
-            Y=held.Y,
-            beta=beta,
-            flow=held.flow,
-            drift=held.drift,
-            scheduled=scheduled,
-            sound=found.sound,
-            estimate=estimate,
-            sample=measured.sample,
-            number=state.last.number + 1,
-            limits=measured.limits,
-            limited=measured.sample.t if measured.sample.told else state.last.limited,
-            held=size + (0.0 if math.isinf(flow.growth) else last.held / flow.growth),
-            loose=loose,
-        )
+            t, y, mask, feedthrough, x, Y, beta, flow, drift, scheduled, sound, estimate, sample, last.number + 1,
+            limits, limited=limited, held=size, loose=loose,
+        )  # fmt: skip
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
         beta = faded(node.beta, 1 / flow.growth) + self._lost(flow.gap) if flow.gap > 0 else node.beta
-        return flow.F.dot(node.x) + drift, flow.covariance(node.Y), beta
+        x: Array = flow.F.dot(node.x)
+        return x if drift is self._drift.none else x + drift, flow.covariance(node.Y), beta
 
     def _lost(self, h: float) -> float:
         """w_bound^2 (1 - e^{-eta h})/eta in the norm of Qw."""
@@ -441,3 +420,14 @@ class OpenLoopEstimator(OnlineEstimator):
             return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
         rest = (ROUNDING + self.weights.loose) * terms + moved(terms, last.held)
         return Verdict(max(beta, 0.0) + rest, "ok", last.sound, last.estimate.contradiction)
+
+
+@lru_cache(maxsize=8)
+def _contradicted(contradiction: Contradiction) -> str:
+    """What every estimate from a contradiction on says of it."""
+    return f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
+
+
+def _is_finite(Y: Array) -> bool:
+    """Whether all entries of a covariance are finite: most often one sum tells."""
+    return math.isfinite(np.vdot(Y, Y)) or bool(np.isfinite(Y).all())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,21 +38,36 @@ def faded(bound: float, share: float) -> float:
     return bound * share if math.isfinite(bound) else bound
 
 
-def passed(node: Node, flow: GapFlow, drift: Array, x: Array) -> Array:
-    """The sizes of the numbers that x was computed from, along a gap from a node."""
+def passed(node: Node, flow: GapFlow, drift: Array | None, x: Array) -> Array:
+    """The sizes of the numbers that x was computed from, along a gap from a node; no `drift`: without inputs."""
     led: Array = flow.size.dot(abs(node.x))
-    led += abs(drift)
+    if drift is not None:
+        led += abs(drift)
     return np.maximum(abs(x), led, out=led)
 
 
-def in_units_of(Y: Array, size: Array, half: Array | None = None) -> tuple[float, float]:
+class Precision(NamedTuple):
+    """Of a covariance Y: |U|, r with U U' = r Y^-1, and the trace of the inverse of Y's correlations."""
+
+    size: Array
+    scale: float
+    condition: float
+
+    @classmethod
+    def of(cls, Y: Array, U: Array, scale: float) -> Precision:
+        """Return that of Y = scale (U U')^-1."""
+        return cls(abs(U), scale, sum(Y.diagonal().dot(U * U).tolist()) / scale)
+
+
+def in_units_of(Y: Array, size: Array, precision: Precision | None = None) -> tuple[float, float]:
     """|z|^2 for |z_i| <= |S^-1| size, S S' = Y: a state, entry by entry, in units of what is known of it.
 
     And the trace of the inverse of Y's correlations, which is their condition or more. What rounding has made singular
-    counts as known to n eps of the rest. `half` is a U with U U' = Y^-1, where one is known.
+    counts as known to n eps of the rest.
     """
-    if half is not None:
-        far, near = math.hypot(*size.dot(abs(half)).tolist()), sum(Y.diagonal().dot(half * half).tolist())
+    if precision is not None:
+        half, scale, near = precision
+        far = math.hypot(*size.dot(half).tolist()) / math.sqrt(scale)
         # beyond all numbers there is no radius, as below
         return (far * far, near) if math.isfinite(far) and math.isfinite(near) else (0.0, 0.0)
     unit = np.sqrt(Y.diagonal())

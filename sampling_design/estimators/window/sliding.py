@@ -1,9 +1,10 @@
 """The window problem without constraints as it slides: only what is new is put together, the rest is remembered.
 
 Discounts count from a fixed time z, e^{eta(s_j - z)}, so that the columns of the banded normal equations of nodes
-inside the window stay as they are; the window's start and its newest node are added to a copy. Where digits would be
-lost, `smooth` is asked instead: this is its banded route, column by column. Vectors of a few entries go through `dot`,
-whose call costs a third of that of `@`.
+inside the window stay as they are; the window's start and its newest node are added to a copy. Where gaps and measured
+outputs have been the same for a whole window, the factor of these equations is that of the window before. Where digits
+would be lost, `smooth` is asked instead: this is its banded route, column by column. Vectors of a few entries go
+through `dot`, whose call costs a third of that of `@`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.history import Node
+from sampling_design.estimators.online.rounded import Precision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.estimators.window.square_root import absorb, covariance_root
@@ -85,12 +88,30 @@ class Arriving(NamedTuple):
     drift: Array
 
 
+class Gains(NamedTuple):
+    """What times and masks decide of a window: Cholesky's factor in a lower band and the inverse of its last block,
+    both where the discount of the newest node is `end`; covariance Y of that node and its precision.
+    """
+
+    factor: Array
+    root: Array
+    end: float
+    Y: Array
+    precision: Precision
+
+    def applied(self, right: Array, end: float) -> tuple[Array, float]:
+        """Return the last node's deviation and what the deviations gain, for its discount `end`."""
+        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), uplo="L")[0].ravel()
+        scale = self.end / end
+        return self.root.T.dot(half[-len(self.root) :] * scale), float(half.dot(half)) * scale
+
+
 class Optimum(NamedTuple):
-    """State, covariance Y and U with U U' = Y^-1 at the newest node; cost, a lower bound on it; noise and rounding."""
+    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and rounding."""
 
     x: Array
     Y: Array
-    half: Array
+    precision: Precision
     cost: float
     dual: float
     energy: float
@@ -113,22 +134,29 @@ class SlidingBand:
         self._known: list[Arriving] = []
         self._reference: list[Array] = []
         self._kinds: dict[bytes, Heard] = {}
+        self._latest: tuple[Array, Heard] | None = None  # the mask that came last, and what it means
         self._heard: list[tuple[Heard, Array]] = []  # what a node's outputs mean, and U (y - D u)
         self._zero, self._cancelling, self._untouched = 0.0, False, False
+        self._banded = 0  # so many nodes have their columns
+        self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
+        self._gains: tuple[int, tuple[object, ...], Gains] | None = None  # of so many nodes, and what they came with
         self._led: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2
         self._sums = np.zeros((ROOM, 4))
-        self._sizes = np.zeros((ROOM, n))  # of references
+        self._places = np.zeros((ROOM + 1, n))  # references, each a row further down: in the first stands the prior
+        self._ones = np.ones(ROOM)
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._own, self._before, self._pull, self._pushed, self._sums, self._sizes
+        return self._own, self._before, self._pull, self._pushed, self._sums, self._places
 
     def heard(self, mask: Array) -> Heard:
         """Return what a sample of some outputs means."""
+        if self._latest is not None and self._latest[0] is mask:
+            return self._latest[1]
         key = mask.tobytes()
         found = self._kinds.get(key)
         if found is None:
@@ -137,6 +165,7 @@ class SlidingBand:
             energy = float(self._energy(mask[None])[0])
             band = lower_band(back @ back.T, self._n)[0]
             found = self._kinds[key] = Heard(band, back, root, np.abs(root), root @ self._C, energy)
+        self._latest = mask, found
         return found
 
     def append(self, new: Arriving, reference: Array, predicted: bool = False) -> bool:
@@ -147,28 +176,25 @@ class SlidingBand:
         """
         k = len(self._known)
         if k == len(self._own):
-            self._own, self._before, self._pull, self._pushed, self._sums, self._sizes = (
-                np.concatenate([part, np.zeros_like(part)]) for part in self._parts
+            self._own, self._before, self._pull, self._pushed, self._sums, self._places = (
+                np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts
             )
+            self._ones = np.ones(2 * k)
+        kind, flow = self.heard(new.mask), new.flow
         if not k:
             self._zero = new.t
+        elif flow is None or flow.joint is None:
+            return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
+        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._heard[-1][0] else 1
         d = math.exp(self._eta * (new.t - self._zero))
-        kind = self.heard(new.mask)
-        np.multiply(kind.band, d, out=self._own[k])
-        if k:
-            if new.flow is None or new.flow.joint is None:
-                return False
-            before, after = new.flow.band * d
-            self._own[k - 1] += before
-            self._before[k] = after
         read = kind.size.dot(abs(new.y))
         self._known.append(new)
         self._heard.append((kind, kind.root.dot(new.y - new.feedthrough)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
-        self._sums[k, 1], self._sums[k, 2], self._sums[k, 3] = kind.energy * d, 0.0, read.dot(read)
+        self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
         self._pushed[k] = 0.0
         self._led = None
         if not predicted:
@@ -187,7 +213,7 @@ class SlidingBand:
         half = read - kind.shown.dot(reference)
         square = float(half.dot(half))
         kind.back.dot(half * d, self._pull[k])
-        np.absolute(reference, self._sizes[k])
+        self._places[k + 1] = reference
         self._sums[k, 0] = square * d
         return square < LARGEST**2
 
@@ -207,9 +233,10 @@ class SlidingBand:
         else:
             moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         g = (moved * d).dot(new.flow.joint[n:])
-        self._pull[k - 1] += g[:n]
-        self._pushed[k] = g[n:]
-        self._sums[k - 1, 2] = cost = float(moved.dot(g[n:]))
+        pull, push = self._pull[k - 1], g[n:]
+        pull += g[:n]
+        self._pushed[k] = push
+        self._sums[k - 1, 2] = cost = float(moved.dot(push))
         return math.isfinite(cost)
 
     def settle(self, node: Node) -> bool:
@@ -234,7 +261,9 @@ class SlidingBand:
     def _count_from(self, t: float) -> None:
         """Let discounts count from t."""
         factor, k = math.exp(-self._eta * (t - self._zero)), len(self._known)
-        for part in (self._own, self._before, self._pull, self._pushed, self._sums[:, :3]):
+        for part in (self._own, self._before):
+            part[: self._banded] *= factor
+        for part in (self._pull, self._pushed, self._sums[:, :3]):
             part[:k] *= factor
         self._zero = t
 
@@ -242,8 +271,25 @@ class SlidingBand:
         """Drop the oldest nodes."""
         kept = len(self._known) - count
         for part in self._parts:
-            part[:kept] = part[count : count + kept].copy()
+            rows = kept + (part is self._places)
+            part[:rows] = part[count : count + rows].copy()
+        self._banded = max(self._banded - count, 0)
         del self.nodes[:count], self._known[:count], self._reference[:count], self._heard[:count]
+
+    def _columns(self, rows: slice) -> Array:
+        """The columns of some nodes up to the newest: what each costs, and both gaps beside it."""
+        own, before, eta, zero = self._own, self._before, self._eta, self._zero
+        for k in range(self._banded, rows.stop):
+            new = self._known[k]
+            d = math.exp(eta * (new.t - zero))
+            np.multiply(self._heard[k][0].band, d, own[k])
+            if k and new.flow is not None:
+                gap, column = new.flow.band, own[k - 1]
+                column += gap[0] * d
+                np.multiply(gap[1], d, before[k])
+        self._banded = rows.stop
+        work: Array = own[rows] + before[rows]
+        return work
 
     def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array]) -> Optimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
@@ -266,7 +312,7 @@ class SlidingBand:
             return None
         d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
         x, Y, size, noise, heard = opening.x, opening.Y, 0.0, 0.0, 0.0
-        weighed = abs(x).dot(self._held)
+        self._places[first] = x
         if opening.sample is not None:
             begin = math.exp(eta * (opening.t - zero))
             x, Y, size, noise, heard = self._opened(opening)
@@ -275,21 +321,30 @@ class SlidingBand:
         arrival = flow.arrival(Y)
         if arrival is None:
             return None
-        rows = slice(first, len(known))
-        work, right = self._own[rows] + self._before[rows], self._pull[rows] + self._pushed[rows]
+        count = len(known)
+        rows = slice(first, count)
+        right = self._pull[rows] + self._pushed[rows]
         moved = flow.F.dot(x) + drift - self._reference[first]
         g = arrival.information.dot(moved * d)
-        # the gap before the first node is the window's own
-        np.add(self._own[first], arrival.band * d, out=work[0])
-        np.add(self._pull[first], g, out=right[0])
-        fit, energy, push, read = np.add.reduce(self._sums[rows]).tolist()
-        held = self._sizes[rows].dot(self._held)
-        kept = float(np.vdot(held, held))
+        np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
+        fit, energy, push, read = self._ones[rows].dot(self._sums[rows]).tolist()
+        held = abs(self._places[first : count + 1]).dot(self._held).ravel()
+        kept = float(held.dot(held))
         size += fit + push + float(moved.dot(g))
-        found = _solved(work, right.ravel(), size)
-        if found is None:
+        gains = self._remembered(count - first, flow, opening)
+        if gains is not None:
+            deviation, gain = gains.applied(right, end)
+        else:
+            work = self._columns(rows)
+            np.add(self._own[first], arrival.band * d, work[0])
+            solved = _solved(work, right.ravel(), end)
+            if solved is None:
+                return None
+            deviation, gain, gains = solved
+            alike = self._alike >= count - first
+            self._gains = (count - first, self._with(flow, opening), gains) if alike else None
+        if not math.isfinite(gain + size):
             return None
-        deviation, last_factor, root, gain = found
         cost = size - gain
         self._cancelling = not (cost > SETTLED * gain and cost * FAR_OFF > kept * end)
         if not cost > CANCELLED * gain:
@@ -297,14 +352,25 @@ class SlidingBand:
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
         return Optimum(
             self._reference[-1] + deviation,
-            (root.T * end).dot(root),
-            last_factor / math.sqrt(end),
+            gains.Y,
+            gains.precision,
             cost / end,
             dual / end,
             (energy + noise) / end,
             read + heard,
-            kept + float(weighed.dot(weighed)),
+            kept,
         )
+
+    def _with(self, flow: GapFlow, opening: Opening) -> tuple[object, ...]:
+        """What the newest node came with, and the window began with."""
+        return self._known[-1].flow, self._heard[-1][0], flow, opening.Y
+
+    def _remembered(self, count: int, flow: GapFlow, opening: Opening) -> Gains | None:
+        """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
+        if self._gains is None or self._alike < count or opening.sample is not None:
+            return None
+        so_many, came, gains = self._gains
+        return gains if so_many == count and all(map(is_, came, self._with(flow, opening))) else None
 
     def _opened(self, opening: Opening) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
@@ -317,8 +383,11 @@ class SlidingBand:
         return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
 
 
-def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, Array, float] | None:
-    """Return the last node's deviation, the root of its information, that inverted, and what the deviations gain."""
+def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Gains] | None:
+    """Return the last node's deviation, what the deviations gain, and what does not depend on the data.
+
+    `end` is the discount of the newest node. None where digits would be lost.
+    """
     count, n, width = work.shape
     band = work.reshape(count * n, width).T
     diagonal = band[0].copy()
@@ -328,13 +397,13 @@ def _solved(work: Array, right: Array, size: float) -> tuple[Array, Array, Array
     pivots = factor[0]
     if not np.minimum.reduce(pivots * pivots / diagonal) > PIVOT_LIMIT:
         return None
-    gain = float(right.dot(solution))
-    if not math.isfinite(gain + size):
-        return None
     # the last diagonal block, as a view; above its diagonal the band's zeros below the last row
     step = work.itemsize
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
-    return solution[-n:], last, lapack.dtrtri(last, lower=1)[0], gain
+    root = lapack.dtrtri(last, lower=1)[0]
+    Y = (root.T * end).dot(root)
+    gains = Gains(factor, root, end, Y, Precision.of(Y, last, end))
+    return solution[-n:], float(right.dot(solution)), gains
 
 
 NOTHING: tuple[Node | None, SlidingBand | None] = (None, None)

@@ -61,7 +61,7 @@ class GapFlow:
     """
 
     __slots__ = (
-        "F", "W", "_arrival", "_band", "_inputs", "_joint", "_loose", "_passed", "_roots", "_size", "gap", "growth",
+        "F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "_size", "gap", "growth", "inputs", "integral",
     )  # fmt: skip
 
     def __init__(
@@ -70,31 +70,17 @@ class GapFlow:
         growth: float,
         F: Array,
         W: Array,
-        passed: tuple[Array, int, Array],
+        integral: Array,
+        inputs: Array,
         roots: tuple[Array, Array] | None = None,
     ):
-        self.gap, self.growth, self.F, self.W = gap, growth, F, W
-        self._passed = passed  # the integrals of some gaps, which of them this one is, and B
-        self._inputs: Array | None = None
+        self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self._roots = roots
         self._band: Array | None = None
         self._loose = 0.0
         self._size: Array | None = None
         self._arrival: tuple[Array, Arrival | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
-
-    @property
-    def integral(self) -> Array:
-        """Return int_0^h e^{A s} ds."""
-        integrals, number, _ = self._passed
-        return np.asarray(integrals[number])
-
-    @property
-    def inputs(self) -> Array:
-        """Return that times B."""
-        if self._inputs is None:
-            self._inputs = self.integral @ self._passed[2]
-        return self._inputs
 
     @property
     def size(self) -> Array:
@@ -225,15 +211,16 @@ class FlowTable:
     def _fill(self, gaps: list[float]) -> None:
         eta, B, table = self.weights.eta, self.weights.plant.B, self._table
         F, integral, W = self._flow.over(gaps)
+        inputs = integral @ B if B.size else [B] * len(gaps)
         roots: list[tuple[Array, Array] | None] = [None] * len(gaps)
         if self.constant_w:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is asked for by its flows' users
                 found = self._constant_roots(integral, gaps)
                 W = np.array([root @ root.T for root, _ in found])
             roots = list(found)
-        for k, (gap, transition, noise, root) in enumerate(zip(gaps, F, W, roots, strict=True)):
+        for gap, transition, noise, passed, forced, root in zip(gaps, F, W, integral, inputs, roots, strict=True):
             growth = math.exp(eta * gap) if eta * gap < LONGEST else math.inf
-            table[gap] = GapFlow(gap, growth, transition, noise, (integral, k, B), root)
+            table[gap] = GapFlow(gap, growth, transition, noise, passed, forced, root)
 
     def _constant_roots(self, integral: Array, gaps: list[float]) -> list[tuple[Array, Array]]:
         """Roots and their pseudo-inverses; NaN where they overflowed."""

@@ -100,6 +100,15 @@ class InputHistory(Sequence[tuple[float, Array]]):
         at = bisect_right(self._log, t, self._start, self._end, key=_first)
         return self._log[at - 1][1] if at > self._start else None
 
+    def between(self, a: float, b: float) -> tuple[Array | None, list[tuple[float, Array]]]:
+        """The value in force at a, None before the first, and what changes after a and before b."""
+        log = self._log
+        first = bisect_right(log, a, self._start, self._end, key=_first)
+        last = first
+        while last < self._end and log[last][0] < b:
+            last += 1
+        return log[first - 1][1] if first > self._start else None, log[first:last]
+
     def added(self, at: int, t: float, u: Array) -> InputHistory:
         """Return these inputs with one more, at place `at`."""
         if at < len(self):
@@ -191,13 +200,17 @@ class Drift:
             _, start, total = state.reached
             if start == b:
                 return total
-        edges = [start, *(t for t, _ in inputs[inputs.until(start) : inputs.before(b)]), b]
-        if len(edges) > 2:
+        holding, changes = inputs.between(start, b)
+        if not changes and total is self.none:  # as most often
+            return total if holding is None else self.table.one(b - start).inputs.dot(holding)
+        edges = [start, *(t for t, _ in changes), b]
+        if changes:
             self.table.known([right - left for left, right in pairwise(edges)])  # in one batch
-        for left, right in pairwise(edges):
-            flow, u = self.table.one(right - left), inputs.last_until(left)
+        for (left, right), u in zip(pairwise(edges), (holding, *(u for _, u in changes)), strict=True):
+            flow = self.table.one(right - left)
             if total is not self.none:
                 total = flow.F.dot(total)
             if u is not None:
-                total = total + flow.inputs.dot(u)
+                own = flow.inputs.dot(u)
+                total = own if total is self.none else total + own
         return total

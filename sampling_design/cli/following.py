@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +17,12 @@ from sampling_design._files import Growing
 from sampling_design._record import short
 from sampling_design.cli.settings import Settings, rows_table, save_picture, table
 from sampling_design.estimators.estimate_file import (
+    TOGETHER,
+    EstimateBlock,
     EstimateColumns,
     EstimateTable,
-    WrittenNumbers,
     as_written,
     check_radii,
-    numbers_of,
 )
 from sampling_design.estimators.online.curve import Following
 from sampling_design.estimators.online.envelope import EstimateEnvelope
@@ -59,18 +60,21 @@ def followed(
         for each in (rows, columns):
             if each is not None:
                 open_files.enter_context(each)
-        tally, last = Tally(plant.time_unit), None
+        tally, last = Tally(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
-            for estimate in _told(_each(estimator, record, picture, kind), len(record), progress):
-                last, t = estimate, estimate.t + start
-                tally.add(t, estimate)
+            told = _told(_each(estimator, record, picture, kind), len(record), progress)
+            while some := list(islice(told, TOGETHER)):
+                last, times = some[-1], [estimate.t + start for estimate in some]
                 if rows is not None or columns is not None:  # always where there is a picture
-                    numbers = numbers_of(estimate, kind, t)
+                    block = EstimateBlock.of(some, kind, times)
                     for each in (rows, columns):
                         if each is not None:
-                            each.put(estimate, numbers)
+                            each.put(block)
                     if isinstance(picture, _Extremes):
-                        picture.take(numbers, estimate)
+                        picture.take(block)
+                if columns is None:
+                    for t, estimate in zip(times, some, strict=True):
+                        tally.add(t, estimate)
         if columns is not None and folder is not None:
             with Growing(folder / "estimates.json") as file:
                 columns.write(file, settings.named({}), after)
@@ -81,7 +85,6 @@ def followed(
         settings.wrote(folder / "estimates.json")
         seen = replace(record, times=record.times + start, origin=origin)
         if isinstance(picture, _Extremes):
-            picture.let_go()
             settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=seen))
         else:
             settings.wrote(save_picture(picture.curve(seen, start), folder / "estimates.png"))
@@ -115,19 +118,11 @@ class _Extremes:
 
     def __init__(self, envelope: EstimateEnvelope):
         self.envelope = envelope
-        self._held: list[tuple[float, Array, list[float], bool, bool]] = []
 
-    def take(self, numbers: WrittenNumbers, estimate: Estimate) -> None:
-        """Take in an estimate and its numbers as they are written."""
-        self._held.append((numbers.t, estimate.x, numbers.around, estimate.certified, estimate.failed))
-        if len(self._held) == AHEAD:
-            self.let_go()
-
-    def let_go(self) -> None:
-        """Give the envelope what is held."""
-        if self._held:
-            self.envelope.add(*(np.array(column) for column in zip(*self._held, strict=True)))
-            self._held = []
+    def take(self, block: EstimateBlock) -> None:
+        """Take in estimates as they are written."""
+        certified, failed = np.array([(e.certified, e.failed) for e in block.estimates], dtype=bool).T
+        self.envelope.add(block.times, block.x, block.around, certified, failed)
 
     def before(self, t: float) -> None:
         """Nothing: only samples are drawn."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from functools import lru_cache
@@ -16,23 +15,28 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import Growing
 from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.tally import Tally
 from sampling_design.estimators.records.measurement_table import date_of
 from sampling_design.estimators.records.measurements import cell_of
 from sampling_design.plants.plant import Plant
 
+Array = npt.NDArray[np.float64]
+
 PIECE = 1 << 20
 """Characters that are written at a time."""
 
-TOGETHER = 512
-"""Rows of columns that are written at a time."""
+TOGETHER = 32
+"""Estimates that are written at a time."""
 
 RADII = ("intervals", "centred", "ellipsoids")
 
@@ -97,16 +101,17 @@ class EstimateTable:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add a row; `t` is the time that it gets, where that is not the estimate's own."""
-        written = as_written(estimate, self.radii)
-        self.put(written, numbers_of(written, self.radii, t))
+        self.put(EstimateBlock.of([as_written(estimate, self.radii)], self.radii, None if t is None else [t]))
 
-    def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
-        """Add a row of numbers that are texts already."""
-        cells = [_dated(self._zero, numbers.t, self.plant.time_unit)] if self._zero else []
-        cells += [numbers.time, estimate.status, "1" if estimate.certified else "0", numbers.cost]
-        for pair in zip(numbers.x, numbers.radii, strict=True):
-            cells += pair
-        self._rows.writerow(cells)
+    def put(self, block: EstimateBlock) -> None:
+        """Add the rows of a block."""
+        zero, unit = self._zero, self.plant.time_unit
+        columns = [[_dated(zero, t, unit) for t in block.times.tolist()]] if zero else []
+        columns += [block.time, [e.status for e in block.estimates]]
+        columns += [["1" if e.certified else "0" for e in block.estimates], block.cost]
+        for pair in zip(block.state, block.radii, strict=True):
+            columns += pair
+        self._rows.writerows(zip(*columns, strict=True))
         if self._text.tell() > PIECE:
             self._write()
 
@@ -126,7 +131,6 @@ class EstimateColumns:
 
     def __init__(self, plant: Plant, radii: str = "intervals"):
         self.plant, self.radii, self.tally = plant, check_radii(radii), Tally(plant.time_unit)
-        self._held: list[tuple[str, ...]] = []
         self._begun = False
 
     def __enter__(self) -> EstimateColumns:
@@ -142,36 +146,27 @@ class EstimateColumns:
 
     def add(self, estimate: Estimate, t: float | None = None) -> None:
         """Add what is said of one estimate."""
-        written = as_written(estimate, self.radii)
-        self.put(written, numbers_of(written, self.radii, t))
+        self.put(EstimateBlock.of([as_written(estimate, self.radii)], self.radii, None if t is None else [t]))
 
-    def put(self, estimate: Estimate, numbers: WrittenNumbers) -> None:
-        """Add what is said of one estimate, whose numbers are texts already."""
-        self.tally.add(numbers.t, estimate)
-        self._held.append(
-            (
-                numbers.time,
-                _listed(numbers.x),
-                _listed(numbers.radii),
-                numbers.radius or "null",
-                numbers.cost or "null",
-                _quoted(estimate.status),
-                _TRUTH[bool(estimate.certified)],
-                _TRUTH[bool(estimate.on_schedule)],
-                _quoted(estimate.note),
-            )
+    def put(self, block: EstimateBlock) -> None:
+        """Add what is said of a block of estimates."""
+        for t, estimate in zip(block.times.tolist(), block.estimates, strict=True):
+            self.tally.add(t, estimate)
+        columns = (
+            block.time,
+            _listed(block.state),
+            _listed(block.radii),
+            [text or "null" for text in block.radius],
+            [text or "null" for text in block.cost],
+            [_quoted(e.status) for e in block.estimates],
+            [_TRUTH[bool(e.certified)] for e in block.estimates],
+            [_TRUTH[bool(e.on_schedule)] for e in block.estimates],
+            [_quoted(e.note) for e in block.estimates],
         )
-        if len(self._held) == TOGETHER:
-            self._let_go()
-
-    def _let_go(self) -> None:
-        """Write the rows that are held."""
-        held, self._held = self._held, []
-        if held:
-            mark = ",\n    " if self._begun else "\n    "
-            self._begun = True
-            for spool, column in zip(self._spools.values(), zip(*held, strict=True), strict=True):
-                spool.write(mark + ",\n    ".join(column))
+        mark = ",\n    " if self._begun else "\n    "
+        self._begun = True
+        for spool, column in zip(self._spools.values(), columns, strict=True):
+            spool.write(mark + ",\n    ".join(column))
 
     def write(self, file: Growing | IO[str], before: Mapping[str, object], after: Mapping[str, object]) -> None:
         """Write everything as JSON: the entries `before`, the record's, the entries `after`."""
@@ -179,7 +174,6 @@ class EstimateColumns:
         def put(text: str) -> None:
             file.write(text.encode()) if isinstance(file, Growing) else file.write(text)
 
-        self._let_go()
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
         contradictions = [each.to_dict() for each in self.tally.contradictions]
         put(json.dumps(head, indent=2, allow_nan=False, ensure_ascii=False).removesuffix("\n}"))
@@ -197,16 +191,48 @@ class EstimateColumns:
 _TRUTH = {True: "true", False: "false"}
 
 
-class WrittenNumbers(NamedTuple):
-    """The numbers of an estimate as texts, empty where they are not known; time and radii also as they are."""
+class EstimateBlock(NamedTuple):
+    """Some estimates with their numbers, those of a state one column; as texts, empty where they are not known.
 
-    t: float
-    around: list[float]
-    time: str
-    x: list[str]
-    radii: list[str]
-    radius: str
-    cost: str
+    `times` (N,) are those that they are written at, `x` and `around` (N, n) estimates and radii.
+    """
+
+    estimates: list[Estimate]
+    times: Array
+    x: Array
+    around: Array
+    time: list[str]
+    state: list[list[str]]
+    radii: list[list[str]]
+    radius: list[str]
+    cost: list[str]
+
+    @classmethod
+    def of(cls, estimates: list[Estimate], kind: str, times: Sequence[float] | Array | None = None) -> EstimateBlock:
+        """Return the block of estimates as they are written, radii of a kind (`RADII`), at their times or others."""
+        when = np.array([e.t for e in estimates] if times is None else times, dtype=np.float64)
+        x, radius = np.array([e.x for e in estimates]), np.array([e.radius for e in estimates])
+        if kind == "ellipsoids":
+            variance = np.array([e.covariance.diagonal() for e in estimates])
+            around = half_widths(np.repeat(radius[:, None], x.shape[1], axis=1), variance)
+        else:
+            around = np.array([e.radii for e in estimates])
+        return cls(
+            estimates,
+            times=when,
+            x=x,
+            around=around,
+            time=_texts(when),
+            state=[_texts(column) for column in x.T],
+            radii=[_texts(column) for column in around.T],
+            radius=_texts(radius),
+            cost=_texts(np.array([e.cost for e in estimates])),
+        )
+
+
+def _texts(numbers: Array) -> list[str]:
+    """Numbers as a file holds them."""
+    return list(map(repr if np.isfinite(numbers).all() else cell_of, numbers.tolist()))
 
 
 def as_written(estimate: Estimate, kind: str) -> Estimate:
@@ -214,28 +240,15 @@ def as_written(estimate: Estimate, kind: str) -> Estimate:
     return estimate.centred() if kind == "centred" else estimate
 
 
-def numbers_of(estimate: Estimate, kind: str, t: float | None = None) -> WrittenNumbers:
-    """Return the numbers of an estimate, with radii of a kind (`RADII`), at its own time or another."""
-    time = float(estimate.t if t is None else t)
-    size, variances = estimate.radius, estimate.covariance.diagonal().tolist()
-    if kind != "ellipsoids":
-        around = estimate.radii.tolist()
-    elif math.isfinite(size) and size >= 0:  # as `ellipsoid_radii`, without its arrays
-        size = math.sqrt(size)
-        around = [size * math.sqrt(max(value, 0.0)) for value in variances]
-    else:
-        around = estimate.ellipsoid_radii.tolist()
-    x, radii = [cell_of(value) for value in estimate.x.tolist()], [cell_of(value) for value in around]
-    return WrittenNumbers(time, around, repr(time), x, radii, cell_of(estimate.radius), cell_of(estimate.cost))
-
-
 @lru_cache(maxsize=64)
 def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _listed(texts: list[str]) -> str:
-    return "[\n      " + ",\n      ".join([text or "null" for text in texts]) + "\n    ]"
+def _listed(columns: list[list[str]]) -> list[str]:
+    """The rows of a table of texts as lists."""
+    known = [[text or "null" for text in column] for column in columns]
+    return ["[\n      " + ",\n      ".join(row) + "\n    ]" for row in zip(*known, strict=True)]
 
 
 def check_radii(radii: str) -> str:
@@ -267,11 +280,12 @@ def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, ori
 
     Notes
     -----
-    *Method.* Row by row, as `EstimateTable` does for estimates that no record holds.
+    *Method.* Block by block, as `EstimateTable` does for estimates that no record holds.
     """
     with EstimateTable(record.plant, path, origin=origin) as table:
-        for t, estimate in zip(record.times.tolist(), record.estimates, strict=True):
-            table.add(estimate, t)
+        for k in range(0, len(record), TOGETHER):
+            rows = slice(k, k + TOGETHER)
+            table.put(EstimateBlock.of(list(record.estimates[rows]), table.radii, record.times[rows]))
     return Path(path)
 
 

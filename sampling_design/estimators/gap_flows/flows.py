@@ -134,16 +134,15 @@ class GapFlow:
         None where that would lose digits. What was asked for last is kept.
         """
         if self._arrival is None or self._arrival[0] is not Y:
-            self._arrival = Y, _arrival(self.carried(Y))
+            self._arrival = Y, _arrival(self._carried(Y))
         return self._arrival[1]
 
     def covariance(self, Y: Array) -> Array:
         """Return growth F Y F' + W, exactly symmetric."""
-        moved = self.carried(Y)
+        moved = self._carried(Y)
         return (moved + moved.T) / 2
 
-    def carried(self, Y: Array) -> Array:
-        """Return growth F Y F' + W, symmetric but for rounding."""
+    def _carried(self, Y: Array) -> Array:
         moved: Array = self.F.dot(Y).dot(self.F.T)
         moved *= self.growth
         moved += self.W

@@ -115,6 +115,7 @@ class OpenLoopEstimator(OnlineEstimator):
         self.table = FlowTable(weights, constant_w)
         self._drift = Drift.of(self.table)
         self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0, weights.units)
+        self._direct = bool(plant.D.any())  # whether an input enters a measurement at once
         self._nothing, self._everything = freeze(np.zeros(plant.n_outputs)), freeze(np.ones(plant.n_outputs))
         self._watch = None
         tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
@@ -278,8 +279,9 @@ class OpenLoopEstimator(OnlineEstimator):
         limited = t if sample.told else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         return Node(
-            t, y, mask, feedthrough, x, Y, beta, flow, drift, scheduled, sound, estimate, sample, last.number + 1,
-            limits, limited=limited, held=size, loose=loose,
+            t=t, y=y, mask=mask, feedthrough=feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
+            scheduled=scheduled, sound=sound, estimate=estimate, sample=sample, number=last.number + 1, limits=limits,
+            limited=limited, held=size, loose=loose,
         )  # fmt: skip
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
@@ -381,7 +383,7 @@ class OpenLoopEstimator(OnlineEstimator):
     def _measured(self, state: State, sample: Taken) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
         y: Array = sample.y
-        u = state.input_at(sample.t, before=self.input_side == "left") if len(state.inputs) else None
+        u = state.input_at(sample.t, before=self.input_side == "left") if self._direct else None
         feedthrough = self._nothing if u is None else self.plant.D @ u
         if math.isfinite(sum(y.tolist())):
             return y, self._everything, feedthrough

@@ -88,7 +88,7 @@ class Arriving(NamedTuple):
     drift: Array
 
 
-class Gains(NamedTuple):
+class WindowGains(NamedTuple):
     """What times and masks decide of a window: Cholesky's factor in a lower band and the inverse of its last block,
     both where the discount of the newest node is `end`; covariance Y of that node and its precision.
     """
@@ -130,6 +130,7 @@ class SlidingBand:
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
         self._C, self._held = weights.plant.C, np.abs(weights.prior_factor)
+        self._direct = bool(weights.plant.D.any())
         self.nodes: list[Node] = []
         self._known: list[Arriving] = []
         self._reference: list[Array] = []
@@ -139,7 +140,8 @@ class SlidingBand:
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = 0  # so many nodes have their columns
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
-        self._gains: tuple[int, tuple[object, ...], Gains] | None = None  # of so many nodes, and what they came with
+        # of so many nodes, and what they came with
+        self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
         self._led: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
@@ -191,7 +193,7 @@ class SlidingBand:
         d = math.exp(self._eta * (new.t - self._zero))
         read = kind.size.dot(abs(new.y))
         self._known.append(new)
-        self._heard.append((kind, kind.root.dot(new.y - new.feedthrough)))
+        self._heard.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
@@ -365,7 +367,7 @@ class SlidingBand:
         """What the newest node came with, and the window began with."""
         return self._known[-1].flow, self._heard[-1][0], flow, opening.Y
 
-    def _remembered(self, count: int, flow: GapFlow, opening: Opening) -> Gains | None:
+    def _remembered(self, count: int, flow: GapFlow, opening: Opening) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
         if self._gains is None or self._alike < count or opening.sample is not None:
             return None
@@ -383,7 +385,7 @@ class SlidingBand:
         return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
 
 
-def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Gains] | None:
+def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:
     """Return the last node's deviation, what the deviations gain, and what does not depend on the data.
 
     `end` is the discount of the newest node. None where digits would be lost.
@@ -402,7 +404,7 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Gains]
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
     root = lapack.dtrtri(last, lower=1)[0]
     Y = (root.T * end).dot(root)
-    gains = Gains(factor, root, end, Y, Precision.of(Y, last, end))
+    gains = WindowGains(factor, root, end, Y, Precision.of(Y, last, end))
     return solution[-n:], float(right.dot(solution)), gains
 
 

@@ -23,6 +23,7 @@ from sampling_design.design.bounds.zones import SIDES, Side, covered, region_of,
 from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
+from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
@@ -36,7 +37,6 @@ _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: th
 _JUST_BESIDE = 1e-9  # of the period: a window that starts this much later no longer holds the sample
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
 _FAR = 4.0  # exponent by which modes grow more than others over a window: from there on these are looked at alone
-_MANY_STATES = 12  # beyond a relaxation takes seconds: one side of zones, and of it the windows that matter anyway
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
 
 
@@ -471,7 +471,7 @@ def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np
     slow = slow_part(problem, deadline)
     found += [] if slow is None else [(slow,)]
     if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
-        many = problem.plant.n_states > _MANY_STATES
+        many = problem.plant.n_states > MANY_STATES  # one side of zones, and of it the windows that matter anyway
         hints = matters(problem, placed) if many else None
         for side in sides(problem)[: 1 if many else 2] if sides(problem) != ("sorted",) else ():
             if time.perf_counter() <= deadline:

@@ -78,6 +78,6 @@ def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mas
     for low in range(0, times.shape[0], chunk):
         part = times[low : low + chunk]
         mask = None if used is None else used[low : low + chunk]
-        sigma2, _ = problem.rows.least(window_grams(problem, part, positions(problem, part, inner), mask))
+        sigma2 = problem.rows.least_sigma2(window_grams(problem, part, positions(problem, part, inner), mask))
         result[low : low + chunk] = sigma2.min(axis=1)
     return result

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation
+from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import (
@@ -34,7 +35,7 @@ KICKS = 4
 """Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
 
 _KICKED = 3  # samples moved at once
-_PATIENCE = 12  # kicks in a row without gain
+_PATIENCE = 12  # kicks in a row without gain, of many states fewer
 _NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
@@ -155,7 +156,7 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     if free == 0:
         return
     for _ in range(most):
-        if run.is_over or idle == _PATIENCE or run.value >= (_NEAR * run.enough) ** 2:
+        if run.is_over or idle >= _PATIENCE * _share(problem) or run.value >= (_NEAR * run.enough) ** 2:
             return
         idle += 1
         shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])
@@ -190,7 +191,12 @@ def _restart(run: _Refinement, rng: np.random.Generator) -> None:
 
 def _places(problem: DesignProblem) -> int:
     """Places that exchange tries for one sample: about the same number of schedules whatever the count."""
-    return int(np.clip(_EXCHANGES / problem.samples, 8, 96))
+    return int(np.clip(_EXCHANGES * _share(problem) / problem.samples, 8, 96))
+
+
+def _share(problem: DesignProblem) -> float:
+    """Of kicks and exchanges that are tried: each takes the longer, the more states there are."""
+    return min(1.0, (MANY_STATES / problem.plant.n_states) ** 2)
 
 
 def _starts(

@@ -35,6 +35,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
+_FEW_STATES = 6  # beyond, from sooner on: what is seen is of so high a degree in the differences of times
 _EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried
 _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows that follow their samples too
 _TINY_BOX = 0.1  # of a mean gap: by these alone
@@ -158,9 +159,10 @@ class _BoxTree:
     def split_by_lateness(self, root: _Box) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = root.part.zones, root.part.side == "late"
-        mean = root.problem.period / root.problem.samples
+        mean, n = root.problem.period / root.problem.samples, root.problem.plant.n_states
+        share = _FIRST_CUT * min(1.0, (_FEW_STATES / n) ** 2)
         for index in range(1, len(rest)):
-            cut = (index + (_FIRST_CUT if late else -_FIRST_CUT)) * mean
+            cut = (index + (share if late else -share)) * mean
             if time.perf_counter() > self.deadline:
                 break
             if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:

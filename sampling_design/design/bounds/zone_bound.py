@@ -39,6 +39,7 @@ _FINEST = 20000  # cells per period at most
 _JUST_BESIDE = 1e-9  # of the period: a window that starts this much earlier still holds the sample
 _FIRST, _ADDED = 10, 3  # windows of the first round where no hints are given, and of each further round
 _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wider box mostly matters again
+_MISSED = 0.02  # short by that share of the value, a window was missed by the hints: more rounds, as without
 _SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
@@ -70,7 +71,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: fl
     posed = np.arange(starts.size) < hints.size
     if not hints.size:
         posed[:: max(1, starts.size // _FIRST)] = True
-    for _ in range(_ROUNDS if hints.size else _FIRST_ROUNDS):
+    for done in range(1, _FIRST_ROUNDS + 1):
         used = (owner < 0) | posed[owner]
         parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
         left = max(deadline - time.perf_counter(), _LEAST_SECONDS) if np.isfinite(deadline) else None
@@ -81,7 +82,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: fl
         sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])
         worst = np.argsort(sigma2, kind="stable")[:_ADDED]
         worst = worst[sigma2[worst] < found.value * (1 - _SEEN)]
-        if not worst.size:
+        if not worst.size or (hints.size and done >= _ROUNDS and sigma2[worst[0]] > found.value * (1 - _MISSED)):
             break
         posed[worst] = True
     return ZoneRelaxation(found, *_most_divided(problem, zones, found, points.of(used)))

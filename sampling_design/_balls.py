@@ -7,6 +7,7 @@ is proven by the pivots of L D L' in balls.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -41,7 +42,7 @@ def flint() -> ModuleType:
         If python-flint is not installed.
     """
     try:
-        return import_module("flint")
+        return sys.modules.get("flint") or import_module("flint")  # asked for with every number
     except ImportError:
         raise MissingExtraError("python-flint", "rigorous") from None
 

@@ -17,7 +17,7 @@ from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, Unproven, noise
 from sampling_design.certificates.rigorous.ball_proof import settled
 from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
-from sampling_design.certificates.rigorous.refutation import refute
+from sampling_design.certificates.rigorous.refutation import RefutationSearch, refute
 from sampling_design.errors import CertificateError, MissingExtraError
 from tests.checkers.test_sampled import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
@@ -384,3 +384,16 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
             refute(make, Clock(-1.0))
         with pytest.raises(Unproven, match="out of reach fails by"):
             refute(make, Clock(60.0))
+
+
+def test_the_search_for_a_counterexample_walks_in_doubles(made):
+    """What it finds is decided in balls; so far as doubles go it sees the same."""
+    data = made("oscillator").to_dict()
+    with balls.precision():
+        weights = BallWeights(data)
+        frame = ScheduleFrame(weights, BallTimes(data["times"], 1), weights.P2, "out of reach")
+        search, Y = RefutationSearch(frame, False, Clock(60.0)), frame.start
+        for duration in (0.0, 0.3, float(frame.schedule.gaps[0])):
+            exact = balls.floats(frame.flow.step(Y, balls.ball(duration)))
+            assert search.step(balls.floats(Y), duration) == pytest.approx(exact, rel=1e-12)
+        assert search.through(balls.floats(Y), 0) == pytest.approx(exact, rel=1e-12)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import ball, definite, floats, lowered, precision
+from sampling_design._linalg import discounted_flow
 from sampling_design.certificates.rigorous.ball_problem import REFUTED, ScheduleFrame, Unproven
 
 Array = npt.NDArray[np.float64]
@@ -53,11 +54,18 @@ class RefutationSearch:
         self.frame, self.schedule, self.samples_only, self.clock = frame, frame.schedule, samples_only, clock
         self.gaps = [float(gap) for gap in self.schedule.gaps]
         self.reach = [float(gap) for gap in self.schedule.reach]
+        self.A, self.S = floats(frame.flow.A), floats(frame.flow.S)
+        self.over_gaps = [tuple(floats(M) for M in frame.flow.over(gap)) for gap in self.schedule.gaps]
 
     def step(self, Y: Array, duration: float) -> Array:
-        """Y `duration` later."""
-        F, W = (floats(M) for M in self.frame.flow.over(ball(duration)))
-        return np.asarray(F @ Y @ np.swapaxes(F, -1, -2) + W)
+        """Y `duration` later: doubles, as a polish asks for hundreds of durations that nothing else needs."""
+        F, W = discounted_flow(self.A, self.S, duration)
+        return np.asarray(F[0] @ Y @ F[0].T + W[0])
+
+    def through(self, Y: Array, i: int) -> Array:
+        """Y the whole gap before sample i later."""
+        F, W = self.over_gaps[i]
+        return np.asarray(F @ Y @ F.T + W)
 
     def sampled(self, Y: Array, i: int) -> Array:
         """Y after sample i, for a stack of Y."""
@@ -110,8 +118,7 @@ class RefutationSearch:
         Y = self.step(floats(self.frame.start), r)
         for j in range(k):
             Y = self.sampled(Y, (i + j) % self.schedule.N)
-            last = j + 1 == k
-            Y = self.step(Y, s if last else self.gaps[(i + j + 1) % self.schedule.N])
+            Y = self.step(Y, s) if j + 1 == k else self.through(Y, (i + j + 1) % self.schedule.N)
         return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
 
     def polished(self, point: WindowPoint) -> WindowPoint:

@@ -12,6 +12,7 @@ from sampling_design.certificates.exact.riccati import (
     supremum,
     sweep,
     update,
+    updated,
 )
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.errors import ArgumentError, SolverError
@@ -194,3 +195,15 @@ def test_outputs_that_are_nearly_exact_settle_where_the_recursion_does():
             Y = update(push(Y, flows[0][i], flows[1][i]), problem.rows[i])
     size = np.sqrt(np.diag(Y))
     assert np.all(np.abs(periodic_riccati_solution(problem)[-1] - Y) <= 1e-6 * size * size[:, None])
+
+
+def test_the_closed_loop_of_a_sample_is_carried_along():
+    """I - K C with the best gain of all outputs together, from one row after the other."""
+    rng = np.random.default_rng(5)
+    rows, half, Phi = rng.normal(size=(2, 4)), rng.normal(size=(3, 4, 4)), rng.normal(size=(3, 4, 4))
+    Y = half @ np.swapaxes(half, 1, 2)
+    K = np.swapaxes(np.linalg.solve(rows @ Y @ rows.T + np.eye(2), rows @ Y), 1, 2)
+    after, carried = updated(Y, np.broadcast_to(rows, (3, 2, 4)), Phi)
+    assert carried == pytest.approx((np.eye(4) - K @ rows) @ Phi, rel=1e-9, abs=1e-9)
+    assert after == pytest.approx((np.eye(4) - K @ rows) @ Y, rel=1e-9, abs=1e-9)
+    assert updated(Y, np.broadcast_to(rows, (3, 2, 4)), None)[1] is None

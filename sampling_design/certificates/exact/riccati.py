@@ -40,6 +40,8 @@ LONGEST_REFINED = 200
 """Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
 ATTAINED_RTOL = 2e-4
 """How near to the periodic solution a window is followed; the certificate leaves 1e-3."""
+SAME_START = 1e-9
+"""A window whose start is this near that of a sample, relative to the gap, is its window: times are rounded."""
 LONGEST_RUN = 20_000
 """Samples along which a window is followed towards the periodic solution."""
 START_CELLS = 5
@@ -71,13 +73,19 @@ def update(Y: Array, rows: Array) -> Array:
     The rows' noise is independent, so that they count one after the other: nothing is solved, and outputs of any sizes
     may stand side by side.
     """
+    return updated(Y, rows, None)[0]
+
+
+def updated(Y: Array, rows: Array, Phi: Array | None) -> tuple[Array, Array | None]:
+    """`update`, and the product of its closed loop I - K C with Phi, if there is one."""
     for k in range(rows.shape[-2]):
         row = rows[..., k, :]
         cross = np.einsum("...ij,...j->...i", Y, row)
         gain = cross / (1 + np.einsum("...i,...i->...", cross, row))[..., None]
         left = np.eye(Y.shape[-1]) - gain[..., :, None] * row[..., None, :]
         Y = symmetrise(left @ Y @ np.swapaxes(left, -1, -2) + gain[..., :, None] * gain[..., None, :])
-    return Y
+        Phi = None if Phi is None else left @ Phi
+    return Y, Phi
 
 
 def push(Y: Array, F: Array, W: Array) -> Array:
@@ -398,6 +406,12 @@ def located(problem: WindowProblem, start: float, t: float) -> Peak:
     last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
     gap = problem.gaps[last % problem.count]
     return Peak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
+
+
+def starts_at_sample(problem: WindowProblem, peak: Peak) -> bool:
+    """Whether a window is one of those that start at a sample, or at time 0."""
+    index, remaining = problem.sample_starts()
+    return bool(np.isclose(remaining[index == peak.index], peak.remaining, rtol=SAME_START, atol=0.0).any())
 
 
 def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:

@@ -17,10 +17,10 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import ATTEMPTS, BEYOND, FINER, HIGHER, LATER, LOOK_WORK, ROOM, Efforts
+from sampling_design.certificates.exact.efforts import ATTEMPTS, BEYOND, FINER, HIGHER, LOOK_WORK, ROOM, Efforts, wider
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.precise import precisely_chosen
-from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, supremum
+from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, starts_at_sample, supremum
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
     Choice,
@@ -35,6 +35,7 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_of
 from sampling_design.certificates.rigorous.decide import replays_in_balls, verify_rigorously
+from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
@@ -78,7 +79,7 @@ def certify_given(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
-        proof = _Proof(plant, schedule, weights, eta, Efforts())
+        proof = _Proof(plant, schedule, weights, eta, Efforts(alone=True))
         followed(proof.canon, eta * proof.canon.time)
         if not exists:
             _require(plant, schedule, eta, proof.canon)
@@ -113,6 +114,7 @@ class _Proof:
         long_run: float = 0.0,
     ) -> None:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
+        self.left_open: tuple[Work, float, UndecidedError] | None = None  # of the last check: work, room, why it failed
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -149,53 +151,57 @@ class _Proof:
         """Return the certificate, lambda raised to whatever window the checker finds.
 
         What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
-        and, unless `plainly`, stated with `ROOM` to spare; or, if far above what was met, as the long run has it.
+        and, unless `plainly` (or later, when asked again), stated with `ROOM` to spare; or, if far above what was met,
+        as the long run has it. What only took too much work is neither: then the wide room is next.
 
         Raises
         ------
         UndecidedError
             If the proof does not close, or not with the work that it may do.
         """
-        room, finer, efforts, handed = 1.0, 1, self.efforts, False  # the last: whether balls have left it undecided
+        finer, efforts, again = 1, self.efforts, self.left_open
         anywhere, at_samples = self.peaks
         beyond = self.long_run / max(at_samples.value, 1.0)
         far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
         in_balls, rooms = (ROOM[0] * beyond, iter([ROOM[0] * beyond])) if far else (1.0, iter(() if plainly else ROOM))
+        room = wider(rooms, *again[:2]) if again else 1.0
+        if again and (far or not room):  # all has been tried
+            raise again[2]
+        handed = bool(again)  # whether balls have left it undecided
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
             plain, stands = replace(made, witness=None), replays
-            verdict = verdict_of(plain.to_dict(), efforts.check())
-            open_to_balls = room == in_balls and not (handed or efforts.balls.over)
+            verdict = verdict_of(plain.to_dict(), work := efforts.check())
+            open_to_balls = room == in_balls and not (handed or work.over or efforts.balls.over)
             if verdict.verdict == "undecided" and open_to_balls and find_spec("flint") is not None:
                 verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.check_in_balls()), replays_in_balls
                 handed = verdict.time is None  # a lambda that is hardly larger would not help
             if verdict.passed:  # a witness is true, but its replay may be lost in rounding
                 return made if stands(made.to_dict()) else plain
-            if efforts.floats.over:
+            if efforts.over:
                 break
             if verdict.time is None or verdict.start is None:
-                if finer == 1:  # the grids may have missed a peak by a hair
+                if finer == 1 and not work.over:  # the grids may have missed a peak by a hair
                     finer, before = FINER, (anywhere.value, at_samples.value)
                     others = self.found(finer)
                     at_samples = max(at_samples, others[1], key=_value)
                     anywhere = max(anywhere, others[0], at_samples, key=_value)
                     if anywhere.value > before[0] * HIGHER or at_samples.value > before[1] * HIGHER:
                         continue
-                room = next(rooms, 0.0)
-                if not room:
-                    break
-                continue
+                if other := wider(rooms, work, room):
+                    room = other
+                    continue
+                break
             missed = located(self.problem, verdict.start / self.canon.time, verdict.time / self.canon.time)
-            if "samples" in verdict.inequality:
+            if "samples" in verdict.inequality or starts_at_sample(self.problem, missed):
                 at_samples = max(refine(self.problem, missed, 0.0), at_samples, key=_value)
             else:
                 missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
             anywhere = max(anywhere, missed, at_samples, key=_value)
-        raise UndecidedError(
-            f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}",
-            verification=verdict,
-            certificate=made,
-        )
+        reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}"
+        self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
+        self.left_open = work, room, error
+        raise error
 
     def witness_of(self, peak: Peak) -> Witness:
         """Return where a peak is attained, in the plant's coordinates."""
@@ -408,15 +414,15 @@ def chosen(
         canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
         longer, canon = canon.time, evened(canon)
         bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
-        problem = plant, schedule, weights
+        problem, asked = (plant, schedule, weights), [(budget, Efforts()) for budget in budgets]
         try:
-            found = zip(choose_weights(canon, bounds, budgets, progress), budgets, strict=True)
-            return [_best_proven(problem, canon, choices, eta, budget, began) for choices, budget in found]
+            found = zip(choose_weights(canon, bounds, budgets, progress), asked, strict=True)
+            return [_best_proven(problem, canon, choices, eta, *each, began) for choices, each in found]
         except UndecidedError as error:
             if slip(plain):  # dates are asked for their origin, and not followed from time 0
                 raise
             try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
-                return [precisely_chosen(problem, plain, between, eta, budget) for budget in budgets]
+                return [precisely_chosen(problem, plain, between, eta, budget, first.total) for budget, first in asked]
             except UndecidedError:
                 raise error from None
 
@@ -427,27 +433,27 @@ def _best_proven(
     choices: list[Choice],
     eta: float | None,
     budget: float,
+    first: Efforts,
     began: float,
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
     choices = [choice for choice in choices if choice.value * choice.eta < BEYOND] or choices
-    stages: list[tuple[Efforts, Iterable[list[Choice]]]] = [
-        (Efforts(), [[choice for choice in choices if not choice.spare]]),
-        (Efforts(LATER), [[choice for choice in choices if choice.spare]]),
-    ]
+    stages: list[Iterable[list[Choice]]] = [[[some for some in choices if some.spare == k]] for k in (False, True)]
     if choices:
         low = min(choice.eta for choice in choices)
-        stages.append((Efforts(LATER), round_choices(canon, [low, low / 10] if eta is None else [low], budget)))
-    for efforts, groups in stages:
+        stages.append(round_choices(canon, [low, low / 10] if eta is None else [low], budget, first.total))
+    efforts = first
+    for groups in stages:
         for some in groups:
             try:
                 if some:
                     return _first_proven(problem, canon, some, eta, budget, began, efforts)
             except UndecidedError as error:
                 failed.append(error)
-            if efforts.floats.over:
+            if efforts.over:
                 break
+        efforts = efforts.later()
     if failed:
         raise failed[0]
     raise UndecidedError(
@@ -474,16 +480,12 @@ def _first_proven(
         try:
             proof = _Proof(plant, schedule, (prior, *weights), rate, efforts, float(np.exp(choice.value * choice.eta)))
             near = choice.value <= COMPARED * choices[0].value and efforts.looks.left > LOOK_WORK
-            if not proofs or near:
-                proofs.append((proof.horizon, len(proofs), proof, choice))
-            else:
-                proofs.append((np.inf, len(proofs), proof, choice))
+            proofs.append((proof.horizon if not proofs or near else np.inf, len(proofs), proof, choice))
         except UndecidedError as error:
             failed.append(error)
     proofs = sorted(proofs, key=lambda item: item[:2])
-    best, others = proofs[:1], proofs[1:]  # room for the best one before another is tried
-    order = [(False, best), (True, others), (False, others)]
-    for plainly, (_, _, proof, choice) in [(plainly, item) for plainly, items in order for item in items]:
+    order = [(True, item) for item in proofs] + [(False, item) for item in proofs[:1]]  # room for the best one
+    for plainly, (_, _, proof, choice) in order:
         how = {"weights": f"least horizon under budget {budget:g}"}
         if choice.spare:
             how = {"weights": f"a first guess under budget {budget:g}: at the best rate no proof closed"}
@@ -493,6 +495,6 @@ def _first_proven(
             return proof.closed(solver, plainly)
         except UndecidedError as error:
             failed.append(error)
-        if efforts.floats.over:
+        if efforts.over:
             break
     raise failed[0]

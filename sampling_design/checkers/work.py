@@ -6,14 +6,14 @@ MOST_WORK = 1e7  # of one check
 class Work:
     """Operations that are left, in units of about a microsecond; what a share of it spends counts here too."""
 
-    def __init__(self, most: float, whole: "Work | None" = None) -> None:
-        self.left, self.whole = most, whole
+    def __init__(self, most: float, whole: "Work | None" = None, price: float = 1.0) -> None:
+        self.left, self.whole, self.price = most, whole, price  # what one unit costs the whole
 
     def spend(self, amount: float) -> None:
         """Count what is about to be done."""
         self.left -= amount
         if self.whole is not None:
-            self.whole.spend(amount)
+            self.whole.spend(self.price * amount)
 
     def share(self, most: float) -> "Work":
         """A part of what is left, at most this much."""

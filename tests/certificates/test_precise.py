@@ -101,4 +101,4 @@ def test_what_cannot_be_proven_is_undecided(without, monkeypatch):
         )
     weights = weights_of(OSCILLATOR, None, None, None)
     with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
-        precisely_chosen((OSCILLATOR, UNEVEN, weights), inside(OSCILLATOR, UNEVEN), (0.3, 0.3), 0.3, 3.0)
+        precisely_chosen((OSCILLATOR, UNEVEN, weights), inside(OSCILLATOR, UNEVEN), (0.3, 0.3), 0.3, 3.0, Work(1e7))

@@ -81,8 +81,8 @@ def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
             raise UndecidedError("undecided: the proof is made to fail")
         return closed(proof, solver, plainly)
 
-    def asked(canon, rates, budget):
-        found = list(choices(canon, rates, budget))
+    def asked(canon, rates, budget, whole):
+        found = list(choices(canon, rates, budget, whole))
         rounder.extend(np.linalg.cond(choice.P2) for some in found for choice in some)
         return found
 
@@ -150,12 +150,82 @@ def test_no_proof_is_tried_twice(beyond, monkeypatch):
     still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
     monkeypatch.setattr(room, "verdict_of", floats)
     monkeypatch.setattr(room, "verify_rigorously", balls)
-    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts(efforts.LATER), beyond * made.lam_samples)
+    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts(), beyond * made.lam_samples)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         proof.closed(made.solver)
     rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *room.ROOM)
     assert tried == pytest.approx([made.lam * factor for factor in rooms], rel=1e-6)
     assert handed == ([tried[1]] if beyond else [tried[0]])
+
+
+def open_proof(monkeypatch, *, spent=0.0):
+    """A proof that neither floats nor balls close, which spend so much on it; the lambdas that each was asked."""
+    tried, handed = list[float](), list[float]()
+
+    def floats(data, work):
+        tried.append(data["lam"])
+        work.spend(spent)
+        return still_open
+
+    def balls(data, budget, work):
+        handed.append(data["lam"])
+        return still_open
+
+    oscillator, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
+    weights = (np.eye(2), *weights_of(oscillator, None, None, None))
+    made = certify(oscillator, schedule, eta=0.4, P2=np.eye(2))
+    still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
+    monkeypatch.setattr(room, "verdict_of", floats)
+    monkeypatch.setattr(room, "verify_rigorously", balls)
+    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts())
+
+    def asked(plainly):
+        with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
+            proof.closed(made.solver, plainly)
+        return [lam / made.lam for lam in tried], [lam / made.lam for lam in handed]
+
+    return asked
+
+
+def test_a_proof_that_is_taken_up_again_goes_on(monkeypatch):
+    """Others have their turn before the best choice is stated with room; what was tried then is not tried again."""
+    asked = open_proof(monkeypatch)
+    assert asked(plainly=True) == (pytest.approx([1.0], rel=1e-6), pytest.approx([1.0], rel=1e-6))
+    assert asked(plainly=False) == (pytest.approx([1.0, *room.ROOM], rel=1e-6), pytest.approx([1.0], rel=1e-6))
+
+
+def test_what_only_took_too_much_work_is_stated_with_a_wide_room(monkeypatch):
+    """Balls would take a hundred times as much, and a lambda that is hardly larger as much again."""
+    wide = [room for room in efforts.ROOM if room >= efforts.WIDE]
+    tried, handed = open_proof(monkeypatch, spent=1.01 * efforts.ONE_CHECK)(plainly=False)
+    assert tried == pytest.approx([1.0, *wide], rel=1e-6)
+    assert not handed
+
+
+def test_the_work_after_the_search_is_bounded():
+    """Every group of choices has its turn, balls at their price, and no group more than all."""
+    first = efforts.Efforts()
+    first.check_in_balls().spend(efforts.ONE_IN_BALLS)
+    assert first.total.left == pytest.approx(efforts.ALL_WORK - efforts.BALL_PRICE * efforts.ONE_IN_BALLS)
+    assert first.balls.left == efforts.BALL_WORK - efforts.ONE_IN_BALLS
+    assert first.later().balls.left == efforts.ONE_IN_BALLS
+    groups = [first, first.later(), first.later().later()]
+    for group in groups:
+        assert not group.over
+        group.check().spend(group.whole.left)
+        assert group.over
+        assert group.check().over
+        assert group.check_in_balls().over
+    assert first.later().whole.left < 0.2 * efforts.ALL_WORK
+    assert efforts.Efforts(alone=True).check().left == efforts.CHECK_WORK  # one choice alone may do it all
+
+
+def test_a_window_that_starts_at_a_sample_counts_for_both_lambdas():
+    """Else the same window is found twice, once for all starts and once for those at samples."""
+    plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.5, 1.0], first=0.25)
+    problem = window_problem(plant, schedule, np.eye(2), *weights_of(plant, None, None, None), 0.4)
+    for start, at_sample in ((0.0, True), (0.25, True), (1.25, True), (1.75, True), (0.1, False), (0.7, False)):
+        assert riccati.starts_at_sample(problem, riccati.located(problem, start, 4.0)) is at_sample, start
 
 
 def test_what_doubles_cannot_follow_is_certified_in_more_digits(monkeypatch):

@@ -80,8 +80,7 @@ def test_balls_end_where_their_work_does():
 
 
 def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):
-    monkeypatch.setattr(efforts, "ONE_CHECK", 1.0)
-    for name in ("BALL_WORK", "ONE_IN_BALLS"):
+    for name in ("CHECK_WORK", "BALL_WORK"):
         monkeypatch.setattr(efforts, name, 1.0)
     with pytest.raises(UndecidedError, match="it takes more work than one check may do"):
         certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import log
 
 from sampling_design.checkers.work import Work
@@ -9,14 +10,19 @@ from sampling_design.checkers.work import Work
 LOOK_WORK = 2e6
 """Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
 what they have met by then is tried."""
-CHECK_WORK, ONE_CHECK = 6e6, 4e6
+CHECK_WORK, ONE_CHECK = 6e6, 2.5e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 4e6, 2e6
-"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds;
-later ones may take as much each."""
+BALL_WORK, ONE_IN_BALLS = 2e6, 1.3e6
+"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds; a
+later group may do one."""
 LATER = 0.7
-"""Share of that for the spare choices, and for the round ones; one of their checks in floats may do as much as one of
-the first ones, or what takes much work would never be proven."""
+"""Share of that in floats for the spare choices, and for the round ones; one of their checks may do as much as one
+of the first ones, or what takes much work would never be proven."""
+ALL_WORK, BALL_PRICE = 10e6, 1.7
+"""Work of all proofs after the search of weights, where balls count so many times: then a call ends, if need be with
+none. It holds nine states to about twenty seconds of an ordinary processor core."""
+PARTS = 0.55, 0.9
+"""Share of what is left of it that the first group of choices may do, and each later one: the next has its turn."""
 PRECISE_WORK, PRECISE_PROOF = 4e6, 2e6
 """Work of the search in more digits than doubles have, and of its proofs together; of one of them."""
 FINER = 4
@@ -28,21 +34,44 @@ ATTEMPTS = 8
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
+WIDE = 1.3
+"""From which of them on a proof takes much less work: tried next where one has ended for its work alone."""
 BEYOND = 16 * log(10)
 """ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
 
 
-class Efforts:
-    """What all the looks and proofs for one certificate may do together, or those of later choices."""
+def wider(rooms: Iterator[float], work: Work, tried: float) -> float:
+    """The next room for a proof that did not close with this work, 0 if there is none; a wide one if that is over."""
+    enough = WIDE if work.over else 1.0
+    found = next((room for room in rooms if room >= enough and room > tried), 0.0)
+    return found or (WIDE if work.over and tried < WIDE else 0.0)
 
-    def __init__(self, share: float = 1.0) -> None:
-        self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK)
-        self.balls, self.one = Work(max(share * BALL_WORK, ONE_IN_BALLS)), ONE_CHECK
+
+class Efforts:
+    """What the looks and proofs for a group of choices may do; one choice `alone` may do all of it."""
+
+    def __init__(
+        self, total: Work | None = None, share: float = 1.0, balls: float | None = None, *, alone: bool = False
+    ) -> None:
+        self.total = Work(ALL_WORK) if total is None else total
+        self.whole = self.total if alone else self.total.share(PARTS[balls is not None] * self.total.left)
+        self.one = (CHECK_WORK, BALL_WORK) if alone else (ONE_CHECK, ONE_IN_BALLS)
+        self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK, self.whole)
+        self.balls = Work(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
+
+    def later(self) -> Efforts:
+        """Those of the next group: of what is left."""
+        return Efforts(self.total, LATER, ONE_IN_BALLS)
+
+    @property
+    def over(self) -> bool:
+        """Whether no proof can follow."""
+        return self.floats.over or self.whole.over
 
     def check(self) -> Work:
         """What the next check in floats may do."""
-        return self.floats.share(self.one)
+        return self.floats.share(min(self.one[0], self.whole.left))
 
     def check_in_balls(self) -> Work:
         """What the next check in balls may do."""
-        return self.balls.share(ONE_IN_BALLS)
+        return self.balls.share(min(self.one[1], self.whole.left / BALL_PRICE))

@@ -20,7 +20,7 @@ from sampling_design._balls import Ball, Matrix, ball, cholesky, definite, float
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
-from sampling_design.certificates.exact.efforts import PRECISE_PROOF, PRECISE_WORK, ROOM
+from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
 from sampling_design.certificates.exact.weight_choice import Choice, WeightSearch
 from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
@@ -171,6 +171,7 @@ def precisely_chosen(
     bounds: tuple[float, float],
     eta: float | None,
     budget: float,
+    whole: Work,
 ) -> Certificate:
     """A certificate at the first rate, of few within `bounds` and below (internal units), at which balls prove one.
 
@@ -183,7 +184,8 @@ def precisely_chosen(
     """
     began = time.perf_counter()
     rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
-    search, proofs = PreciseSearch(canon, SHARE, Work(PRECISE_WORK)), Work(PRECISE_WORK)
+    dear = Work(whole.left / BALL_PRICE, whole, BALL_PRICE)
+    search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(PRECISE_WORK)
     for rate in rates if find_spec("flint") else ():
         choice = None if search.late or proofs.over else search.best_guess(rate, budget)
         if choice is None:

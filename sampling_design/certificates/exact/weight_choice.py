@@ -68,7 +68,7 @@ DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
-SEARCH_WORK, RATE_WORK, ROUND_WORK = 4e6, 3e6, 4e6
+SEARCH_WORK, RATE_WORK, ROUND_WORK = 5.5e6, 3e6, 4e6
 """Work, about microseconds, after which the search of weights (of a rate alone, of round shapes) ends with the best
 that it has: any shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on
 every machine."""
@@ -441,9 +441,9 @@ def _spare(search: WeightSearch, guesses: list[Choice], budget: float) -> list[C
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
 
-def round_choices(canon: Canonical, rates: list[float], budget: float) -> Iterator[list[Choice]]:
+def round_choices(canon: Canonical, rates: list[float], budget: float, whole: Work) -> Iterator[list[Choice]]:
     """First guesses of less and less condition at these rates: for where nothing better can be proven."""
-    work = Work(ROUND_WORK)
+    work = whole.share(ROUND_WORK)
     for share in ROUNDER:
         search = WeightSearch(canon, share, work)
         found: list[Choice] = []

@@ -5,8 +5,10 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.search import local_search
 from sampling_design.design.search.fedorov_exchange import is_admissible, packed, shares_of, spread
 from sampling_design.design.search.local_search import _kick, _Refinement, search
 from sampling_design.design.search.refine import refined
@@ -49,3 +51,29 @@ def test_fixed_samples_are_never_kicked():
     assert {1.0, 4.0} <= set(found.times.tolist())
     every = problem(fixed=np.arange(7) * 0.8)
     assert len(search(every, relax_placed(every), np.random.default_rng(0), starts=1).trials) <= 4
+
+
+def test_sigma_alone_is_sigma_whatever_the_states_and_their_scales():
+    for count, scale in ((4, 1.0), (7, 1.0), (7, 1e5)):  # eight states, fourteen, and fourteen in unlike units
+        A = np.kron(np.diag(1.0 + 0.7 * np.arange(count)), [[0.0, 1.0], [-1.0, 0.0]])
+        units = np.append(scale, np.ones(2 * count - 1))
+        rows = ScaledRows(Plant(A * units[:, None] / units, np.tile([[1.0, 0.0]], count) / units), 6.0)
+        seen = np.random.default_rng(1).normal(size=(5, 3 * count, 2 * count))
+        grams = np.swapaxes(seen, 1, 2) @ seen
+        np.testing.assert_allclose(rows.least_sigma2(grams), rows.least(grams)[0], rtol=1e-9)
+
+
+def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
+    tried = []
+
+    def nothing_gained(case, times, value, **_):
+        tried.append(case.samples)
+        return times, value
+
+    monkeypatch.setattr(local_search, "refined", nothing_gained)
+    for samples in (4, 96):
+        case = problem(samples=samples, spacing=0.05, window=12.0, period=12.0)
+        times = spread(case, (np.arange(samples) + 0.5) / samples)
+        _kick(_Refinement(case, np.inf, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
+    assert tried.count(4) == 12
+    assert 0 < tried.count(96) <= 4

@@ -35,7 +35,8 @@ KICKS = 4
 """Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
 
 _KICKED = 3  # samples moved at once
-_PATIENCE = 12  # kicks in a row without gain, of many states fewer
+_PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
+_MANY_SAMPLES = 32  # from there on
 _NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
@@ -153,10 +154,11 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     """Move a few samples of the best schedule, near or far, and refine; until nothing was gained for a while."""
     problem, idle = run.problem, 0
     free = problem.samples - problem.fixed.size
+    patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
     if free == 0:
         return
     for _ in range(most):
-        if run.is_over or idle >= _PATIENCE * _share(problem) or run.value >= (_NEAR * run.enough) ** 2:
+        if run.is_over or idle >= patience or run.value >= (_NEAR * run.enough) ** 2:
             return
         idle += 1
         shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])

@@ -124,6 +124,7 @@ class RecordProgram:
         self.H = readings.H * table.D
         self.infeasible = False
         self._multiples: dict[int, float] = {}
+        self._run_back: tuple[bytes, Array] | None = None
 
     @cached_property
     def _quadrature(self) -> Quadrature:
@@ -356,8 +357,11 @@ class RecordProgram:
         return self._free.without(gains, self._begun(c), lambda own: self._costates(c, own)[1])
 
     def _begun(self, c: Array) -> Array:
-        """A target, run back to the start."""
-        return self._costates(c, np.zeros(len(self.H)))[1]
+        """A target, run back to the start; what was asked for last is kept."""
+        key = c.tobytes()
+        if self._run_back is None or self._run_back[0] != key:
+            self._run_back = key, self._costates(c, np.zeros(len(self.H)))[1]
+        return self._run_back[1]
 
     @cached_property
     def _free(self) -> FreeStart:
@@ -407,10 +411,9 @@ class RecordProgram:
         """(K-1, n) costates just after each gap, and the rest at the start."""
         steps = self._per_time(self.H * gains[:, None])
         found, g = np.empty_like(self.F[:, 0]), c
-        for k in range(len(steps) - 1, 0, -1):
-            g = g - steps[k]
-            found[k - 1] = g
-            g = g.dot(self.F[k - 1])
+        for step, costate, F in zip(steps[:0:-1], found[::-1], self.F[::-1], strict=True):
+            np.subtract(g, step, costate)
+            g = costate.dot(F)
         return found, g - steps[0]
 
     def _terms(self, c: Array, gains: Array) -> float:

@@ -63,10 +63,11 @@ class WindowedEstimator(OpenLoopEstimator):
     constraints: WindowConstraints
     check_spacing: float | None = None
     weighs_means = True
+    _slides = False  # whether windows slide on from one sample to the next
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories = Histories(self.weights, self._sample_energy)
+        self._histories, self._slides = Histories(self.weights, self._sample_energy), not self.constraints.active
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
@@ -87,6 +88,9 @@ class WindowedEstimator(OpenLoopEstimator):
         parts = (np.diff(times, prepend=kept[-1]), start[inside] - nodes[at], nodes[at + 1] - start[inside])
         gaps = np.concatenate(parts)
         self.table.known(gaps[gaps > 0].tolist())
+        if self._slides:
+            before, arriving = (part[part > 0].tolist() for part in parts[::2])
+            self.table.prepare(before, arriving, self._fixed_prior)
 
     def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
         return self._between(state, state.last.t, t)
@@ -147,7 +151,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
         """
-        if self.constraints.active or t <= start.s:
+        if not self._slides or t <= start.s:
             return None
         opening, nodes, s = None, state.nodes, start.s
         first = len(nodes) - len(start.inside)

@@ -4,8 +4,11 @@ import mpmath
 import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design._linalg import discounted_flow
 from sampling_design.estimators.gap_flows.composed_flow import FEW, ComposedFlow
+from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.flows import FlowTable, lower_band
 
 PLANTS = {
     "oscillator": [[0.0, 1.0], [-1.0, 0.0]],
@@ -86,3 +89,48 @@ def test_pieces_beyond_all_numbers_do_no_harm():
     assert F[0, 0, 0] == pytest.approx(np.exp(600.0), rel=1e-11)
     assert E[0, 0, 0] == pytest.approx(np.exp(600.0), rel=1e-11)
     assert W[0, 0, 0] == pytest.approx(np.exp(1200.0 - 300 * np.log(10.0)) / 2, rel=1e-11)
+
+
+@pytest.mark.parametrize("units", [1.0, 1e-12, 1e12])
+def test_gaps_of_a_batch_are_those_of_one_by_one(units):
+    """Costs between nodes and arrivals of a prior."""
+    rng = np.random.default_rng(5)
+    S = np.diag(units ** np.array([0.0, 1.0, 0.5]))
+    A = S @ np.array([[0.0, 1.0, 0.0], [-2.0, -0.1, 0.3], [0.0, 0.0, 0.4]]) @ np.linalg.inv(S)
+    plant = sd.Plant(A, np.array([[1.0, 0.0, 0.0]]), G=S[:, 1:])
+    weights = build_weights(plant, None, sd.CostFunction(eta=0.3, P2=np.linalg.inv(S @ S)))
+    prior = weights.prior_root @ weights.prior_root.T
+    gaps = rng.uniform(0.05, 3.0, 40).tolist()
+    alone, batch = FlowTable(weights), FlowTable(weights)
+    batch.known(gaps)
+    batch.prepare(gaps, gaps, prior)
+    for gap in gaps:
+        one, many = alone.one(gap), batch.one(gap)
+        found, made = one.arrival(prior), many.arrival(prior)
+        assert in_own_units(made.information, found.information) < 1e-9
+        np.testing.assert_array_equal(made.band, lower_band(made.information, 3)[0])
+        if one.joint is None:
+            assert many.joint is None
+        else:
+            assert in_own_units(many.joint, one.joint) < 1e-9
+            np.testing.assert_array_equal(many.band, lower_band(many.joint, 3))
+            assert many.loose == pytest.approx(one.loose, rel=1e-9)
+
+
+def test_what_loses_digits_is_left_alone_in_a_batch():
+    """Six integrators in a row: no W of theirs is inverted. What overflows is not, either."""
+    plant = sd.Plant(np.diag(np.ones(5), 1), np.eye(6)[:1], G=np.eye(6)[:, 5:])
+    weights = build_weights(plant, None, sd.CostFunction(eta=0.3))
+    table, prior = FlowTable(weights), np.eye(6)
+    table.known([0.5, 2.0, 3000.0])
+    table.prepare([0.5, 2.0, 3000.0], [2.0, 3000.0], prior)
+    assert all(table.one(gap).joint is None for gap in (0.5, 2.0))
+    assert (table.one(2.0).arrival(prior) is None) == (FlowTable(weights).one(2.0).arrival(prior) is None)
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert table.one(3000.0).arrival(prior) is None
+
+
+def in_own_units(found, expected):
+    """The largest difference, in units of the diagonal."""
+    size = np.sqrt(np.diag(expected))
+    return np.max(np.abs(found - expected) / np.outer(size, size))

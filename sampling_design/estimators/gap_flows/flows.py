@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
+from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import Weights
 
 Array = npt.NDArray[np.float64]
@@ -128,6 +128,14 @@ class GapFlow:
             self._band = lower_band(joint, len(self.F))
         return self._band
 
+    def known(self, joint: Array, loose: float, band: Array) -> None:
+        """Take what was found of many gaps at once."""
+        self._joint, self._loose, self._band = joint, loose, band
+
+    def arrived(self, Y: Array, found: Arrival) -> None:
+        """Take what a prior was found to be worth."""
+        self._arrival = Y, found
+
     def arrival(self, Y: Array) -> Arrival | None:
         """Return what a prior of covariance Y is worth after the gap, the inverse of growth F Y F' + W.
 
@@ -201,6 +209,22 @@ class FlowTable:
             if gap not in self._table:
                 self.get(gaps)
                 return
+
+    def prepare(self, gaps: Sequence[float], arrivals: Sequence[float], Y: Array) -> None:
+        """Find, each in one batch, `joint` of the flows of some gaps, and `arrival` of a prior Y after others.
+
+        What may lose digits is left to be looked at by itself, and so are more than `SMALL` states.
+        """
+        if len(Y) > SMALL:
+            return
+        table = self._table
+        before = [flow for flow in map(table.get, dict.fromkeys(gaps)) if flow is not None]
+        after = [flow for flow in map(table.get, dict.fromkeys(arrivals)) if flow is not None]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if before and not self.constant_w:
+                prepare_joint(before)
+            if after:
+                prepare_arrival(after, Y)
 
     def one(self, gap: float) -> GapFlow:
         """Return the flow of a gap."""
@@ -281,6 +305,52 @@ def _half(M: Array) -> tuple[Array, float] | None:
     unit = half * np.sqrt(M.diagonal())
     condition = float(np.vdot(unit, unit))
     return (half, condition) if condition <= CONDITION_LIMIT else None  # neither where something overflowed
+
+
+def _halves(M: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """L^-1 and the condition as `_half` finds them, of many matrices, and which of them keep their digits."""
+    n = M.shape[1]
+    try:
+        L = np.linalg.cholesky(M)
+    except np.linalg.LinAlgError:
+        return M, M[:, 0, 0], np.zeros(len(M), dtype=bool)
+    half = np.zeros_like(L)
+    for i in range(n):
+        half[:, i] = -np.matmul(L[:, None, i, :i], half[:, :i])[:, 0]
+        half[:, i, i] += 1.0
+        half[:, i] /= L[:, i, i, None]
+    condition = np.einsum("kij,kij,kjj->k", half, half, M)
+    return half, condition, condition <= CONDITION_LIMIT
+
+
+def _bands(matrices: Array, n: int) -> Array:
+    """`lower_band` of many matrices."""
+    flat = np.zeros((len(matrices), matrices[0].size + 1))
+    flat[:, :-1] = matrices.reshape(len(matrices), -1)
+    return np.asarray(flat[:, _band_places(matrices.shape[1], n)])
+
+
+def prepare_joint(flows: list[GapFlow]) -> None:
+    """Find what states at both ends of some gaps cost together, where no digits are lost."""
+    F, W = np.array([flow.F for flow in flows]), np.array([flow.W for flow in flows])
+    half, condition, fit = _halves(W)
+    both = np.concatenate((half @ F, -half), axis=2)
+    joint = both.transpose(0, 2, 1) @ both
+    fit &= np.isfinite(joint).all(axis=(1, 2))
+    bands = _bands(joint, W.shape[1])
+    for k in np.flatnonzero(fit).tolist():
+        flows[k].known(joint[k], COVARIANCE_ERROR * float(condition[k]), bands[k])
+
+
+def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
+    """Find what a prior of covariance Y is worth after some gaps, where no digits are lost."""
+    F, growth = np.array([flow.F for flow in flows]), np.array([flow.growth for flow in flows])
+    M = F @ Y @ F.transpose(0, 2, 1) * growth[:, None, None] + np.array([flow.W for flow in flows])
+    half, _, fit = _halves(M)
+    information = half.transpose(0, 2, 1) @ half
+    bands = _bands(information, len(Y))
+    for k in np.flatnonzero(fit & np.isfinite(information).all(axis=(1, 2))).tolist():
+        flows[k].arrived(Y, Arrival(information[k], bands[k, 0]))
 
 
 def _joint(F: Array, W: Array) -> tuple[Array | None, float]:

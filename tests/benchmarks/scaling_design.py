@@ -111,7 +111,7 @@ def main() -> None:
     designs(2, 8)()  # the first call loads the solver
     lines = ["# How the cost of a design grows", "", *__doc__.split("\n\n")[2].split("\n"), ""]
     lines[2:2] = ["Made by `python -m tests.benchmarks.scaling_design`.", ""]
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     axes = dict(zip(("samples per period", "grid times", "retained states"), figure.subplots(1, 3), strict=True))
     for name, (what, sizes, make, rounds) in CURVES.items():
         times = [seconds(make(size), rounds) for size in sizes]
@@ -137,7 +137,7 @@ def main() -> None:
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(what)
         ax.set_ylabel("CPU time [s]")
-        ax.legend(fontsize="x-small", frameon=False)
+        ax.legend(fontsize="x-small", frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     (DOCS / "figures").mkdir(exist_ok=True)
     figure.savefig(DOCS / "figures" / "scaling_design.png", dpi=110)
     lines += ["![CPU time over size](figures/scaling_design.png)", ""]

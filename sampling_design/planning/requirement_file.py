@@ -17,6 +17,7 @@ from sampling_design.checkers.strict import (
     nonnegative,
     number,
     positive,
+    refuse,
     table,
     text,
     word,
@@ -44,7 +45,17 @@ def _when(value: object, place: str) -> str | list[float]:
     return str(word(*TIMES)(value, place)) if isinstance(value, str) else found
 
 
-_HOURS = list_of(list_of(text, 2))
+_SPANS = by_name(list_of(list_of(text, 2)))
+
+
+def _hours(value: object, place: str) -> object:
+    """Spans of opening hours by weekday; hours in words are told how a file says them."""
+    if isinstance(value, str) or (isinstance(value, Mapping) and any(isinstance(item, str) for item in value.values())):
+        form = '{ "Mon-Fri" = [["08:00", "12:00"], ["13:00", "17:00"]] }'
+        raise refuse(place, f"must be spans by weekday, as hours = {form}, got {value!r:.60}")
+    return _SPANS(value, place)
+
+
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 
 
@@ -58,14 +69,14 @@ _SENSOR = table(
     {
         **dict.fromkeys(("price", "noise_bound"), nonnegative),
         "noise_deviation": positive,
-        "hours": by_name(_HOURS),
+        "hours": _hours,
         "longest_use": count,
         "spacing": _duration,
     },
 )
 _CALENDAR = table(
     {"start": text},
-    {"zone": text, "hours": by_name(_HOURS), "holidays": list_of(text)},
+    {"zone": text, "hours": _hours, "holidays": list_of(text)},
 )
 _TREE = table(
     {"format": word(FORMAT)},

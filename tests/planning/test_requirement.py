@@ -137,3 +137,15 @@ def test_what_is_closed_is_all_that_is_not_open():
         for minute in np.arange(0.0, 10080.0, 15.0).tolist():
             assert any(a <= minute < b for a, b in spans) != place.is_open(minute, hours)
     assert OpeningCalendar("2026-03-23").closed(10080.0) == []
+
+
+@pytest.mark.parametrize("hours", ['"Mon-Fri 8-12"', '{ Mon-Fri = "8-12" }'])
+def test_hours_in_words_are_told_how_a_file_says_them(tmp_path, hours):
+    place = tmp_path / "wanted.toml"
+    place.write_text(
+        f'format = "sampling-design/plan-requirement/1"\n[calendar]\nstart = "2026-03-23"\nhours = {hours}\n'
+    )
+    with pytest.raises(
+        FileFormatError, match=r'`calendar.hours` must be spans by weekday, as hours = { "Mon-Fri" = \[\['
+    ):
+        requirement_and_plant(place)

@@ -10,6 +10,7 @@ from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Pla
 from sampling_design.certificates.families import certify_family as family
 from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import unrolled
+from sampling_design.checkers.outcome import Verdict
 from sampling_design.errors import ArgumentError, FileFormatError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -209,8 +210,8 @@ def test_what_does_not_fit_is_refused_at_the_door():
 def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):
     from sampling_design.certificates.form import verdict
 
-    found = {"passed": False, "inequality": "x", "time": None, "start": None, "amount": 0.0, "reason": "too tight"}
-    monkeypatch.setattr(verdict, "check", lambda data, work=None: {**found, "verdict": "refuted"})
+    found = Verdict("refuted", "x", "too tight")
+    monkeypatch.setattr(verdict, "verdict", lambda data, work=None: found)
     with pytest.raises(UndecidedError, match="undecided: the proof of the certificate did not close: too tight"):
         sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
 

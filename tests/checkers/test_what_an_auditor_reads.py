@@ -64,6 +64,12 @@ def size(names: set[str]) -> tuple[int, int]:
     return lines, code
 
 
+def counted(names: set[str]) -> tuple[int, int]:
+    """Lines and code, to the nearest ten."""
+    lines, code = size(names)
+    return round(lines, -1), round(code, -1)
+
+
 def row(claim: str) -> tuple[set[str], tuple[int, int]]:
     """Files and lines that the README states for a claim."""
     found = re.search(rf"\| `?{claim}`? \|[^|]*\|([^|]*)\| ([\d ]+) \| ([\d ]+) \|", README)
@@ -77,12 +83,12 @@ def row(claim: str) -> tuple[set[str], tuple[int, int]]:
 def test_the_readme_lists_and_counts_what_is_opened_for_a_claim(claim):
     files, counts = row(claim)
     assert row("any")[0] | files == opened(claim)
-    assert counts == size(opened(claim))
+    assert counts == counted(opened(claim))
 
 
 def test_what_all_claims_share_is_counted_once():
     shared = set.intersection(*(opened(claim) for claim in claims.CLAIMS))
-    assert row("any") == (shared, size(shared))
+    assert row("any") == (shared, counted(shared))
 
 
 def test_no_file_of_the_room_is_read_for_nothing():

@@ -6,7 +6,7 @@ from importlib import import_module
 from .parts import FORMAT, Claim, digest, plant_of
 from .strict import Altered, BadFile, plain, refuse
 
-CLAIMS: dict[str, str | Claim] = {
+CLAIMS = {
     "assumption-7": "sampled",
     "family": "families",
     "detectability": "detectability",
@@ -24,8 +24,7 @@ def claim_of(data: Mapping[str, object]) -> Claim:
     if not isinstance(name, str) or name not in CLAIMS:
         known = ", ".join(map(repr, CLAIMS))
         raise BadFile(f"`claim` must be {known} here, got {name!r:.60}")
-    where = CLAIMS[name]
-    found = where if isinstance(where, Claim) else import_module(f".{where}", __package__).CLAIM
+    found = import_module(f".{CLAIMS[name]}", __package__).CLAIM
     assert isinstance(found, Claim)
     return found
 

@@ -4,9 +4,11 @@ Claim "decay": the state of x' = Ax shrinks at rate eta in the norm of P, A'P + 
 """
 
 import json
+import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -106,7 +108,8 @@ def in_balls(data: Any, clock: Any) -> Decision:
 
 @pytest.fixture(autouse=True)
 def known(monkeypatch):
-    monkeypatch.setitem(claims.CLAIMS, "decay", CLAIM)
+    monkeypatch.setitem(sys.modules, f"{claims.__package__}.decay", SimpleNamespace(CLAIM=CLAIM))  # checkers/decay.py
+    monkeypatch.setitem(claims.CLAIMS, "decay", "decay")
     monkeypatch.setitem(files.READERS, Decay, read)
     monkeypatch.setitem(decide.CLAIMS, "decay", in_balls)
 

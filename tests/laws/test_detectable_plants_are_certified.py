@@ -127,16 +127,16 @@ def test_no_weights_are_tried_twice(monkeypatch):
         assert not np.allclose(one.P2, other.P2, rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("beyond", [0.0, 100.0], ids=["met", "far below the long run"])
-def test_no_proof_is_tried_twice(beyond, monkeypatch):
-    """What floats leave open at one lambda goes to balls once, and then only a larger lambda is tried.
+def open_proof(monkeypatch, *, spent=0.0, beyond=0.0):
+    """A proof that neither floats nor balls close, which spend so much on it; what lambda each was asked, relative.
 
-    Where the long run is far above all windows that could be followed, it alone is tried with room, and in balls.
+    `beyond` is the long run's lambda in those that were met, where it was looked for.
     """
     tried, handed = list[float](), list[float]()
 
-    def floats(data, work=None):
+    def floats(data, work):
         tried.append(data["lam"])
+        work.spend(spent)
         return still_open
 
     def balls(data, budget, work):
@@ -151,40 +151,25 @@ def test_no_proof_is_tried_twice(beyond, monkeypatch):
     monkeypatch.setattr(room, "verdict_of", floats)
     monkeypatch.setattr(room, "verify_rigorously", balls)
     proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts(), beyond * made.lam_samples)
-    with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
-        proof.closed(made.solver)
-    rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *room.ROOM)
-    assert tried == pytest.approx([made.lam * factor for factor in rooms], rel=1e-6)
-    assert handed == ([tried[1]] if beyond else [tried[0]])
 
-
-def open_proof(monkeypatch, *, spent=0.0):
-    """A proof that neither floats nor balls close, which spend so much on it; the lambdas that each was asked."""
-    tried, handed = list[float](), list[float]()
-
-    def floats(data, work):
-        tried.append(data["lam"])
-        work.spend(spent)
-        return still_open
-
-    def balls(data, budget, work):
-        handed.append(data["lam"])
-        return still_open
-
-    oscillator, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
-    weights = (np.eye(2), *weights_of(oscillator, None, None, None))
-    made = certify(oscillator, schedule, eta=0.4, P2=np.eye(2))
-    still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
-    monkeypatch.setattr(room, "verdict_of", floats)
-    monkeypatch.setattr(room, "verify_rigorously", balls)
-    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts())
-
-    def asked(plainly):
+    def asked(plainly=False):
         with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
             proof.closed(made.solver, plainly)
         return [lam / made.lam for lam in tried], [lam / made.lam for lam in handed]
 
     return asked
+
+
+@pytest.mark.parametrize("beyond", [0.0, 100.0], ids=["met", "far below the long run"])
+def test_no_proof_is_tried_twice(beyond, monkeypatch):
+    """What floats leave open at one lambda goes to balls once, and then only a larger lambda is tried.
+
+    Where the long run is far above all windows that could be followed, it alone is tried with room, and in balls.
+    """
+    tried, handed = open_proof(monkeypatch, beyond=beyond)()
+    rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *room.ROOM)
+    assert tried == pytest.approx(rooms, rel=1e-6)
+    assert handed == ([tried[1]] if beyond else [tried[0]])
 
 
 def test_a_proof_that_is_taken_up_again_goes_on(monkeypatch):

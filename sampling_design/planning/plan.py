@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.cover import Cover, cheapest
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
+from sampling_design.planning.held import GoalProofs, HeldChoices, ProvenChoice
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
@@ -32,13 +33,11 @@ from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.work import AFTER, CERTIFIED, GAINS, Work, WorkSpentError
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.accuracy import Accuracy, accuracy
-from sampling_design.recovery.deviation import StandardDeviation
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 Made = TypeVar("Made")
-GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
@@ -59,9 +58,6 @@ ROUNDS = 60
 
 RTOL = 0.005
 """Width of the brackets that prove a plan."""
-
-SPREAD = (np.sqrt(5.0) - 1) / 2
-"""Multiples of it, less their whole part, are spread evenly."""
 
 WIDTH = 0.002
 """Relative width to which the level out of reach is found."""
@@ -178,10 +174,11 @@ class _Planning:
         self.oracle = Oracle(problem, self.motion)
         self.oracle.work.limit = self.oracle.work.budget = work
         self.search = PlanSearch(problem, self.oracle, progress)
+        self.held = HeldChoices(problem, self.oracle.work, self._ratios)
 
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance."""
-        search, best, chosen = self.search, None, None
+        search = self.search
         self._require_seen()
         worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(attacks, 1.0)
@@ -195,78 +192,35 @@ class _Planning:
             while again:
                 search.found.chosen, search.found.complete = None, False
                 search.cheapest(1 - margin, ROUNDS)
-                chosen = everything if search.found.chosen is None else search.found.chosen
-                best = self._ratios(chosen)
-                high = float(best[1].max(initial=0.0))
-                again = high > 1 and not search.late and self._farther(chosen, high)
-            if high <= 1 or search.late:
+                last = self.held.proven(everything if search.found.chosen is None else search.found.chosen)
+                again = last.worst > 1 and not search.late and self._farther(last)
+            if last.worst <= 1 or search.late:
                 break
-        assert best is not None
-        assert chosen is not None
-        proof, ratios = best
-        if search.found.chosen is None and float(ratios.max(initial=0.0)) > 1:
-            return self._nearest(chosen, proof, ratios)
-        sure = float(ratios.max(initial=0.0)) <= 1
-        if not sure:
-            chosen, (proof, ratios) = self._mended(chosen, everything)
-        cost = self.problem.cost(chosen)
+        if not search.held and last.worst > 1:
+            return self._nearest(last)
+        best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
+        sure, cost = best is last, self.problem.cost(best.chosen)
         frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.until(*AFTER[0])
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
-        rival = self._better(chosen, float(ratios.max(initial=0.0)), cost)
-        if rival.found.chosen is not None and not np.array_equal(rival.found.chosen, chosen):
-            other = self._ratios(rival.found.chosen)
-            if other[1].max(initial=0.0) < ratios.max(initial=0.0):
-                chosen, (proof, ratios) = rival.found.chosen, other
-        known, high = rival.found.out_of_reach, float(ratios.max(initial=0.0))
+        rival = self._better(best, cost)
+        best = self.held.sharpest(rival.held, best)
+        known, keys = rival.found.out_of_reach, rival.found.keys
         self.oracle.work.until(*AFTER[1])
         ratio = out_of_reach(
-            frame, search.pool, cost, known, high, WIDTH, keys=rival.found.keys, work=self.oracle.work, find=search.find
+            frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
         )
-        return self._record(chosen, proof, gathered(search.pool, ratio, least), sure)
+        return self._record(best, gathered(search.pool, ratio, least), sure)
 
-    def _mended(self, chosen: Mask, everything: Mask) -> tuple[Mask, tuple[GoalProofs, Array]]:
-        """More of what is allowed, spread out, until the tolerances are proven: the search judged too well.
-
-        It does where a motion that no disturbance drives neither fades nor is seen well.
-
-        Raises
-        ------
-        UndecidedError
-            If not even as much as spacings allow is proven to keep them.
-        """
-        more = np.argwhere(everything & ~chosen)
-        more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
-        low, high = 0, len(more)
-        best: tuple[Mask, tuple[GoalProofs, Array]] | None = None
-        while best is None or low < high:
-            count = high if best is None else (low + high) // 2
-            trial = chosen.copy()
-            for i, j in more[:count].tolist():
-                trial[i, j] = True
-                if not self.problem.is_admissible(trial):
-                    trial[i, j] = False
-            found = self._ratios(trial)
-            if float(found[1].max(initial=0.0)) <= 1:
-                best, high = (trial, found), count
-            elif best is None:
-                raise UndecidedError(
-                    f"No plan was proven to keep the tolerances: the densest one is proven to keep "
-                    f"{float(found[1].max()):.4g} times them. Ask for less, or allow other hours."
-                )
-            else:
-                low = count + 1
-        return best
-
-    def _farther(self, chosen: Mask, proven: float) -> bool:
+    def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
-        judged, _ = self.oracle.judge(chosen)
-        if judged * (1 + BLIND) >= proven:
+        judged, _ = self.oracle.judge(found.chosen)
+        if judged * (1 + BLIND) >= found.worst:
             return False
-        return self.search.deepened(chosen, judged, proven / (1 + BLIND), IDLE) > judged * (1 + BLIND)
+        return self.search.deepened(found.chosen, judged, found.worst / (1 + BLIND), IDLE) > judged * (1 + BLIND)
 
-    def _nearest(self, chosen: Mask, proof: GoalProofs, ratios: Array) -> Plan:
+    def _nearest(self, best: ProvenChoice) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
         Raises
@@ -274,28 +228,25 @@ class _Planning:
         InfeasibleRequirementError
             If that is above 1: it is what can be kept.
         """
-        rival = self._better(chosen, float(ratios.max(initial=0.0)), self.problem.cost(chosen))
-        if rival.found.chosen is not None:
-            proof, ratios = self._ratios(rival.found.chosen)
-            chosen = rival.found.chosen
-        high = float(ratios.max(initial=0.0))
-        if high > 1:
+        rival = self._better(best, self.problem.cost(best.chosen))
+        best = self.held.sharpest(rival.held, best)
+        if best.worst > 1:
             raise InfeasibleRequirementError(
-                f"No plan with these spacings and uses was found that keeps the tolerances: {high:.4g} times as large "
-                "ones can be kept.",
+                f"No plan with these spacings and uses was found that keeps the tolerances: {best.worst:.4g} times as "
+                "large ones can be kept.",
                 "spacing",
-                {g.name: g.tolerance * high * (1 + 4 * MARGIN) for g in self.problem.goals},
+                {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals},
             )
-        return self._record(chosen, proof, PlanBound((), None, None))
+        return self._record(best, PlanBound((), None, None))
 
-    def _better(self, chosen: Mask, worst: float, cost: float) -> PlanSearch:
+    def _better(self, best: ProvenChoice, cost: float) -> PlanSearch:
         """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
         problem = self.problem
         limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
         search = PlanSearch(limited, self.oracle, self.progress)
         search.pool, search.blind = self.search.pool, self.search.blind
-        search.keep(chosen, worst)
-        search.seed(worst * 0.9)
+        search.keep(best.chosen, best.worst)
+        search.seed(best.worst * 0.9)
         search.improve(ROUNDS // 3)
         return search
 
@@ -309,19 +260,24 @@ class _Planning:
         search.keep(chosen, worst)
         search.seed(worst * 0.9)
         search.improve(ROUNDS)
-        assert search.found.chosen is not None
-        proof, ratios = self._ratios(search.found.chosen)
-        while self._farther(search.found.chosen, float(ratios.max(initial=0.0))) and not search.late:
-            search.keep(search.found.chosen, self.oracle.judge(search.found.chosen)[0])
+        last = self._held_last()
+        while self._farther(last) and not search.late:
+            search.keep(last.chosen, self.oracle.judge(last.chosen)[0])
             search.improve(ROUNDS)
-            proof, ratios = self._ratios(search.found.chosen)
-        limit, known, high = limit_of(self.problem, 0.0), search.found.out_of_reach, float(ratios.max(initial=0.0))
+            last = self._held_last()
+        best = self.held.sharpest(search.held, last)
+        limit, known, keys = limit_of(self.problem, 0.0), search.found.out_of_reach, search.found.keys
         work = self.oracle.work
         work.until(*AFTER[1])
         ratio = out_of_reach(
-            search.cover, search.pool, limit, known, high, WIDTH, keys=search.found.keys, work=work, find=search.find
+            search.cover, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
         )
-        return self._record(search.found.chosen, proof, gathered(search.pool, ratio, None))
+        return self._record(best, gathered(search.pool, ratio, None))
+
+    def _held_last(self) -> ProvenChoice:
+        """What the search holds, proven."""
+        assert self.search.found.chosen is not None
+        return self.held.proven(self.search.found.chosen)
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
@@ -438,9 +394,9 @@ class _Planning:
             {g.name: g.tolerance * max(1.0, r * (1 + 4 * MARGIN)) for g, r in each},
         )
 
-    def _record(self, chosen: Mask, proof: GoalProofs, bound: PlanBound, sure: bool = True) -> Plan:
+    def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
-        return _plan(self.problem, chosen, proof, bound, "complete" if complete else "budget")
+        return _plan(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")
 
 
 def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:

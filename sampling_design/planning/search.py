@@ -80,6 +80,8 @@ class PlanSearch:
         self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
         self.found = Found()
         self.spread = all(goal.spread for goal in problem.goals)
+        self.held: list[tuple[Mask, float]] = []
+        """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
         self.blind: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
 
@@ -243,6 +245,7 @@ class PlanSearch:
     def keep(self, chosen: Mask, worst: float) -> None:
         """Remember the best choice."""
         self.found.chosen, self.found.worst = chosen, worst
+        self.held.append((chosen, worst))
         if self.progress:
             self.progress(0.5, f"{int(chosen.any(axis=1).sum())} samples, {100 * worst:.1f} % of the tolerance")
 
@@ -343,6 +346,8 @@ class PlanSearch:
             if self.problem.cost(chosen) >= best * (1 - 1e-9):
                 self.found.complete = True
                 return
+            if self.late and self.found.chosen is not None:  # cut short: what a longer search would never look at
+                return
             self.found.rounds += 1
             for trial in (chosen, self.repaired(chosen, level, best)):
                 if trial is None or self.problem.cost(trial) >= best:
@@ -352,6 +357,7 @@ class PlanSearch:
                 if worst <= level:
                     worst = self.deepened(trial, worst, level)
                 if worst <= level:
+                    self.held.append((trial, worst))
                     trial, worst = self._thinned(trial, worst, level)
                     best = self.problem.cost(trial)
                     self.keep(trial, worst)

@@ -241,7 +241,9 @@ def generalised_max(P: Array, Q: Array) -> float:
 
 def symmetrise(matrix: Array) -> Array:
     """Return (M + M')/2 for a stack of matrices."""
-    return (matrix + np.swapaxes(matrix, -1, -2)) / 2
+    total: Array = matrix + matrix.swapaxes(-1, -2)
+    total /= 2
+    return total
 
 
 def positive_or_one(values: Array) -> Array:

@@ -18,7 +18,7 @@ later group may do one."""
 LATER = 0.7
 """Share of that in floats for the spare choices, and for the round ones; one of their checks may do as much as one
 of the first ones, or what takes much work would never be proven."""
-ALL_WORK, BALL_PRICE = 11.5e6, 1.7
+ALL_WORK, BALL_PRICE = 13e6, 1.7
 """Work of all proofs after the search of weights, where balls count so many times: then a call ends, if need be with
 none. It holds nine states to about twenty seconds of an ordinary processor core."""
 PARTS = 0.48, 0.9

@@ -79,18 +79,23 @@ def update(Y: Array, rows: Array) -> Array:
 def updated(Y: Array, rows: Array, Phi: Array | None) -> tuple[Array, Array | None]:
     """`update`, and the product of its closed loop I - K C with Phi, if there is one."""
     for k in range(rows.shape[-2]):
-        row = rows[..., k, :]
-        cross = np.einsum("...ij,...j->...i", Y, row)
-        gain = cross / (1 + np.einsum("...i,...i->...", cross, row))[..., None]
-        left = np.eye(Y.shape[-1]) - gain[..., :, None] * row[..., None, :]
-        Y = symmetrise(left @ Y @ np.swapaxes(left, -1, -2) + gain[..., :, None] * gain[..., None, :])
-        Phi = None if Phi is None else left @ Phi
+        row = rows[..., k : k + 1, :]
+        cross = Y @ row.swapaxes(-1, -2)
+        gain = cross / (1 + row @ cross)
+        Y = _with_gain(Y, row, gain, cross)
+        Phi = None if Phi is None else Phi - gain * (row @ Phi)
     return Y, Phi
+
+
+def _with_gain(Y: Array, row: Array, gain: Array, cross: Array) -> Array:
+    """Return (I - gain row) Y (I - gain row)' + gain gain', where cross = Y row': two dyads, not two products."""
+    left = Y - gain * cross.swapaxes(-1, -2)
+    return symmetrise(left - (left @ row.swapaxes(-1, -2) - gain) * gain.swapaxes(-1, -2))
 
 
 def push(Y: Array, F: Array, W: Array) -> Array:
     """Return F Y F' + W."""
-    return symmetrise(F @ Y @ np.swapaxes(F, -1, -2) + W)
+    return symmetrise(F @ Y @ F.swapaxes(-1, -2) + W)
 
 
 def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
@@ -165,11 +170,11 @@ def _with_gains(
         if share:
             floor = np.diag(share * np.diagonal(Y))
             Y, added = Y + floor, added + floor
-        for row in problem.rows[i]:
-            cross = Y @ row
-            gain = cross / (1 + cross @ row)
-            left, noise = np.eye(problem.size) - np.outer(gain, row), np.outer(gain, gain)
-            Y, whole, added = push(Y, left, noise), left @ whole, push(added, left, noise)
+        for row in problem.rows[i][:, None]:
+            cross = Y @ row.T
+            gain = cross / (1 + row @ cross)
+            Y, added = _with_gain(Y, row, gain, cross), _with_gain(added, row, gain, added @ row.T)
+            whole = whole - gain * (row @ whole)
         result[i] = Y
     return result, whole, added
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
-from scipy.optimize import brentq, minimize, minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.budget_scale import COARSE, EXACT, Setting
 from sampling_design.certificates.exact.canonical import Canonical, slip
 from sampling_design.certificates.exact.window_gains import Windows, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -60,14 +60,10 @@ JOINT = 40, 8
 RESTARTS = 4, 2
 WORTHWHILE = 1e-3
 """Descents that follow each other at most, and the relative gain below which none follows."""
-EXACT, COARSE = 1e-8, 0.05
-"""Width to which the scale of a shape is found, at the end and while rates are compared."""
 PRECISION = 1e-5
 """Change of ln lam (of the horizon, relative) at which the descent stops."""
 DIFFERENCE = 1e-5
 """Relative step in eta of the one difference quotient."""
-WIDEST = 200.0
-"""Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
 SEARCH_WORK, RATE_WORK, ROUND_WORK = 5.5e6, 3e6, 4e6
 """Work, about microseconds, after which the search of weights (of a rate alone, of round shapes) ends with the best
 that it has: any shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on
@@ -93,42 +89,6 @@ class Choice:
     iterations: int = 0
     status: str = "first guess"
     spare: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """The windows of one rate, and what the noise budget asks of P1 there: P1 >= B/budget, B = b b'."""
-
-    windows: Windows
-    b: Array
-    mean: Array
-
-    def least(self, P: Array) -> float:
-        """ln of the least eigenvalue of (P, B)."""
-        half = solve_triangular(self.b, np.linalg.cholesky(P), lower=True)
-        return 2 * float(np.log(np.linalg.svd(half, compute_uv=False)[-1]))
-
-    def scaled(self, shape: Array, budget: float, width: float = EXACT) -> tuple[Array, float] | None:
-        """The shape at the least scale that the budget allows, and ln lam there; None where none does.
-
-        lam(c)/c falls with the scale c and lam(c) rises, so the least scale is the one on the budget. It is met to
-        within the factor e^`width`, from above.
-        """
-        least, allowed = self.least(shape), float(np.log(budget))
-
-        @cache
-        def excess(log_scale: float) -> float:
-            return self.windows.value(np.exp(log_scale) * shape) - log_scale - least - allowed
-
-        direction = 1.0 if excess(0.0) > 0 else -1.0
-        near, step = 0.0, 1.0
-        while (excess(near + direction * step) > 0) == (direction > 0):
-            near, step = near + direction * step, 2 * step
-            if step > WIDEST:
-                return None
-        low, high = sorted((near, near + direction * step))
-        P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
-        return P, self.windows.value(P)
 
 
 class WeightSearch:

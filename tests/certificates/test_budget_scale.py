@@ -1,0 +1,42 @@
+"""The least scale of a shape on the noise budget, against windows whose ln lambda is known in closed form."""
+
+import numpy as np
+import pytest
+
+from sampling_design.certificates.exact.budget_scale import EXACT, Setting
+
+
+class Known:
+    """Windows of one state: ln lambda as a function of ln P2, and how often it was asked for."""
+
+    def __init__(self, rises):
+        self.rises, self.asked = rises, 0
+
+    def value(self, P):
+        self.asked += 1
+        return self.rises(float(np.log(P[0, 0])))
+
+
+RISES = {
+    "level": (lambda s: 5.0, lambda b: 5.0 - b),
+    "half as fast": (lambda s: 0.5 * s + 3.0, lambda b: 2 * (3.0 - b)),
+    "as fast beyond fifty": (lambda s: max(s - 50.0, 0.0), lambda b: -b),
+    "smoothly": (lambda s: np.log1p(np.exp(s - 3.0)) + 0.1, lambda b: -np.log(np.exp(b - 0.1) - np.exp(-3.0))),
+}
+
+
+@pytest.mark.parametrize("name", RISES)
+@pytest.mark.parametrize("budget", [1.5, 3.0, 1e6])
+def test_the_scale_is_the_one_on_the_budget_from_above(name, budget):
+    rises, root = RISES[name]
+    known = Known(rises)
+    P, log_lambda = Setting(known, np.eye(1), np.eye(1)).scaled(np.eye(1), budget)
+    scale = float(np.log(P[0, 0]))
+    assert scale == pytest.approx(root(np.log(budget)), abs=4 * EXACT)
+    assert log_lambda - scale <= np.log(budget)
+    assert known.asked <= 8
+
+
+@pytest.mark.parametrize("rises", [lambda s: s + 5.0, lambda s: np.nan, lambda s: np.inf])
+def test_no_scale_keeps_a_budget_that_none_can(rises):
+    assert Setting(Known(rises), np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
@@ -13,6 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.due import GoalDue, first_due
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
@@ -47,6 +48,11 @@ class NextSample(Record):
     ratio : float
         What is proven of `latest`: accuracy over tolerance, from now on and for ever after.
     proven : bool
+    due : GoalDue or None
+        What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
+        first if it does, and when. None if it may come at any time of a whole period.
+    alone_due : dict of str to GoalDue
+        The same for each sensor alone.
     """
 
     plan: Plan
@@ -58,6 +64,8 @@ class NextSample(Record):
     best_outputs: tuple[str, ...]
     ratio: float
     proven: bool
+    due: GoalDue | None = None
+    alone_due: dict[str, GoalDue] = field(default_factory=dict)
 
     def date(self, t: float) -> datetime | None:
         """Local date of a time, where the plan has a calendar."""
@@ -82,9 +90,19 @@ class NextSample(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("now", self.when(self.now)), ("latest", self._told(self.latest, self.outputs))]
-        rows += [(f"{name} alone", f"by {self.when(t)}") for name, t in self.alone.items() if np.isfinite(t)]
+        rows += [("later", self._later(self.due))] if self.due else []
+        for name, t in self.alone.items():
+            more = f"; later: {self._later(self.alone_due[name])}" if name in self.alone_due else ""
+            rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
         rows += [("best", self._told(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def _later(self, due: GoalDue) -> str:
+        """What a later sample would do, in words."""
+        if due.breaks:
+            return f"{due.goal} reaches its tolerance by {self.when(due.time, self.now)}"
+        share = f"{short(due.ratio, 4)} of its tolerance"
+        return f"{due.goal} comes to {share} by {self.when(due.time, self.now)}, and more is not ruled out"
 
     def _told(self, t: float, outputs: tuple[str, ...]) -> str:
         """A time and what is read then."""
@@ -103,7 +121,8 @@ class NextSample(Record):
         ]
         by = "at" if self.plan.problem.spacing > 1 else "by"
         first = f"Next draw {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
-        return "; ".join([first, *alone]) + "."
+        later = f" At the next allowed time after that {self._later(self.due)}." if self.due else ""
+        return "; ".join([first, *alone]) + "." + later
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -112,11 +131,18 @@ class NextSample(Record):
             date = self.date(t)
             return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
 
+        def due(found: GoalDue | None) -> Plain:
+            if found is None:
+                return None
+            return {"goal": found.goal, "ratio": found.ratio, "when": plain(found.time)}
+
         return {
             "now": plain(self.now),
             "latest": plain(self.latest),
             "outputs": list(self.outputs),
+            "due": due(self.due),
             "alone": {name: plain(t) for name, t in self.alone.items()},
+            "alone_due": {name: due(self.alone_due.get(name)) for name in self.alone},
             "best": plain(self.best),
             "best_outputs": list(self.best_outputs),
             "ratio": self.ratio if np.isfinite(self.ratio) else None,
@@ -181,12 +207,15 @@ def next_sample(
     run = _Choice(plan, history, at)
     names = plan.plant.outputs.names
     full, ratio, proven = run.answer(None, prove)
-    alone = {}
+    alone, alone_due = dict[str, float](), dict[str, GoalDue]()
     for j, name in enumerate(names):
         only = np.arange(len(names)) == j
         same = np.array_equal(full[1], only)
         if plan.chosen[:, j].any():
             alone[name] = full[0] if same else run.answer(j, prove)[0][0]
+            why = run.later(None if same else j, alone[name])
+            if why is not None:
+                alone_due[name] = why
     best = run.best(full)
     return NextSample(
         plan=plan,
@@ -198,6 +227,8 @@ def next_sample(
         best_outputs=tuple(n for n, s in zip(names, best[1], strict=True) if s),
         ratio=ratio,
         proven=proven,
+        due=run.later(None, full[0]),
+        alone_due=alone_due,
     )
 
 
@@ -254,6 +285,7 @@ class _Choice:
         self.oracle = plan.oracle
         self._known: dict[tuple[int, bytes], float] = {}
         self._options: dict[int | None, list[tuple[float, Mask]]] = {}
+        self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
 
     def options(self, sensor: int | None) -> list[tuple[float, Mask]]:
         """Allowed times of the raster after now, over a period, each with one sensor or those that the plan reads."""
@@ -352,6 +384,17 @@ class _Choice:
             if ratio <= 1:
                 return option, ratio, True
         return (-np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)), ratio, False
+
+    def later(self, sensor: int | None, latest: float) -> GoalDue | None:
+        """What keeps the next sample from coming at the first option after the latest; None without such an option."""
+        after = [option for option in self.options(sensor) if option[0] > latest]
+        if not after:
+            return None
+        t, mask = after[0]
+        if (sensor, t) not in self._due_at:
+            sequence = self.sequence(t, mask)
+            self._due_at[sensor, t] = first_due(self.plan, sequence, t + 1.5 * self.plan.schedule.period)
+        return self._due_at[sensor, t]
 
     def best(self, latest: tuple[float, Mask]) -> tuple[float, Mask]:
         """Of the options up to the latest, the one after which the worst accuracy is least."""

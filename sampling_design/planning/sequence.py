@@ -54,19 +54,15 @@ def worst_ratio(plan: PlanFigures, sequence: SampleSequence, above: float = np.i
 
 def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: float, until: float) -> float:
     """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
-    step = oracle.problem.step
-    knots = np.round(sequence.times / step).astype(np.intp)
     worst = before = here = 0.0
     goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
     start = max(sequence.first - 1, 0)
-    for k in range(start, len(knots) - 1):
+    for k in range(start, len(sequence.times) - 1):
         if sequence.times[k] >= until:
             break
-        low = int(np.searchsorted(knots, knots[k] - oracle.back))
-        window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
-        length = int(knots[k + 1] - knots[k])
+        window, last, length = window_after(oracle, sequence, k)
         for g in goals:
-            here = max(here, *oracle.looked(window, g, int(knots[k]), length, above).values(), 0.0)
+            here = max(here, *oracle.looked(window, g, last, length, above).values(), 0.0)
         worst = max(worst, here)
         if worst > above:
             break
@@ -75,6 +71,19 @@ def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: 
                 break
             before, here = here, 0.0
     return worst
+
+
+def window_after(oracle: Oracle, sequence: SampleSequence, k: int) -> tuple[RasterWindow, int, int]:
+    """The window that ends with a sample, its step, and how many steps it is to the next one.
+
+    It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
+    """
+    knots = np.round(sequence.times[: k + 2] / oracle.problem.step).astype(np.intp)
+    planned = int(np.searchsorted(knots, knots[max(sequence.first - 1, 0)] - oracle.back))
+    count = max(sequence.first - 1, 0) - planned
+    low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
+    window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
+    return window, int(knots[k]), int(knots[k + 1] - knots[k])
 
 
 def proven_ratio(plan: PlanFigures, sequence: SampleSequence) -> float:

@@ -7,6 +7,7 @@ scales with a factor above 1 at most.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -88,6 +89,8 @@ class SpreadSequence:
         rows = plan.oracle.rows
         self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.spread]
         self._known: dict[bytes, tuple[Array, Array]] = {}
+        self._run: tuple[SampleSequence, float, list[tuple[int, Array]]] | None = None
+        """The last sequence that was followed, until when, and what came of it."""
 
     @property
     def usual(self) -> float:
@@ -144,26 +147,42 @@ class SpreadSequence:
 
     def worst(self, sequence: SampleSequence, until: float = np.inf) -> tuple[float, float]:
         """The largest ratio from the sample before the first change on, and by how much more is unknown at the end."""
-        schedule, times = self.plan.schedule, sequence.times
-        self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
-        start = max(sequence.first - 1, 0)
-        P, worst, wider = self.limits[self._phase(float(times[start]))], 0.0, np.inf
-        for k in range(start, len(times) - 1):
-            if times[k] >= until:
-                break
-            gap = float(times[k + 1] - times[k])
+        worst = max((float(ratios.max()) for _, _, _, ratios in self.gaps(sequence, until)), default=0.0)
+        wider = np.inf
+        for k, P in self._filtered(sequence, until):
+            if k >= sequence.first + len(self.plan.schedule):
+                usual = self.limits[self._phase(float(sequence.times[k]) - sequence.shift)]
+                wider = min(wider, self._beyond(P, usual))
+        return worst, float(np.sqrt(max(wider, 1.0)))
+
+    def gaps(self, sequence: SampleSequence, until: float = np.inf) -> Iterator[tuple[int, Goal, Array, Array]]:
+        """For each sample from the one before the first change on, and goal: offsets, and ratios to the tolerance."""
+        times = sequence.times
+        for k, P in self._filtered(sequence, until):
+            if k + 1 == len(times) or times[k] >= until:
+                return
             for goal, row in self.goals:
-                offsets = self._offsets(goal, sequence, k, gap)
+                offsets = self._offsets(goal, sequence, k, float(times[k + 1] - times[k]))
                 if offsets.size:
                     F, W = self._flows(offsets)
                     flown = row @ F
                     variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
-                    worst = max(worst, float(np.sqrt(max(variance.max(), 0.0))) * BETWEEN)
-            P = self._read(self._flow(P, gap), sequence.seen[k + 1])
-            if k + 1 >= sequence.first + len(schedule):
-                usual = self.limits[self._phase(float(times[k + 1]) - sequence.shift)]
-                wider = min(wider, self._beyond(P, usual))
-        return worst, float(np.sqrt(max(wider, 1.0)))
+                    yield k, goal, offsets, np.sqrt(np.maximum(variance, 0.0)) * BETWEEN
+
+    def _filtered(self, sequence: SampleSequence, until: float) -> list[tuple[int, Array]]:
+        """Covariances after the samples from the one before the first change on, to the first at or after `until`."""
+        if self._run is None or self._run[0] is not sequence or self._run[1] != until:
+            times = sequence.times
+            self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
+            start = max(sequence.first - 1, 0)
+            found = [(start, self.limits[self._phase(float(times[start]))])]
+            for k in range(start, len(times) - 1):
+                if times[k] >= until:
+                    break
+                P = self._read(self._flow(found[-1][1], float(times[k + 1] - times[k])), sequence.seen[k + 1])
+                found.append((k + 1, P))
+            self._run = sequence, until, found
+        return self._run[2]
 
     def _offsets(self, goal: Goal, sequence: SampleSequence, k: int, gap: float) -> Array:
         if own(goal):

@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.planning.due import GoalDue
 from sampling_design.planning.sequence import looks_back, plan_chain, proven_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 
@@ -32,13 +33,25 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
     assert "Next draw by " in found.explain()
     outputs, day = week.plant.outputs.names, 24.0
-    told = replace(found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5})
+    told = replace(
+        found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5}, due=None
+    )
     clock, before = told.date(day + 14), told.date(day - 5)
     first = f"Next draw by {clock:%a} 14:00 ({', '.join(outputs)})"
     assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
+    later = replace(
+        told, due=GoalDue("level", day + 27.25, 1.02), alone_due={outputs[0]: GoalDue("level", 40.0, 0.999)}
+    )
+    by = f"level reaches its tolerance by {told.date(day + 27.25):%a} 03:15"
+    assert later.explain() == f"{told.explain()} At the next allowed time after that {by}."
+    assert dict(later._rows())["later"] == by
+    near = f"level comes to 0.999 of its tolerance by {told.date(40.0):%a} 16:00, and more is not ruled out"
+    assert dict(later._rows())[f"{outputs[0]} alone"].endswith(f"; later: {near}")
     assert f"by {told.date(9 * day):%a %d %b} 00:00" in replace(told, latest=9 * day).explain()
     assert found.to_dict()["latest"]["date"].endswith("+01:00")
-    none = replace(found, latest=-np.inf, best=-np.inf, alone={outputs[0]: -np.inf}, ratio=1.001, proven=False)
+    none = replace(
+        found, latest=-np.inf, best=-np.inf, alone={outputs[0]: -np.inf}, ratio=1.001, proven=False, due=None
+    )
     assert "any more (1.001 of them after the last one tried): keep to the plan's next one" in none.explain()
     assert dict(none._rows()) == {"now": found.when(0.0), "latest": "never", "of the tolerance": "1.001 (not proven)"}
 

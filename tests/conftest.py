@@ -1,5 +1,6 @@
 """Deterministic tests: one thread for BLAS, one Hypothesis profile, no display."""
 
+import gc
 import os
 import signal
 from typing import Any
@@ -21,6 +22,7 @@ settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
+gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -46,6 +48,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not long and not everything(config):
         return
     items[:] = [item for item in items if (item.get_closest_marker("long") is not None) == long]
+
+
+def pytest_collection_finish() -> None:
+    """Leave all that was collected out of every search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 def everything(config: pytest.Config) -> bool:

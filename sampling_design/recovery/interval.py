@@ -415,8 +415,11 @@ def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Ar
 
 def prove(program: RecordProgram, t: float, rows: WantedRows, outer: Array | None = None) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
-    ends = [program.solve(t, row) for row in rows.matrix]
-    readings = program.readings
+    ends, readings = [], program.readings
+    for row in rows.matrix:
+        ends.append(program.solve(t, row))
+        if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
+            break
     if program.infeasible or any(_crossed(up, down) for up, down in ends):
         found = disprove(program)
         if found is not None:
@@ -446,9 +449,9 @@ def _crossed(up: End, down: End) -> bool:
 
 def disprove(program: RecordProgram) -> Disproof | None:
     """Return the proof that the readings of a program contradict the bounds; None where there is none."""
+    if not program.contradicted:
+        return None
     gains = {which: program.least_growth(which) for which in SPREADS}
     factors = {which: program.growth(which, gains[which]) for which in SPREADS}
-    if not factors["all"] > 1 + DISPROVED:
-        return None
     kept = {which: freeze(found) for which, found in gains.items()}
     return Disproof(program.readings, factors, kept, program.table.D)

@@ -216,7 +216,7 @@ class RecordProgram:
         for level in range(1, LEVELS):
             half = (ends[0].value + ends[1].value) / 2
             open_ = [k for k in (0, 1) if ends[k].short > CLOSED * max(half, 0.0)]
-            if (self.infeasible and self._multiple(level - 1) > COARSE) or not open_:
+            if not open_ or (self.infeasible and (self._multiple(level - 1) > COARSE or self.contradicted)):
                 break
             for k in open_:
                 finer = self._end(t, row if k == 0 else -row, level)

@@ -23,6 +23,13 @@ def test_every_test_asserts_and_none_is_skipped(path):
             assert not used & {"skip", "skipif", "xfail", "importorskip"}, f"{node.name} is skipped or expected to fail"
 
 
+def test_what_takes_long_is_marked_in_the_words_by_which_it_is_found():
+    """`--long` reads no file in which they do not stand."""
+    marks = [node for path in FILES for node in nodes(path) if isinstance(node, ast.Attribute) and node.attr == "long"]
+    assert marks
+    assert {ast.unparse(node) for node in marks} == {"pytest.mark.long"}
+
+
 def test_every_law_is_a_sentence_in_a_file_of_its_own():
     for path in (TESTS / "laws").glob("*.py"):
         assert path.name.startswith("test_")

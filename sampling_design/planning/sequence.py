@@ -19,6 +19,8 @@ from sampling_design.planning.spread_sequence import SampleSequence, asked, spre
 from sampling_design.planning.work import CHAIN, GAINS
 from sampling_design.recovery.between import open_row
 from sampling_design.recovery.chain import SampleChain
+from sampling_design.recovery.finite import finite_atoms, finite_chain
+from sampling_design.recovery.gains import ROUNDING
 from sampling_design.recovery.question import Question
 from sampling_design.recovery.search import ChainSearch, RowSearch
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -117,7 +119,10 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     work, n = plan.oracle.work, plan.plant.n_states
 
     work.add(CHAIN, len(times) * n**2)
-    search = ChainSearch(*question.chain(plan.plant), lambda: work.add(GAINS, back * n))
+    assert question.initial is not None
+    chain = finite_chain(plan.plant, question.nodes, question.end, question.bounds, question.initial)
+    given = [_carried(filtered, phase_of(schedule, float(t)), chain, k) for k, t in enumerate(times[: sequence.first])]
+    search = ChainSearch(chain, finite_atoms(chain, given), lambda: work.add(GAINS, back * n))
     search.back = back
     worst, last = 0.0, len(times) - 1
     opened = [(goal, search.opened(goal.row)) for goal in problem.goals if not goal.spread]
@@ -134,6 +139,12 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
         wider = max(wider, _beyond(search, k, units, filtered.reach[phase]))
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     return max(worst, float(usual) * wider)
+
+
+def _carried(filtered: SampleChain, phase: int, chain: SampleChain, k: int) -> Array:
+    """What the plan's filter bounds after one of its samples, in the coordinates of another chain."""
+    turn = np.linalg.solve(chain.D[:, None] * chain.L[k], filtered.D[:, None] * filtered.L[phase])
+    return np.asarray(np.abs(turn) @ filtered.reach[phase] * (1 + ROUNDING))
 
 
 def _gap_bound(search: ChainSearch, found: RowSearch, k: int, goal: Goal, asked: list[float]) -> float:

@@ -73,22 +73,35 @@ class GapPanels:
     third: Array  # (Q,): bound on |M''' g| for |g| = 1 in D coordinates
     back: Array  # (n, n): g = back mu
 
+    @cached_property
+    def _rows(self) -> tuple[Array, Array]:
+        """M and its second derivative, all panels' rows below each other."""
+        n = self.M.shape[2]
+        return np.ascontiguousarray(self.M.reshape(-1, n)), np.ascontiguousarray(self.bend.reshape(-1, n))
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array, float]:
+        """Of the values at panel ends, of the largest |p''| on each panel, and what the third derivative adds."""
+        d = np.diff(self.s)
+        ends = (np.append(d, 0.0) + np.append(0.0, d)) / 2
+        return ends, d**3 / 12, float(d**4 / 24 @ self.third)
+
     def integral(self, mu: Array, ball: bool) -> Array:
         """Return an upper bound on int h_W(M(s) mu) ds for each column of mu (n, k), for all real s.
 
         On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
         a panel times sup|p'''|.
         """
-        d = np.diff(self.s)[:, None]
-        p, bend = self.M @ mu, self.bend @ mu
-        third = self.third[:, None] * np.linalg.norm(self.back @ mu, axis=0)
+        (count, q, _), k = self.M.shape, mu.shape[1]
+        ends, inner, rest = self._weights
+        p, bend = (rows @ mu for rows in self._rows)
+        more = rest * np.linalg.norm(self.back @ mu, axis=0)
         if ball:
-            size, curve = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1)
-            sup = np.maximum(curve[1:], curve[:-1]) + d / 2 * third
-        else:
-            size = np.abs(p).sum(axis=1)
-            sup = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + p.shape[1] * d / 2 * third
-        return np.asarray(np.sum(d / 2 * (size[1:] + size[:-1]) + d**3 / 12 * sup, axis=0))
+            size, curve = (np.linalg.norm(X.reshape(count, q, k), axis=1) for X in (p, bend))
+            return np.asarray(ends @ size + inner @ np.maximum(curve[1:], curve[:-1]) + more)
+        size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
+        total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])
+        return np.asarray(total.reshape(q, k).sum(axis=0) + q * more)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -128,8 +130,11 @@ def _opening(initial: InitialSet, D: Array) -> Array:
     return np.asarray(np.linalg.inv(information))
 
 
-def finite_atoms(chain: SampleChain) -> list[Atoms]:
-    """What the samples up to each node determine, with bounds from the filter's gains."""
+def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[Atoms]:
+    """What the samples up to each node determine, with bounds from the filter's gains.
+
+    `given` are bounds on |z| after the first samples, where something else bounds all of it there.
+    """
     start = chain.start
     assert start is not None
     n = chain.D.size
@@ -141,7 +146,8 @@ def finite_atoms(chain: SampleChain) -> list[Atoms]:
         free = chain.gaps[j - 1].F @ free if j else free
         seen.append(chain.samples[j].H @ free)
         basis = _determined(free, seen)
-        found.append(Atoms(basis, filtered_bounds(chain, j, start, known, basis)))
+        reach = given[j] if j < len(given) else filtered_bounds(chain, j, start, known, basis)
+        found.append(Atoms(basis, reach))
         known.append(found[j].reach if j and basis.shape[1] == n else None)
     return found
 

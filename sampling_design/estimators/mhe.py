@@ -137,7 +137,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         input_side: str = "right",
     ):
         cost = CostFunction() if cost is None else cost
-        self.certificate, self.arrival_cost = certificate, cost.arrival
+        self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         weights = build_weights(plant, certificate, cost)
         self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost)
         given = Constraints() if constraints is None else constraints

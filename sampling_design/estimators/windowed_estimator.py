@@ -60,6 +60,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
     horizon: float
     arrival_cost: str
+    begins: str
     constraints: WindowConstraints
     check_spacing: float | None = None
     weighs_means = True
@@ -72,25 +73,27 @@ class WindowedEstimator(OpenLoopEstimator):
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
     def _prepare(self, state: State, t: float) -> None:
-        """Put the three gaps of a new window that may be unknown into the table, in one batch."""
+        """Put the gaps of a new window that may be unknown into the table, at most three, in one batch."""
         s, nodes = t - self.horizon, state.nodes
         gaps = [t - nodes[-1].t]
-        if s > nodes[0].t:
+        if s > nodes[0].t and self.begins == "horizon":
             at = state.node_before(s)
             gaps += [s - nodes[at].t, (nodes[at + 1].t if at + 1 < len(nodes) else t) - s]
         self.table.known(gaps if min(gaps) > 0 else [gap for gap in gaps if gap > 0])
 
     def _expect(self, times: Array) -> None:
         kept = np.array([node.t for node in self.state.nodes])
-        nodes, start = np.concatenate([kept, times]), times - self.horizon
-        inside = (start > kept[0]) & (start < times)
-        at = np.searchsorted(nodes, start[inside], side="right") - 1
-        parts = (np.diff(times, prepend=kept[-1]), start[inside] - nodes[at], nodes[at + 1] - start[inside])
-        gaps = np.concatenate(parts)
+        before = arriving = np.diff(times, prepend=kept[-1])
+        gaps = before
+        if self.begins == "horizon":
+            nodes, start = np.concatenate([kept, times]), times - self.horizon
+            inside = (start > kept[0]) & (start < times)
+            at = np.searchsorted(nodes, start[inside], side="right") - 1
+            arriving = nodes[at + 1] - start[inside]
+            gaps = np.concatenate((before, start[inside] - nodes[at], arriving))
         self.table.known(gaps[gaps > 0].tolist())
         if self._slides:
-            before, arriving = (part[part > 0].tolist() for part in parts[::2])
-            self.table.prepare(before, arriving, self._fixed_prior)
+            self.table.prepare(before[before > 0].tolist(), arriving[arriving > 0].tolist(), self._fixed_prior)
 
     def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
         return self._between(state, state.last.t, t)
@@ -111,7 +114,7 @@ class WindowedEstimator(OpenLoopEstimator):
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
         closed = self.weights.cost == "paper" and node.sample.y is not None
-        if abs(node.t - s) <= slack:
+        if self.begins == "sample" or abs(node.t - s) <= slack:
             x, Y, beta, s = node.x, node.Y, node.beta, node.t
         else:
             x, Y, beta = self._flown_to(state, node, s)

@@ -176,7 +176,8 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
         self.horizon, self.claim_note = horizon_for(certificate, horizon, cost)
-        self.filtered = cost.arrival == "filtered"
+        self.filtered, self.begins = cost.arrival == "filtered", cost.begins
+        self.closed = cost.form == "paper" and not self.filtered
         self.scaled = scaled_weights(plant, cost)
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._scale = plant.signals["states"].scales
@@ -354,8 +355,9 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
         at, x, Y, square = node.t, node.x, node.Y, node.beta
-        closed = self.promise is None and not self.filtered and abs(at - s) <= slack and node.sample.y is not None
-        if abs(at - s) > slack:
+        at_node = self.begins == "sample" or abs(at - s) <= slack
+        closed = self.closed and at_node and node.sample.y is not None
+        if not at_node:
             at = s
             x, Y, square, _ = self._open_loop(state, node, s)
         last = self._since(state, node, at)

@@ -256,7 +256,7 @@ class _Builder:
     def _window(self, end: int, online: dict[int, Array]) -> tuple[SolveWindow, Array]:
         j, times = self.sample_of[end], self.line.times[self.line.events]
         start = self.place[int(self.line.starts[j])]
-        given = start == 0
+        given = bool(self.line.given[j])
         Y, worst = self.prior, 1.0
         if not given:
             factor = self.weights.prior_factor

@@ -88,7 +88,7 @@ class Study:
         self.courses: list[Course] = []
         self.example: Example | None = None
         estimator = self.estimator()
-        self.horizon = float(estimator.horizon)
+        self.horizon, self.begins = float(estimator.horizon), estimator.begins
         self.line = self._timeline(duration, self.horizon)
         self.map = build_error_map(self.line, estimator, bounds)
         self.promise = self._promise(estimator)
@@ -104,7 +104,7 @@ class Study:
         length = _checks.positive("duration", length)
         if isinstance(self.schedule, Schedule):
             length = min(length, float(self.schedule.times[-1]))
-        return build_timeline(self.plant, self.schedule, length, horizon)
+        return build_timeline(self.plant, self.schedule, length, horizon, self.begins)
 
     def estimator(self, plant: Plant | None = None, **more: Any) -> MovingHorizonEstimator:
         """Return the estimator under study, fresh."""

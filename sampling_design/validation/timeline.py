@@ -45,6 +45,8 @@ class Timeline:
         1.0 where an output is measured.
     starts : (N,) indices
         Break point at which the window of each sample begins (0 while the windows still fill).
+    given : (N,) array of bool
+        Windows from the given prior; others from time 0 on begin with the estimate of a sample there.
     events : (K+1,) indices
         0, samples, window starts and the end, in order.
     """
@@ -56,6 +58,7 @@ class Timeline:
     samples: Index
     masks: Array
     starts: Index
+    given: npt.NDArray[np.bool_]
     events: Index
 
     @property
@@ -69,8 +72,10 @@ class Timeline:
         return np.diff(self.times)
 
 
-def build_timeline(plant: Plant, schedule: AnySchedule, duration: float, horizon: float = np.inf) -> Timeline:
-    """Return the timeline of [0, duration] for a schedule and windows (t - horizon, t].
+def build_timeline(
+    plant: Plant, schedule: AnySchedule, duration: float, horizon: float = np.inf, begins: str = "horizon"
+) -> Timeline:
+    """Return the timeline of [0, duration] for a schedule and windows (t - horizon, t], or from the sample until then.
 
     Raises
     ------
@@ -83,19 +88,24 @@ def build_timeline(plant: Plant, schedule: AnySchedule, duration: float, horizon
         raise ArgumentError(f"`schedule` holds no sample in [0, {length!r}]: there is nothing to compare.")
     times = inside.times
     starts = _snapped(times - horizon, times, horizon)
+    given = starts == 0.0
+    if begins == "sample":
+        starts = _sampled(starts, times)
+        given |= (starts == 0.0) & bool(times[0] > 0.0)
     events = np.unique(np.concatenate([[0.0], times, starts, [length]]))
     breaks = _refined(plant, events, length / max(len(inside), 1))
     masks = np.ones((times.size, plant.n_outputs)) if inside.outputs is None else inside.outputs.astype(np.float64)
     F, gamma = exact_flow(plant, np.diff(breaks), plant.G)
     return Timeline(
-        plant,
-        _checks.freeze(breaks),
-        F,
-        gamma,
-        np.searchsorted(breaks, times),
-        masks,
-        np.searchsorted(breaks, starts),
-        np.searchsorted(breaks, events),
+        plant=plant,
+        times=_checks.freeze(breaks),
+        F=F,
+        gamma=gamma,
+        samples=np.searchsorted(breaks, times),
+        masks=masks,
+        starts=np.searchsorted(breaks, starts),
+        given=given,
+        events=np.searchsorted(breaks, events),
     )
 
 
@@ -119,6 +129,12 @@ def exact_flow(plant: Plant, lengths: Array, through: Array) -> tuple[Array, Arr
     unique, place = np.unique(lengths, return_inverse=True)
     whole = expm_batch(block, unique)[place]
     return whole[:, :n, :n] * (s[:, None] / s), whole[:, :n, n:] * (s[:, None] * c)
+
+
+def _sampled(starts: Array, times: Array) -> Array:
+    """The last sample until each window start, 0 where there is none."""
+    known = np.concatenate([[0.0], times])
+    return np.asarray(known[np.searchsorted(known, starts, side="right") - 1])
 
 
 def _snapped(starts: Array, times: Array, horizon: float) -> Array:

@@ -159,8 +159,8 @@ def ratios(rounds=300, count=8):
     program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
     last = program.readings.times[-1]
 
-    def updates(irregular):
-        mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS)
+    def updates(irregular, begins="horizon"):
+        mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2, begins=begins), **BOUNDS)
         rows = iter(list(itertools.islice(warm(mhe, irregular), rounds * count)))
         return lambda: mhe.update(*next(rows))
 
@@ -168,6 +168,7 @@ def ratios(rounds=300, count=8):
         "solveh_banded": lambda: solveh_banded(band, right, lower=True),
         "update, regular": updates(False),
         "update, irregular": updates(True),
+        "update, irregular, from samples": updates(True, "sample"),
         "interval of one row": lambda: program.solve(last, np.eye(4)[0]),
     }
     taken = {name: [] for name in steps}

@@ -372,6 +372,7 @@ def test_refusals_at_the_door(arguments, message):
         (lambda: CostFunction(form="mine"), '`form` must be "certificate" or "paper", got'),
         (lambda: CostFunction(arrival="free"), "`arrival` must be "),
         (lambda: CostFunction(arrival=np.eye(2)), '`arrival` must be "fixed" or "filtered", got ndarray'),
+        (lambda: CostFunction(begins="now"), '`begins` must be "horizon" or "sample", got'),
         (lambda: Constraints(engine="fast"), "`engine` must be "),
         (lambda: KalmanFilter(PLANT, cost=CostFunction(form="paper")), '`cost` must have the form "certificate" here'),
     ],

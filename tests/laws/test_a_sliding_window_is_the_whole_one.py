@@ -78,6 +78,9 @@ CASES = {
     "undiscounted": (spring(), {}, {"eta": 0.0}),
     "filtered": (spring(), {}, {"arrival": "filtered"}),
     "the paper's": (spring(), {"regular": True}, {"form": "paper"}),
+    "from samples": (spring(), {"inputs": True}, {"begins": "sample"}),
+    "from samples, filtered": (spring(), {}, {"begins": "sample", "arrival": "filtered"}),
+    "from samples, the paper's": (spring(), {}, {"begins": "sample", "form": "paper"}),
     "a far clock": (spring(), {"start": 1.7e9}, {"prior_time": 1.7e9}),
     "an unbounded one": (spring(), {}, {"w_bound": None}),
     "years of discounts": (spring(), {"count": 400}, {"eta": 2.5, "horizon": 4.0}),
@@ -90,7 +93,7 @@ CASES = {
 def settings(plant, given):
     """Those of an estimator, what belongs to the cost in its own record."""
     given = {"horizon": 8.0, "eta": 0.2, **BOUNDS, **given}
-    cost = {key: given.pop(key) for key in ("eta", "form", "arrival") if key in given}
+    cost = {key: given.pop(key) for key in ("eta", "form", "arrival", "begins") if key in given}
     return {**given, "cost": CostFunction(**cost)}
 
 

@@ -20,6 +20,9 @@ def record(seed, count=24):
     return [(float(t), y, u if k % 3 == 0 else None) for k, (t, y, u) in enumerate(zip(times, ys, us, strict=True))]
 
 
+NAMES = ["mhe", "constrained", "paper carried", "from samples", "filter"]
+
+
 def estimators():
     bounds = {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
     yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3), **bounds)
@@ -29,6 +32,7 @@ def estimators():
     yield lambda: MovingHorizonEstimator(
         PLANT, horizon=4.0, cost=CostFunction(eta=0.3, form="paper", arrival="filtered")
     )
+    yield lambda: MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3, begins="sample"), **bounds)
     yield lambda: KalmanFilter(PLANT, cost=CostFunction(eta=0.3), maximum_delay=4.0, **bounds)
 
 
@@ -39,7 +43,9 @@ def check_same(a, b):
     assert (a.status, a.certified, a.on_schedule) == (b.status, b.certified, b.on_schedule)
 
 
-@pytest.mark.parametrize("make", list(estimators()), ids=["mhe", "constrained", "paper carried", "filter"])
+@pytest.mark.parametrize(
+    "make", list(estimators()), ids=["mhe", "constrained", "paper carried", "from samples", "filter"]
+)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_any_order_within_the_window(make, seed):
     rows = record(seed)
@@ -61,7 +67,9 @@ def test_any_order_within_the_window(make, seed):
     check_same(shuffled.predict(rows[-4][0]), straight.predict(rows[-4][0]))
 
 
-@pytest.mark.parametrize("make", list(estimators()), ids=["mhe", "constrained", "paper carried", "filter"])
+@pytest.mark.parametrize(
+    "make", list(estimators()), ids=["mhe", "constrained", "paper carried", "from samples", "filter"]
+)
 def test_outputs_of_one_time_may_come_apart_and_an_input_may_come_late(make):
     rows = record(5)
     straight, apart = make(), make()

@@ -57,22 +57,29 @@ def test_a_window_that_holds_everything_is_the_filter(name, cost):
 
 
 @pytest.mark.parametrize("name", PLANTS)
-@pytest.mark.parametrize("cost", ["certificate", "paper"])
-def test_each_window_is_the_filter_from_the_online_estimate_at_its_start(name, cost):
+@pytest.mark.parametrize(
+    ("cost", "begins"),
+    [("certificate", "horizon"), ("paper", "horizon"), ("certificate", "sample"), ("paper", "sample")],
+)
+def test_each_window_is_the_filter_from_the_online_estimate_at_its_start(name, cost, begins):
     A, C, G = (np.array(M, float) for M in PLANTS[name])
     rng = np.random.default_rng(4)
     chosen = weights(rng, A.shape[0], G.shape[1], C.shape[0])
     horizon = 3.1
-    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=horizon, cost=CostFunction(eta=ETA, form=cost, **chosen))
+    weighed = CostFunction(eta=ETA, form=cost, begins=begins, **chosen)
+    mhe = MovingHorizonEstimator(Plant(A, C, G=G), horizon=horizon, cost=weighed)
     times = np.cumsum(rng.uniform(0.2, 1.5, 14))
     ys = rng.normal(size=(14, C.shape[0]))
     twice = 2.0 if cost == "paper" else 1.0
     P2, Qw, Rt = twice * chosen["P2"], twice * chosen["Qw"], parallel(chosen["R"], twice * chosen["Qv"])
     for k in range(14):
         start = max(0.0, times[k] - horizon)
+        if begins == "sample":
+            start = max([0.0, *times[times <= start]])
         prior = mhe.predict(start).x
         estimate = mhe.update(times[k], ys[k])
-        inside = (times > start) & (times <= times[k])
+        closed = cost == "paper" and begins == "sample" and start > 0
+        inside = ((times > start) | (closed & (times == start))) & (times <= times[k])
         x, Y, value = discounted_kalman(A, C, G, P2, Qw, Rt, ETA, prior, start, times[inside], ys[inside])
         assert estimate.window_start == pytest.approx(start, abs=1e-12)
         assert np.max(np.abs(estimate.x - x)) <= 1e-10 * max(1.0, np.max(np.abs(x)))

@@ -1,5 +1,7 @@
 """With bounds on w, v and the initial error the ellipsoid of every estimate holds the truth, and it is not vacuous."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -77,7 +79,7 @@ def ratios(name, kind, seed, runs, samples, form):
     A, C, G = (np.array(M, float) for M in PLANTS[name])
     rng = np.random.default_rng(seed)
     found, engines = [], set()
-    for _ in range(runs):
+    for begins in itertools.islice(itertools.cycle(["horizon", "sample"]), runs):
         times, states, ys, inner, largest = simulate(A, C, G, rng, samples)
         chosen = constraints(kind, inner, states, inner[0], largest)
         n, q, p = A.shape[0], G.shape[1], C.shape[0]
@@ -90,7 +92,7 @@ def ratios(name, kind, seed, runs, samples, form):
         mhe = MovingHorizonEstimator(
             Plant(A, C, G=G),
             horizon=2.5,
-            cost=CostFunction(eta=0.5, **weights, **form),
+            cost=CostFunction(eta=0.5, begins=begins, **weights, **form),
             w_bound=W_BOUND,
             v_bound=V_BOUND,
             initial_error=E_BOUND,

@@ -68,6 +68,7 @@ KINDS = {
     "disturbance ball": lambda u: {"constraints": Constraints(w=ball(u.disturbances, 0.1))},
     "constant w": lambda u: {"constraints": Constraints(w=box(u.disturbances, -0.1, 0.1), w_model="constant")},
     "carried": lambda u: {"arrival": "filtered"},
+    "from samples": lambda u: {"begins": "sample"},
     "paper": lambda u: {"form": "paper"},
     "between": lambda u: {"constraints": Constraints(x=box(u.states, -0.3, 0.3), check_spacing=0.3 * u.time)},
 }

@@ -82,14 +82,14 @@ OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1.0]])
 MOMENTS = np.array([0.4, 1.0, 1.9, 2.6, 3.1, 4.0])
 
 
-def weighed(form, arrival="fixed"):
-    return CostFunction([[2.0, 0.3], [0.3, 1.0]], [[3.0]], [[40.0]], [[30.0]], 0.2, form, arrival)
+def weighed(form, arrival="fixed", begins="horizon"):
+    return CostFunction([[2.0, 0.3], [0.3, 1.0]], [[3.0]], [[40.0]], [[30.0]], 0.2, form, arrival, begins)
 
 
-def paired(form, arrival, horizon=2.5):
-    linear = sd.MovingHorizonEstimator(OSCILLATOR, horizon=horizon, cost=weighed(form, arrival))
+def paired(form, arrival, horizon=2.5, begins="horizon"):
+    linear = sd.MovingHorizonEstimator(OSCILLATOR, horizon=horizon, cost=weighed(form, arrival, begins))
     bent = NonlinearMovingHorizonEstimator(
-        from_linear(OSCILLATOR), horizon=horizon, cost=weighed(form, arrival), collocation=Collocation(0.1, 3),
+        from_linear(OSCILLATOR), horizon=horizon, cost=weighed(form, arrival, begins), collocation=Collocation(0.1, 3),
         solver=WindowSolver(1e-11),
     )  # fmt: skip
     data = [(t, [np.cos(t) + 0.1 * np.sin(9 * t)]) for t in MOMENTS.tolist()]
@@ -97,10 +97,17 @@ def paired(form, arrival, horizon=2.5):
 
 
 @pytest.mark.parametrize(
-    ("form", "arrival"), [("paper", "fixed"), ("certificate", "fixed"), ("certificate", "filtered")]
+    ("form", "arrival", "begins"),
+    [
+        ("paper", "fixed", "horizon"),
+        ("certificate", "fixed", "horizon"),
+        ("certificate", "filtered", "horizon"),
+        ("paper", "fixed", "sample"),
+        ("certificate", "fixed", "sample"),
+    ],
 )
-def test_covariance_and_arrival_are_those_of_the_linear_estimator(form, arrival):
-    ((one, ahead), (other, beyond)), _ = paired(form, arrival)
+def test_covariance_and_arrival_are_those_of_the_linear_estimator(form, arrival, begins):
+    ((one, ahead), (other, beyond)), _ = paired(form, arrival, begins=begins)
     np.testing.assert_allclose(other.x, one.x, atol=1e-3)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-2, atol=1e-5)
     assert beyond.x == pytest.approx(ahead.x, abs=1e-3)

@@ -15,6 +15,8 @@ OPTIONS = {
     "plain": {},
     "carried": {"cost": CostFunction(arrival="filtered")},
     "paper": {"cost": CostFunction(form="paper")},
+    "from samples": {"cost": CostFunction(begins="sample")},
+    "paper, from samples": {"cost": CostFunction(form="paper", begins="sample")},
 }
 
 
@@ -22,7 +24,7 @@ def built(name, duration, **options):
     plant, bounds = PLANTS[name], ScenarioBounds.of(PLANTS[name], 0.4, 0.3, 1.5)
     noise = {"w_bound": bounds.w, "v_bound": bounds.v, "initial_error": bounds.e0}
     mhe = MovingHorizonEstimator(plant, certificate(name), **noise, **options)
-    line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon)
+    line = build_timeline(plant, SCHEDULES[name], duration, mhe.horizon, mhe.begins)
     return plant, bounds, mhe, line, build_error_map(line, mhe, bounds)
 
 

@@ -79,6 +79,13 @@ def test_a_filtered_arrival_cost_keeps_the_full_rate():
     assert sources == {"filtered arrival cost, full rate"}
 
 
+@pytest.mark.parametrize("form", ["certificate", "paper"])
+def test_windows_that_begin_at_samples_keep_what_their_certificate_promises(form):
+    report = judged("oscillator", cost=CostFunction(form=form, begins="sample"), scenarios=["random", "worst"])
+    assert report.passed, report.explain()
+    assert [f for f in report.findings if f.claim == "a-priori bound" and f.checked]
+
+
 def test_the_papers_own_cost_can_be_studied():
     report = judged("oscillator", cost=CostFunction(form="paper"), scenarios=["random", "paper"])
     assert {f.source for f in report.findings if f.claim == "a-priori bound"} == {"Theorem 9"}

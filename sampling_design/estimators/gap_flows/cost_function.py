@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 
 Form = Literal["certificate", "paper"]
 ArrivalKind = Literal["fixed", "filtered"]
+Beginning = Literal["horizon", "sample"]
 MATRICES = ("P2", "Qw", "R", "Qv")
 
 
@@ -43,6 +44,9 @@ class CostFunction(Record):
     arrival : "fixed" or "filtered"
         What the error at the window's start weighs: always P2, or its own information Pi(s), which gives the full rate
         for every horizon.
+    begins : "horizon" or "sample"
+        s = t - M, as in the paper; or the last sample until then, which is at most one gap earlier, keeps every claim
+        (a longer window has the rate of M and more), and spares flows to a time between samples where gaps are uneven.
 
     Raises
     ------
@@ -65,8 +69,9 @@ class CostFunction(Record):
     eta: float | None = None
     form: Form | None = None
     arrival: ArrivalKind = "fixed"
+    begins: Beginning = "horizon"
 
-    _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=)."
+    _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=, begins=)."
 
     def __post_init__(self) -> None:
         for key in MATRICES:
@@ -76,7 +81,8 @@ class CostFunction(Record):
                 object.__setattr__(self, key, _checks.matrix(key, value, len(array), len(array)))
         if self.eta is not None:
             object.__setattr__(self, "eta", _checks.nonnegative("eta", self.eta))
-        for key, value, known in (("form", self.form, Form), ("arrival", self.arrival, ArrivalKind)):
+        words_of = ("form", self.form, Form), ("arrival", self.arrival, ArrivalKind), ("begins", self.begins, Beginning)
+        for key, value, known in words_of:
             named = isinstance(value, str) and value in get_args(known)
             if not (named or (key == "form" and value is None)):
                 words = " or ".join(f'"{word}"' for word in get_args(known))
@@ -90,10 +96,11 @@ class CostFunction(Record):
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, short(getattr(self, key), 4)) for key in self.given]
         rows += [] if self.form is None else [("form", self.form)]
-        return [*rows, ("arrival", self.arrival)]
+        return [*rows, ("arrival", self.arrival), ("begins", self.begins)]
 
     def explain(self) -> str:
         """Say what is given and what is taken from elsewhere."""
         given = f"{', '.join(self.given)} given" if self.given else "No weight given"
         weighs = "P2" if self.arrival == "fixed" else "what is known of it"
+        weighs += "" if self.begins == "horizon" else "; windows begin at a sample"
         return f"{given}, the rest from the certificate or the scales; the window's first error weighs {weighs}."

@@ -185,8 +185,10 @@ def marginal_root(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
 
 def marginal(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
     """Return the weight of the entries that are `seen`, the others being free: zero rows and columns for those."""
+    if seen.all():
+        return weight
     root = marginal_root(weight, seen)
-    return symmetrise(root.T @ root) if not seen.all() else weight
+    return symmetrise(root.T @ root)
 
 
 def _energy(weight: Array, bound: Array | None) -> float:

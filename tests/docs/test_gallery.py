@@ -12,7 +12,7 @@ DRAWN_BY = {
     "PeriodicSchedule": "schedule.plot()",
     "SamplingFamily": "sd.Jitter(schedule",
     "WindowSigma": "sd.window_sigma(",
-    "ScheduleDesign": "sd.design_schedule(",
+    "ScheduleDesign": "plotting.draw(visits",
     "Plan": "weekly.plot()",
     "PlanComparison": "weekly.compare(",
     "PatientRun": "run.plot()",

@@ -10,20 +10,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import NotDetectableError
 from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal
+from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.planning.work import CHAIN, GAINS
-from sampling_design.recovery.between import open_row
-from sampling_design.recovery.chain import SampleChain
-from sampling_design.recovery.finite import finite_atoms, finite_chain
-from sampling_design.recovery.gains import ROUNDING
-from sampling_design.recovery.question import Question
-from sampling_design.recovery.search import ChainSearch, RowSearch
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.recovery.between import Integrals, Open, open_row
+from sampling_design.recovery.search import ChainSearch
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -104,31 +99,16 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     """The same of the goals that are guaranteed."""
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
-    j = phase_of(schedule, float(times[0]))
-    box = np.abs(filtered.D[:, None] * filtered.L[j]) @ filtered.reach[j]
-    zero = times - times[0]
-    question = Question.finite(
-        plan.plant,
-        Schedule(zero, sequence.seen & np.isfinite(problem.v_bound)),
-        problem.requirement.w_bound,
-        np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0),
-        box,
-        None,
-        None,
-    )
     work, n = plan.oracle.work, plan.plant.n_states
-
     work.add(CHAIN, len(times) * n**2)
-    assert question.initial is not None
-    chain = finite_chain(plan.plant, question.nodes, question.end, question.bounds, question.initial)
-    given = [_carried(filtered, phase_of(schedule, float(t)), chain, k) for k, t in enumerate(times[: sequence.first])]
-    search = ChainSearch(chain, finite_atoms(chain, given), lambda: work.add(GAINS, back * n))
+    search = ChainSearch(*sequence_chain(plan, filtered, sequence), lambda: work.add(GAINS, back * n))
     search.back = back
     worst, last = 0.0, len(times) - 1
-    opened = [(goal, search.opened(goal.row)) for goal in problem.goals if not goal.spread]
+    goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
     for k in range(max(sequence.first - 1, 0), last):
-        for goal, row in opened:
-            worst = max(worst, _gap_bound(search, row, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
+        for goal, known in goals:
+            opened = open_row(search.chain, k, goal.row, known=known)
+            worst = max(worst, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:
             return worst
     # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
@@ -141,19 +121,13 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     return max(worst, float(usual) * wider)
 
 
-def _carried(filtered: SampleChain, phase: int, chain: SampleChain, k: int) -> Array:
-    """What the plan's filter bounds after one of its samples, in the coordinates of another chain."""
-    turn = np.linalg.solve(chain.D[:, None] * chain.L[k], filtered.D[:, None] * filtered.L[phase])
-    return np.asarray(np.abs(turn) @ filtered.reach[phase] * (1 + ROUNDING))
-
-
-def _gap_bound(search: ChainSearch, found: RowSearch, k: int, goal: Goal, asked: list[float]) -> float:
+def _gap_bound(search: ChainSearch, opened: Open, k: int, goal: Goal, asked: list[float]) -> float:
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
-    opened, enough = found.opened[k], goal.tolerance
+    enough = goal.tolerance
     if goal.at == "after each sample":
         return search.gains(k, opened.mu[0]).value
     if goal.at == "given times":
-        return max((at_offset(search, found.row, k, d) for d in asked), default=0.0)
+        return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
     solved: set[int] = set()
     for _ in range(SHARPER):
         nodes, panels = opened.bound(search.atoms[k])
@@ -181,26 +155,3 @@ def _beyond(search: ChainSearch, k: int, units: Array, reach: Array) -> float:
     """How many times as large the error at a sample may be as what the plan's own proof supposes there."""
     mu = search.chain.mu(k, units).T
     return max(float(search.gains(k, row).value / most) for row, most in zip(mu, reach, strict=True))
-
-
-def plan_chain(plan: PlanFigures) -> SampleChain:
-    """The plan's samples with the filter whose gains bound the error once and for all.
-
-    Raises
-    ------
-    NotDetectableError
-        If the plan leaves a part of the state unknown for ever: then nothing bounds what a change does to it.
-    """
-    assert plan.accuracy is not None
-    known = plan.accuracy.question.known()
-    if known.modes:
-        raise NotDetectableError(
-            f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
-        )
-    return plan.accuracy.question.chain(plan.plant)[0]
-
-
-def phase_of(schedule: PeriodicSchedule, t: float) -> int:
-    """Which sample of the period is taken at a time of the plan."""
-    phase = (t - schedule.times) / schedule.period
-    return int(np.argmin(np.abs(phase - np.round(phase))))

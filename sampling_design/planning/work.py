@@ -32,7 +32,7 @@ RELAXED = (5e-3, 3e-6)
 GAINS = (5e-3, 2.5e-4)
 """Of bounding a row by gains, and for each sample behind it, with n states, n times."""
 
-CHAIN = (1e-2, 8e-4)
+CHAIN = (1e-2, 2e-4)
 """Of making a chain of samples, and for each of them, with n states, n^2 times."""
 
 CERTIFIED = (1.5, 0.06)

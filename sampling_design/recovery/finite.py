@@ -71,7 +71,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         after.append(updated(P, H.T @ H))
         if j < len(lengths):
             P = F[j] @ after[j] @ F[j].T + W[j]
-    L = np.array([_root(X) for X in after])
+    L = np.array([covariance_root(X) for X in after])
     samples = []
     for j, H in enumerate(rows):
         gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
@@ -95,7 +95,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     )
 
 
-def _root(P: Array) -> Array:
+def covariance_root(P: Array) -> Array:
     """A root of a covariance, for coordinates only: where rounding has made it indefinite, a little is added."""
     if not np.all(np.diag(P) > 0):
         raise too_far()

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._linalg import expm_batch
-from sampling_design.recovery.chain import SampleChain, noise_cost
+from sampling_design.recovery.chain import Gap, SampleChain, noise_cost
 from sampling_design.recovery.start import StartSet
 
 Array = npt.NDArray[np.float64]
+
+CarriedColumns: TypeAlias = dict[int, tuple[Gap, list[Array]]]
+"""Columns that each gap carries: one integral for all of them, since a chain may hold a gap many times."""
 
 ROUNDING = 1e-11
 """Relative allowance for rounding in every sum that bounds from above."""
@@ -39,7 +43,7 @@ def evaluated(
 ) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
     total, g, scale = 0.0, mu[:, None], float(np.linalg.norm(mu))
-    flown: dict[int, list[Array]] = {}  # one integral for all columns that a gap carries: a chain may go round
+    flown: CarriedColumns = {}
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = chain.samples[nodes[k]], gains[k][:, None]
         total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
@@ -47,10 +51,10 @@ def evaluated(
         scale += float(np.linalg.norm(step))
         g = g - step
         if k:
-            flown.setdefault(nodes[k - 1], []).append(g)
-            g = chain.gaps[nodes[k - 1]].F.T @ g
-    for j, columns in flown.items():
-        total += float(chain.gaps[j].panels.integral(np.hstack(columns), chain.bounds.w_ball).sum())
+            gap = chain.gaps[nodes[k - 1]]
+            flown.setdefault(id(gap), (gap, []))[1].append(g)
+            g = gap.F.T @ g
+    total += float(_pushed(flown, chain.bounds.w_ball).sum())
     if isinstance(start, StartSet):
         total += start.support(g[:, 0], scale)
     else:
@@ -59,6 +63,15 @@ def evaluated(
         shown = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
         return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
     return Gains(total * (1 + ROUNDING), tuple(gains))
+
+
+def _pushed(flown: CarriedColumns, ball: bool) -> Array:
+    """What w costs columns that were carried over gaps, added up column by column."""
+    total = np.zeros(1)
+    for gap, columns in flown.values():
+        every = gap.panels.integral(np.hstack(columns), ball)
+        total = total + every.reshape(len(columns), -1).sum(axis=0)
+    return total
 
 
 def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: Array) -> Gains:
@@ -80,6 +93,7 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
     total, g, scale = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0)
+    flown: CarriedColumns = {}
     for k in range(j, -1, -1):
         sample = chain.samples[k]
         gains = sample.K.T @ g
@@ -89,13 +103,14 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
         g = g - step
         if k:
             gap = chain.gaps[k - 1]
-            total += gap.panels.integral(g, chain.bounds.w_ball)
+            flown.setdefault(id(gap), (gap, []))[1].append(g)
             g = gap.F.T @ g
             reach = known[k - 1]
             if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
-                return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
+                return np.asarray((total + _pushed(flown, chain.bounds.w_ball) + reach @ np.abs(g)) * (1 + ROUNDING))
     if start.rows < len(mu):  # what is free at the start must not be touched: gains are corrected
         return np.array([filtered(chain, list(range(j + 1)), start, column).value for column in mu.T])
+    total = total + _pushed(flown, chain.bounds.w_ball)
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 

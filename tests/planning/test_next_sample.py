@@ -8,7 +8,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.due import GoalDue
-from sampling_design.planning.sequence import looks_back, plan_chain, proven_ratio
+from sampling_design.planning.sequence import looks_back, proven_ratio
+from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 
 BARE = {"certificate": False, "robustness": False}

@@ -1,0 +1,124 @@
+"""A sequence of samples as a chain in the coordinates of the plan's own: what is the plan's in it is not made again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import freeze
+from sampling_design._linalg import discounted_flow
+from sampling_design.errors import NotDetectableError
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.spread_sequence import SampleSequence
+from sampling_design.recovery.atoms import Atoms
+from sampling_design.recovery.chain import (
+    ChainSample,
+    Gap,
+    LengthFlow,
+    SampleChain,
+    make_gap,
+    noise_units,
+    refuse_growth,
+)
+from sampling_design.recovery.finite import covariance_root, finite_atoms
+from sampling_design.recovery.riccati import updated
+from sampling_design.recovery.start import StartSet
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+
+GRAIN = 1e-9
+"""Times are the same if they differ by less than this share of the period."""
+
+LEAST = 1e-12
+"""Half-width of what is known exactly at the start, as a share of the largest."""
+
+
+@lru_cache(maxsize=4)
+def plan_chain(plan: PlanFigures) -> SampleChain:
+    """The plan's samples with the filter whose gains bound the error once and for all.
+
+    Raises
+    ------
+    NotDetectableError
+        If the plan leaves a part of the state unknown for ever: then nothing bounds what a change does to it.
+    """
+    assert plan.accuracy is not None
+    known = plan.accuracy.question.known()
+    if known.modes:
+        raise NotDetectableError(
+            f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
+        )
+    return plan.accuracy.question.chain(plan.plant)[0]
+
+
+def phase_of(schedule: PeriodicSchedule, t: float) -> int:
+    """Which sample of the period is taken at a time of the plan."""
+    phase = (t - schedule.times) / schedule.period
+    return int(np.argmin(np.abs(phase - np.round(phase))))
+
+
+def sequence_chain(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) -> tuple[SampleChain, list[Atoms]]:
+    """The chain of a sequence and what its filter bounds; `own` is the plan's chain.
+
+    Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
+    change the plan's filter bounds the error, whatever it once was.
+    """
+    times, gaps = sequence.times, np.diff(sequence.times)
+    refuse_growth(plan.plant, gaps)
+    phases = [_planned(plan, own, sequence, k) for k in range(len(times))]
+    same = [
+        i is not None
+        and following == (i + 1) % len(own)
+        and abs(own.gaps[i].length - h) <= GRAIN * plan.schedule.period
+        for i, following, h in zip(phases, phases[1:], gaps.tolist(), strict=False)
+    ]
+    fresh = [k for k in range(len(gaps)) if not same[k]]
+    F, W = discounted_flow(own.A, own.G @ own.G.T, gaps[fresh]) if fresh else (np.zeros((0, 0, 0)),) * 2
+    flows = {k: (F[i], W[i] * float(np.mean(gaps))) for i, k in enumerate(fresh)}
+    L: list[Array] = []
+    samples: list[ChainSample] = []
+    for k, phase in enumerate(phases):
+        if phase is None:
+            step, noise = flows[k - 1]
+            P = step @ L[-1] @ L[-1].T @ step.T + noise
+            root, sample = _fresh(plan, own, P, sequence.seen[k])
+        else:
+            root, sample = own.L[phase], own.samples[phase]
+        L.append(root)
+        samples.append(sample)
+    lengths: dict[float, LengthFlow] = {}
+    made: list[Gap] = []
+    for k, h in enumerate(gaps.tolist()):
+        phase = phases[k]
+        if same[k] and phase is not None:
+            made.append(own.gaps[phase])
+        else:
+            made.append(make_gap(own.A, own.G, h, L[k], L[k + 1], flows[k][0], lengths))
+    before = [own.reach[phase_of(plan.schedule, float(t))] for t in times[: sequence.first]]
+    start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
+    chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
+    return chain, finite_atoms(chain, before)
+
+
+def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int) -> int | None:
+    """Which sample of the plan a sequence's sample is; None if it is another one."""
+    schedule, t = plan.schedule, float(sequence.times[k]) - (sequence.shift if k >= sequence.first else 0.0)
+    phase = phase_of(schedule, t)
+    off = (t - float(schedule.times[phase])) / schedule.period
+    told = np.flatnonzero(sequence.seen[k] & np.isfinite(plan.problem.v_bound))
+    same = abs(off - round(off)) <= GRAIN and np.array_equal(told, own.samples[phase].outputs)
+    return phase if same else None
+
+
+def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: npt.NDArray[np.bool_]) -> tuple[Array, ChainSample]:
+    """Coordinates after a sample that the plan does not have, and the sample; P is the covariance before it."""
+    v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound, np.inf)
+    bounds = replace(own.bounds, v=freeze(v[None]))
+    (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
+    root = covariance_root(updated(P, H.T @ H))
+    gain = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
+    return root, ChainSample(bounds.measured(0), size, H @ root, exact, np.linalg.solve(root, gain))

@@ -10,7 +10,7 @@ from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.averaged import averaged_bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
 from sampling_design.design.bounds.local_bound import local_bound, relax_local, tied_windows
-from sampling_design.design.bounds.zone_bound import zone_bound
+from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
@@ -302,3 +302,20 @@ def test_a_bound_of_a_state_that_is_hardly_seen_does_not_drown_in_rounding():
     assert truth == pytest.approx(1.9333e-7, rel=1e-3)
     assert design.sigma <= truth * (1 + 1e-8)
     assert truth <= design.upper_bound <= truth * 1.01
+
+
+def test_a_peak_that_no_sample_meets_does_not_make_the_rest_coarse(monkeypatch):
+    """Eight integrators: just after a sample g is a thousand times what all others bring, and no measure for these."""
+    none = np.zeros((0, 2)), np.zeros(0), (None,)
+    case = DesignProblem(Plant(np.eye(8, k=1), np.eye(1, 8)), 4.0, 4.0, 0.08, 10, *none)
+    zones = tightened(case, origin_zones(case, "late"), "late")
+    zones[1, 0], zones[2, 1] = 1.29 * 0.4, 2.04 * 0.4
+    zones = tightened(case, zones, "late")
+    found = relax_zones(case, zones, np.mod(zones[:5, 1] + 1e-9, 4.0)).found
+    at = {}
+    for loose in (1e-5, bound._LOOSE, 0.0):
+        monkeypatch.setattr(bound, "_LOOSE", loose)
+        at[loose] = zone_bound(case, found.starts, found.Z, zones)
+    first, used, finest = at.values()
+    assert used <= finest * (1 + 1e-4)
+    assert first >= finest * (1 + 1e-3)

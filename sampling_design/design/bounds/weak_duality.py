@@ -28,7 +28,7 @@ NARROWER = 1e-11
 ends."""
 
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
-_LOOSE = 1e-5  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
+_LOOSE = 1e-7  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _conic
+from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.evidence import SolverRecord
@@ -20,6 +22,9 @@ TOLERANCE = 1e-7
 
 _JUST_BEFORE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
+_PER_TURN = 96  # grid times at least, where what is allowed repeats: one repetition alone has weights then
+_SEEN = 1e-5  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+_LEAST_SECONDS = 0.05  # granted to one of several relaxations when the time is up already
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +70,8 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
 
     Cut short after `seconds`; multipliers of any quality prove a bound.
     """
+    if repeating(problem):
+        return _relax_repeating(problem, turn(problem), points, seconds)
     times, mask, starts, linear = relaxation_grid(problem, points)
     if seconds is not None and seconds <= 0:
         return unsolved(problem, times, starts)
@@ -72,6 +79,53 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
     constant = grams_at(problem, problem.fixed, starts, problem.mask(problem.fixed)).sum(axis=1)
     spare = float(problem.samples - problem.fixed.size)
     return solve_relaxation(problem, times, starts, grams, constant, linear, spare, seconds)
+
+
+def repeating(problem: DesignProblem) -> bool:
+    """Whether what is allowed repeats within the period, and nothing else tells one repetition from another."""
+    return not problem.fixed.size and problem.chosen is None and 0 < turn(problem) < problem.period
+
+
+def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, seconds: float | None) -> Relaxation:
+    """The same where what is allowed repeats after a `shift`: weights and multipliers of one repetition, for all.
+
+    Solutions may be shifted too, and their mean is a solution that repeats. Windows are posed one by one, each time
+    the one that the weights see least of: few multipliers are enough, and each is one for every repetition.
+    """
+    P, until = problem.period, np.inf if seconds is None else time.perf_counter() + seconds
+    repeats = round(P / shift)
+    turns = np.arange(repeats, dtype=np.float64)[:, None] * shift
+    N = grid_size(problem) if points is None else points
+    N = max(-(-N // repeats), min(N, _PER_TURN))
+    step, tiny, count = shift / N, 1e-9 * P, _start_count(problem)
+    ends = np.concatenate([problem.intervals[:, 0], problem.intervals[:, 1] - tiny])
+    times = np.unique(np.concatenate([np.arange(N) * step, ends[ends < shift]]))
+    times = times[problem.mask(times).any(axis=-1)]
+    times = times[np.append(True, np.diff(times) > 2 * tiny)]  # of a grid time on an end, the one just inside
+    mask = problem.mask(times)  # of all turns: an end that is shifted may be rounded to the other side
+    starts = np.unique(np.concatenate([np.arange(count) * (shift / count), np.mod(_telling_starts(problem), shift)]))
+    starts = starts[np.append(np.diff(starts) > tiny, True)]
+    every = (times + turns).ravel()
+    if until <= time.perf_counter():
+        return unsolved(problem, every, turns.ravel())
+    grams = np.sum([grams_at(problem, times + at, starts, mask) for at in turns], axis=0)
+    ahead = np.mod(every - times[:, None] + tiny, P) < problem.spacing
+    crowd = np.sum(ahead.reshape(times.size, repeats, times.size), axis=1, dtype=float)
+    linear = crowd, np.full(times.size, max(1.0, step / problem.spacing))
+    none = np.zeros((starts.size, *problem.rows.N.shape))
+    posed = np.zeros(starts.size, dtype=bool)
+    posed[0] = True
+    while True:
+        parts = times, starts[posed], grams[posed], none[posed], linear, problem.samples / repeats
+        left = None if seconds is None else max(until - time.perf_counter(), _LEAST_SECONDS)
+        found = solve_relaxation(problem, *parts, left)
+        seen, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
+        worst = int(np.argmin(np.where(posed, np.inf, seen)))
+        if posed.all() or seen[worst] >= found.value * (1 - _SEEN) or time.perf_counter() > until:
+            break
+        posed[worst] = True
+    weights, Z = np.tile(found.weights, repeats), np.tile(found.Z / repeats, (repeats, 1, 1))
+    return replace(found, times=every, weights=weights, starts=(found.starts + turns).ravel(), Z=Z)
 
 
 def unsolved(problem: DesignProblem, times: Array, starts: Array) -> Relaxation:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.bounds.relaxation import Relaxation
+from sampling_design.design.bounds.relaxation import Relaxation, repeating
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
@@ -23,6 +23,7 @@ from sampling_design.design.search.fedorov_exchange import (
     spread,
 )
 from sampling_design.design.search.refine import refined
+from sampling_design.design.search.rotations import rotated
 from sampling_design.errors import SolverError
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +34,9 @@ DRAWS = 60
 
 KICKS = 4
 """Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
+
+ROTATIONS = 4
+"""Rotations that are refined where what is allowed repeats."""
 
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
@@ -207,7 +211,11 @@ def _starts(
     """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
     found.append(("packed", packed(problem)))
-    found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
+    if repeating(problem):
+        turned = rotated(problem, relaxation, ROTATIONS, _share(problem), deadline)
+        found += [("rotated", times) for times in turned]
+    else:
+        found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
     size = problem.samples - problem.fixed.size
     for i in range(DRAWS):
         if i >= _LEAST_DRAWS and time.perf_counter() > deadline and any(t is not None for _, t in found):

@@ -53,6 +53,9 @@ MARGINS = (MARGIN, 0.015, 0.04)
 NARROW_MARGINS = (5e-4, 0.015, 0.04)
 """The same for standard deviations, which are only larger between steps of the raster."""
 
+SOUGHT = 0.75
+"""Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
+
 ROUNDS = 60
 """Choices judged at one level."""
 
@@ -83,9 +86,10 @@ def plan(
     requirement : PlanRequirement
     search_seconds : float, optional
         Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
-        solves and never by a clock: the same plan on every machine, however busy. When it is spent the status says
-        "budget". What follows (its proof, the bounds, then certificate and robustness) may take half as much more
-        and two seconds, and what does not fit in is left out, and said (`left_out`). None: no limit.
+        solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
+        of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate
+        and robustness) may take half as much more and two seconds, and what does not fit in is left out, and said
+        (`left_out`). None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
@@ -187,6 +191,7 @@ class _Planning:
         everything = self._densest()
         search.add(self.oracle.judge(everything, longest=True)[1], 1.0)
         search.seed(1.0)
+        search.share = SOUGHT
         for margin in NARROW_MARGINS if search.spread else MARGINS:
             again = True
             while again:
@@ -196,6 +201,7 @@ class _Planning:
                 again = last.worst > 1 and not search.late and self._farther(last)
             if last.worst <= 1 or search.late:
                 break
+        search.share = np.inf
         if not search.held and last.worst > 1:
             return self._nearest(last)
         best = self.held.cheapest([chosen for chosen, _ in search.held], everything)

@@ -82,13 +82,15 @@ class PlanSearch:
         self.spread = all(goal.spread for goal in problem.goals)
         self.held: list[tuple[Mask, float]] = []
         """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
+        self.share = np.inf
         self.blind: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
 
     @property
     def late(self) -> bool:
-        """Whether the work is spent."""
-        return self.oracle.work.over
+        """Whether the work is spent; where something is held, its share of it."""
+        work = self.oracle.work
+        return work.over or (bool(self.held) and work.spent > self.share * work.budget)
 
     def add(self, attacks: list[HiddenMotion], level: float) -> None:
         """Keep attacks that reach a level."""

@@ -66,7 +66,7 @@ class Peak:
 
 
 def update(Y: Array, rows: Array) -> Array:
-    """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd whatever the rounding.
+    """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd to a few units in the last place.
 
     What is found with it is proven elsewhere, with a bound of all rounding (`checkers`) or in balls (`rigorous`).
 

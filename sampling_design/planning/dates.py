@@ -20,7 +20,7 @@ from sampling_design._units import SECONDS, spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 from sampling_design.schedules.schedule import Schedule
 
@@ -207,7 +207,7 @@ class _Dating:
     def around(self, lost: Array, added: list[tuple[float, Mask]]) -> SampleSequence:
         """The plan without the lost samples, with those added."""
         mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = (looks_back(self.plan) + len(self.plan.schedule) + 2) * mean + self.plan.schedule.period
+        span = settles(self.plan) * mean + self.plan.schedule.period
         first = min([float(lost[0]), *(t for t, _ in added)])
         times, seen = planned(self.plan, first - span, float(lost[-1]) + span)
         keep = np.min(np.abs(times[:, None] - lost[None, :]), axis=1) > 1e-9 * mean
@@ -270,7 +270,7 @@ class _Dating:
     def changed(self, clock: float, shift: float) -> DateException:
         """What is proven across a change of the clocks: all that follows comes `shift` later."""
         mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = (looks_back(self.plan) + len(self.plan.schedule) + 2) * mean + self.plan.schedule.period
+        span = settles(self.plan) * mean + self.plan.schedule.period
         before = planned(self.plan, clock - span, clock)
         after = planned(self.plan, clock, clock + span)
         times = np.concatenate([before[0], after[0] + shift])

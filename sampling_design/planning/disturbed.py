@@ -9,7 +9,7 @@ from sampling_design._checks import freeze
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import PlanRobustness
-from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 from sampling_design.planning.work import Work
 
@@ -87,7 +87,7 @@ def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], 
     schedule, N = plan.schedule, plan.samples
     tiny = 1e-6 * plan.problem.step
     mean = schedule.period / N
-    span = (looks_back(plan) + N + 2) * mean + schedule.period
+    span = settles(plan) * mean + schedule.period
     first = float(schedule.times[k])
     back = float(schedule.times[(k + count) % N]) + (k + count) // N * schedule.period
     return planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)

@@ -16,7 +16,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.due import GoalDue, first_due
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import looks_back, proven_ratio, worst_ratio
+from sampling_design.planning.sequence import looks_back, proven_ratio, settles, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 
 Array = npt.NDArray[np.float64]
@@ -326,7 +326,7 @@ class _Choice:
         """History, the sample, and the plan afterwards (its spacing kept)."""
         problem = self.plan.problem
         mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = (looks_back(self.plan) + len(self.plan.schedule) + 2) * mean + self.plan.schedule.period
+        span = settles(self.plan) * mean + self.plan.schedule.period
         resume = t + max(problem.spacing - 1e-6, 1e-6) * problem.step
         after = planned(self.plan, resume, t + span)
         times = np.concatenate([self.times, [t], after[0]])

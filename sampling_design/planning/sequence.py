@@ -18,6 +18,7 @@ from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequen
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.planning.work import CHAIN, GAINS
 from sampling_design.recovery.between import Integrals, Open, open_row
+from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.search import ChainSearch
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +36,17 @@ def looks_back(plan: PlanFigures) -> int:
     if plan.deviation is not None:
         parts.append(spread_of(plan).back)
     return max(parts)
+
+
+def forgets(plan: PlanFigures) -> int:
+    """Samples over which the plan's filter must be followed until nothing of what was before them counts."""
+    own = 0 if plan.accuracy is None else int(plan_chain(plan).forgetting.max(initial=0))
+    return max(own, len(plan.schedule))
+
+
+def settles(plan: PlanFigures) -> int:
+    """Samples of the plan after a change, beside one period, until its own proof holds again; that before it, too."""
+    return max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
 
 
 def worst_ratio(plan: PlanFigures, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
@@ -96,28 +108,35 @@ def proven_ratio(plan: PlanFigures, sequence: SampleSequence) -> float:
 
 
 def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
-    """The same of the goals that are guaranteed."""
+    """The same of the goals that are guaranteed; infinite where a sequence does not end with enough of the plan.
+
+    Gaps are judged one by one until `settled + back`. From the sample `settled` on the error is at most `wider` times
+    what the plan's filter bounds, R_j >= cost_j + |rest_j|'R_k with k = j - forgetting[j]: over as many samples by
+    what is found here, and so over all that follow, since wider >= 1. Gains of the plan's proof reach back no farther
+    than `settled`, and what they prove grows at most as their rest does.
+    """
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
     work, n = plan.oracle.work, plan.plant.n_states
     work.add(CHAIN, len(times) * n**2)
     search = ChainSearch(*sequence_chain(plan, filtered, sequence), lambda: work.add(GAINS, back * n))
     search.back = back
-    worst, last = 0.0, len(times) - 1
+    memory = forgets(plan)
+    worst, settled = 0.0, len(times) - 1 - max(back, memory) - count
+    if settled < sequence.first or not _is_the_plan(search, filtered, settled):
+        return np.inf
     goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
-    for k in range(max(sequence.first - 1, 0), last):
+    for k in range(max(sequence.first - 1, 0), settled + back):
         for goal, known in goals:
             opened = open_row(search.chain, k, goal.row, known=known)
             worst = max(worst, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:
             return worst
-    # afterwards the plan's own proof holds, its rest as much larger as the error is beyond what it supposes
-    wider = 1.0
-    for k in range(max(last - back - count, sequence.first), last - back):
-        phase = phase_of(schedule, float(times[k]) - sequence.shift)
-        units = np.linalg.inv(filtered.D[:, None] * filtered.L[phase])
-        wider = max(wider, _beyond(search, k, units, filtered.reach[phase]))
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
+    wider, room = 1.0, 1 / usual if 0 < usual < 1 else np.inf
+    for k in range(settled, settled + memory):
+        phase = phase_of(schedule, float(times[k]) - sequence.shift)
+        wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
     return max(worst, float(usual) * wider)
 
 
@@ -151,7 +170,17 @@ def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
     return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
 
 
-def _beyond(search: ChainSearch, k: int, units: Array, reach: Array) -> float:
-    """How many times as large the error at a sample may be as what the plan's own proof supposes there."""
-    mu = search.chain.mu(k, units).T
-    return max(float(search.gains(k, row).value / most) for row, most in zip(mu, reach, strict=True))
+def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:
+    """Whether the samples and gaps of a chain are those of the plan's own from one of them on."""
+    chain = search.chain
+    samples, gaps = ({id(part) for part in parts} for parts in (own.samples, own.gaps))
+    return {id(part) for part in chain.samples[settled:]} <= samples and {id(g) for g in chain.gaps[settled:]} <= gaps
+
+
+def _beyond(search: ChainSearch, k: int, reach: Array, room: float) -> float:
+    """How many times as large the error z at a sample may be as what bounds the plan's; solved where above `room`."""
+    entries = np.eye(reach.size)
+    known = search.atoms[k].bound(entries) / reach
+    for i in np.flatnonzero(known > room):
+        known[i] = min(known[i], search.gains(k, entries[i]).value / reach[i])
+    return float(known.max(initial=0.0))

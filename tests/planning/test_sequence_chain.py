@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design.planning.disturbed import delayed, without
-from sampling_design.planning.sequence import looks_back, proven_ratio
+from sampling_design.planning.sequence import forgets, looks_back, proven_ratio, settles
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 from sampling_design.recovery.search import ChainSearch
@@ -66,3 +67,47 @@ def test_samples_of_other_clocks_are_the_plans(week):
     chain, _ = sequence_chain(week, plan_chain(week), shifted)
     own = plan_chain(week)
     assert all(a is own.samples[phase_of(week.schedule, t)] for a, t in zip(chain.samples, times, strict=True))
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """A plan of one sample a period whose filter looks back far: a level that drifts slowly, read with much noise."""
+    plant = sd.Plant([[0.0, 1.0], [0.0, -0.05]], [[1.0, 0.0]], states=("level", "drift"), time_unit="h")
+    wanted = sd.PlanRequirement(
+        {"level": 2.2},
+        period=2.0,
+        raster=1.0,
+        w_bound=[0.002, 0.001],
+        sensors={"y1": {"noise_bound": 1.0, "price": 1.0}},
+    )
+    return sd.plan(plant, wanted, certificate=False, robustness=False)
+
+
+def test_a_filter_that_forgets_slowly_is_followed_until_it_has(slow):
+    """What is said of all that follows is above what is found of each gap, one by one, for much longer."""
+    count = len(slow.schedule)
+    assert forgets(slow) > 4 * count
+    sequence = without(slow, 0, 1)
+    proven = proven_ratio(slow, sequence)
+    times, seen = planned(slow, float(sequence.times[-1]) + 1e-6, float(sequence.times[-1]) + 40.0)
+    longer = SampleSequence(np.append(sequence.times, times), np.vstack([sequence.seen, seen]), sequence.first)
+    assert proven_ratio(slow, longer) <= proven * (1 + 1e-3)
+    assert proven > max(slow.reached / [goal.tolerance for goal in slow.problem.goals])
+    filtered = plan_chain(slow)
+    _, atoms = sequence_chain(slow, filtered, longer)
+    settled = len(sequence.times) - 1 - max(looks_back(slow), forgets(slow)) - count
+    over = [
+        np.max(a.reach / filtered.reach[phase_of(slow.schedule, t)]) for a, t in zip(atoms, longer.times, strict=True)
+    ]
+    assert max(over[: sequence.first + 1]) > max(over[settled:])
+    assert max(over[settled + forgets(slow) :]) <= max(over[settled : settled + forgets(slow)]) * (1 + 1e-6)
+
+
+def test_a_sequence_that_does_not_end_with_the_plan_for_long_enough_proves_nothing(week):
+    sequence = delayed(week, 1, week.problem.step)
+    assert proven_ratio(week, sequence) < np.inf
+    few = sequence.first + settles(week) - 4
+    assert proven_ratio(week, SampleSequence(sequence.times[:few], sequence.seen[:few], sequence.first)) == np.inf
+    moved = sequence.times.copy()
+    moved[-3] += week.problem.step
+    assert proven_ratio(week, SampleSequence(moved, sequence.seen, sequence.first)) == np.inf

@@ -60,7 +60,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
     horizon: float
     arrival_cost: str
-    begins: str
+    begins: str = "horizon"
     constraints: WindowConstraints
     check_spacing: float | None = None
     weighs_means = True

@@ -170,11 +170,11 @@ def _with_gains(
         if share:
             floor = np.diag(share * np.diagonal(Y))
             Y, added = Y + floor, added + floor
-        for row in problem.rows[i][:, None]:
-            cross = Y @ row.T
-            gain = cross / (1 + row @ cross)
-            Y, added = _with_gain(Y, row, gain, cross), _with_gain(added, row, gain, added @ row.T)
-            whole = whole - gain * (row @ whole)
+        for row in problem.rows[i]:  # products, not dyads, so that all sums are of positive terms
+            cross = Y @ row
+            gain = cross / (1 + cross @ row)
+            left, noise = np.eye(problem.size) - np.outer(gain, row), np.outer(gain, gain)
+            Y, whole, added = push(Y, left, noise), left @ whole, push(added, left, noise)
         result[i] = Y
     return result, whole, added
 

@@ -55,7 +55,7 @@ class Setting:
                 return None
             slope = max((abs(left) - abs(excess(far))) / step, LEAST_SLOPE)
             near, left = far, excess(far)
-            step = max(PAST * abs(left) / slope, step)
+            step = max(PAST * abs(left) / slope, 2 * step)  # where lam rises as fast as c, no slope tells how far
         low, high = sorted((near, far))
         P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
         return P, self.windows.value(P)

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 MAKERS = {
-    "certificates.certify": ("certify_given", "_Proof.closed"),
+    "certificates.certify": ("certify_given",),
+    "certificates.exact.proof": ("ScheduleProof.closed",),
     "certificates.exact.precise": ("_proven",),
     "certificates.families.certify_family": ("certified", "without_states"),
     "certificates.paper.proof_constants": ("ProofConstants.certificate",),

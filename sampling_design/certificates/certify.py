@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
-from functools import cached_property
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -16,11 +13,11 @@ from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
-from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import ATTEMPTS, BEYOND, FINER, HIGHER, LOOK_WORK, ROOM, Efforts, wider
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.efforts import BEYOND, LOOK_WORK, Efforts
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.precise import precisely_chosen
-from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, starts_at_sample, supremum
+from sampling_design.certificates.exact.proof import ScheduleProof
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
     Choice,
@@ -30,13 +27,8 @@ from sampling_design.certificates.exact.weight_choice import (
     round_choices,
     settled_sizes,
 )
-from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
-from sampling_design.certificates.form.verdict import replays, verdict_of
-from sampling_design.certificates.rigorous.decide import replays_in_balls, verify_rigorously
-from sampling_design.checkers.work import Work
-from sampling_design.errors import ArgumentError, CertificateError, SolverError, UndecidedError
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.plants.plant import Plant
@@ -79,7 +71,7 @@ def certify_given(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
-        proof = _Proof(plant, schedule, weights, eta, Efforts(alone=True))
+        proof = ScheduleProof(plant, schedule, weights, eta, Efforts(alone=True))
         followed(proof.canon, eta * proof.canon.time)
         if not exists:
             _require(plant, schedule, eta, proof.canon)
@@ -99,140 +91,6 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: Canonical) -> tuple[floa
     except CertificateError:
         low, high = rate_range(plant, schedule)
         return low * canon.time, high * canon.time
-
-
-class _Proof:
-    """Given weights and rate: the best lambda, found in internal units, and its proof."""
-
-    def __init__(
-        self,
-        plant: Plant,
-        schedule: AnySchedule,
-        weights: tuple[Array, Array, Array, Array],
-        eta: float,
-        efforts: Efforts,
-        long_run: float = 0.0,
-    ) -> None:
-        self.long_run = long_run  # lambda that the search expects there, where it has looked
-        self.left_open: tuple[Work, float, UndecidedError] | None = None  # of the last check: work, room, why it failed
-        self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
-        self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
-        inner = (canon.inside(weights[0]), *canon.weights)
-        self.problem = window_problem(canon.plant, canon.schedule, *inner, eta * canon.time)
-
-    @cached_property
-    def peaks(self) -> tuple[Peak, Peak]:
-        """Where lambda is attained: over all real starts, and over those at samples.
-
-        Raises
-        ------
-        UndecidedError
-            If the windows are lost in rounding.
-        """
-        return self.found(1)
-
-    def found(self, finer: int) -> tuple[Peak, Peak]:
-        """The peaks of grids that are so much finer; raises as `peaks`."""
-        with np.errstate(all="ignore"):
-            try:
-                found = supremum(self.problem, finer, self.efforts.looks.share(LOOK_WORK))
-            except (SolverError, np.linalg.LinAlgError) as error:
-                raise UndecidedError(f"undecided: {error}") from None
-        if not all(np.isfinite(peak.value) for peak in found):
-            raise UndecidedError("undecided: the information kept by some window is below what doubles can hold.")
-        return found
-
-    @property
-    def horizon(self) -> float:
-        """ln(lam)/eta."""
-        return float(np.log(max(self.peaks[0].value, 1.0))) / self.eta
-
-    def closed(self, solver: SolverRecord, plainly: bool = False) -> Certificate:
-        """Return the certificate, lambda raised to whatever window the checker finds.
-
-        What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
-        and, unless `plainly` (or later, when asked again), stated with `ROOM` to spare; or, if far above what was met,
-        as the long run has it. What only took too much work is neither: then the wide room is next.
-
-        Raises
-        ------
-        UndecidedError
-            If the proof does not close, or not with the work that it may do.
-        """
-        finer, efforts, again = 1, self.efforts, self.left_open
-        anywhere, at_samples = self.peaks
-        beyond = self.long_run / max(at_samples.value, 1.0)
-        far = beyond > ROOM[-1]  # windows come near the long run too slowly to be followed there
-        in_balls, rooms = (ROOM[0] * beyond, iter([ROOM[0] * beyond])) if far else (1.0, iter(() if plainly else ROOM))
-        room = wider(rooms, *again[:2]) if again else 1.0
-        if again and (far or not room):  # all has been tried
-            raise again[2]
-        handed = bool(again)  # whether balls have left it undecided
-        for _ in range(ATTEMPTS + len(ROOM)):
-            made = _made(self, (anywhere, at_samples), solver, room)
-            plain, stands = replace(made, witness=None), replays
-            verdict = verdict_of(plain.to_dict(), work := efforts.check())
-            open_to_balls = room == in_balls and not (handed or work.over or efforts.balls.over)
-            if verdict.verdict == "undecided" and open_to_balls and find_spec("flint") is not None:
-                verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.check_in_balls()), replays_in_balls
-                handed = verdict.time is None  # a lambda that is hardly larger would not help
-            if verdict.passed:  # a witness is true, but its replay may be lost in rounding
-                return made if stands(made.to_dict()) else plain
-            if efforts.over:
-                break
-            if verdict.time is None or verdict.start is None:
-                if finer == 1 and not work.over:  # the grids may have missed a peak by a hair
-                    finer, before = FINER, (anywhere.value, at_samples.value)
-                    others = self.found(finer)
-                    at_samples = max(at_samples, others[1], key=_value)
-                    anywhere = max(anywhere, others[0], at_samples, key=_value)
-                    if anywhere.value > before[0] * HIGHER or at_samples.value > before[1] * HIGHER:
-                        continue
-                if other := wider(rooms, work, room):
-                    room = other
-                    continue
-                break
-            missed = located(self.problem, verdict.start / self.canon.time, verdict.time / self.canon.time)
-            if "samples" in verdict.inequality or starts_at_sample(self.problem, missed):
-                at_samples = max(refine(self.problem, missed, 0.0), at_samples, key=_value)
-            else:
-                missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
-            anywhere = max(anywhere, missed, at_samples, key=_value)
-        reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}"
-        self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
-        self.left_open = work, room, error
-        raise error
-
-    def witness_of(self, peak: Peak) -> Witness:
-        """Return where a peak is attained, in the plant's coordinates."""
-        Y, t, start = at_peak(self.problem, peak)
-        values, vectors = np.linalg.eigh(Y)
-        direction = self.canon.x * self.problem.physical(vectors[:, -1])
-        direction /= np.linalg.norm(direction)
-        time = self.canon.time
-        return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
-
-
-def _made(proof: _Proof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: float) -> Certificate:
-    """The certificate that claims these peaks, times `room`."""
-    lam, lam_samples = (room * max(peak.value, 1.0) for peak in peaks)
-    if room > 1:
-        spare = f"{room:g} times the largest met: the proof needs the room"
-        solver = replace(solver, details={**solver.details, "lambda": spare})
-    P2, Qw, R, Qv = proof.weights
-    P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
-    try:
-        _checks.definite("P1", P1, proof.plant.n_states)
-    except ArgumentError as error:
-        raise UndecidedError(f"undecided: P1 = P2/lambda cannot be held in doubles ({error})") from None
-    return Certificate(
-        proof.plant, proof.schedule, P1=P1, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=proof.eta, lam=lam, lam_samples=lam_samples,
-        margin=STATED_MARGIN, witness=seen, solver=solver,
-    )  # fmt: skip
-
-
-def _value(peak: Peak) -> float:
-    return peak.value
 
 
 @overload
@@ -473,12 +331,14 @@ def _first_proven(
     """The first of these choices whose proof closes, the nearest ones in the order of their exact horizons."""
     plant, schedule, weights = problem
     failed: list[UndecidedError] = []
-    proofs: list[tuple[float, int, _Proof, Choice]] = []
+    proofs: list[tuple[float, int, ScheduleProof, Choice]] = []
     for choice in choices:
         rate = choice.eta / canon.time if eta is None else eta
         prior = symmetrise(canon.outside(choice.P2))
         try:
-            proof = _Proof(plant, schedule, (prior, *weights), rate, efforts, float(np.exp(choice.value * choice.eta)))
+            proof = ScheduleProof(
+                plant, schedule, (prior, *weights), rate, efforts, float(np.exp(choice.value * choice.eta))
+            )
             near = choice.value <= COMPARED * choices[0].value and efforts.looks.left > LOOK_WORK
             proofs.append((proof.horizon if not proofs or near else np.inf, len(proofs), proof, choice))
         except UndecidedError as error:

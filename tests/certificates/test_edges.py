@@ -17,8 +17,7 @@ from sampling_design import (
     certify_from_proof,
     tradeoff_curve,
 )
-from sampling_design.certificates import certify as room
-from sampling_design.certificates.exact import efforts, precise, weight_choice
+from sampling_design.certificates.exact import efforts, precise, proof, weight_choice
 from sampling_design.certificates.exact.canonical import canonical, evened
 from sampling_design.certificates.paper import proof_constants
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
@@ -87,25 +86,25 @@ def test_what_fails_at_every_rate_is_undecided(monkeypatch):
 
 def test_what_fails_with_given_weights_is_undecided(monkeypatch):
     def lost(problem, finer=1, deadline=None):
-        return (room.Peak(np.inf, 0, 0.0, 0, 1.0),) * 2
+        return (proof.Peak(np.inf, 0, 0.0, 0, 1.0),) * 2
 
     def unsettled(problem, finer=1, deadline=None):
         raise SolverError("the information did not settle", status="unsettled")
 
-    monkeypatch.setattr(room, "supremum", lost)
+    monkeypatch.setattr(proof, "supremum", lost)
     with pytest.raises(UndecidedError, match="the information kept by some window is below what doubles can hold"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
-    monkeypatch.setattr(room, "supremum", unsettled)
+    monkeypatch.setattr(proof, "supremum", unsettled)
     with pytest.raises(UndecidedError, match="undecided: the information did not settle"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))
 
 
 def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
     def low(peaks):
-        return tuple(room.Peak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
+        return tuple(proof.Peak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
 
-    found = room._Proof.found
-    monkeypatch.setattr(room._Proof, "found", lambda self, finer: low(found(self, finer)))
+    found = proof.ScheduleProof.found
+    monkeypatch.setattr(proof.ScheduleProof, "found", lambda self, finer: low(found(self, finer)))
     monkeypatch.setattr(efforts, "CHECK_WORK", 0.0)
     with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
         certify(OSCILLATOR, EACH, eta=0.4, P2=np.eye(2))

@@ -17,7 +17,7 @@ from tests.house.sources import PACKAGE, ROOT, SOURCES, nodes
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "InclusionCertificate", "from_matrices"}
 NO_MAKERS = {
-    "certificates.certify": {"_made"},
+    "certificates.exact.proof": {"_made"},
     "certificates.inclusion.search": {"certificate"},
     "certificates.files": {"_sampled", "_of_family", "_detectable", "_inclusion"},
 }
@@ -167,16 +167,16 @@ LIE = """
 import dataclasses
 import sampling_design as sd
 from sampling_design.certificates.certify import certify
+from sampling_design.certificates.exact import proof
 from sampling_design.certificates.form.verdict import Verification
 
 def test_honest():
     assert certify(sd.Plant([[0.1]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0]])
 
 def test_lying(monkeypatch):
-    room, believed = certify.__globals__, Verification(True, "", None, None, 1.0, "", verdict="proven")
-    made = room["_made"]
-    monkeypatch.setitem(room, "_made", lambda *a: dataclasses.replace(made(*a), P1=[[1.0]]))
-    monkeypatch.setitem(room, "verdict_of", lambda data, work=None: believed)
+    made, believed = proof._made, Verification(True, "", None, None, 1.0, "", verdict="proven")
+    monkeypatch.setattr(proof, "_made", lambda *a: dataclasses.replace(made(*a), P1=[[1.0]]))
+    monkeypatch.setattr(proof, "verdict_of", lambda data, work=None: believed)
     assert certify(sd.Plant([[0.2]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0]])
 """
 

@@ -13,6 +13,7 @@ import pytest
 from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certify as room
 from sampling_design.certificates.exact import efforts, precise, riccati, weight_choice
+from sampling_design.certificates.exact import proof as proofs
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -56,14 +57,14 @@ def test_where_the_best_rate_cannot_be_proven_another_is(monkeypatch):
     plant, schedule = drawn(2)
     plain = certify(plant, schedule)
     failing = plain.eta
-    closed = room._Proof.closed
+    closed = proofs.ScheduleProof.closed
 
     def fails(proof, solver, plainly=False):
         if proof.eta == pytest.approx(failing, rel=0.2):
             raise UndecidedError("undecided: the proof is made to fail")
         return closed(proof, solver, plainly)
 
-    monkeypatch.setattr(room._Proof, "closed", fails)
+    monkeypatch.setattr(proofs.ScheduleProof, "closed", fails)
     spare = certify(plant, schedule)
     assert spare.eta != pytest.approx(failing, rel=0.2)
     assert "at the best rate no proof closed" in spare.solver.details["weights"]
@@ -74,7 +75,7 @@ def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
     """The covariance itself, inverted, may have a condition that no proof in doubles bears."""
     monkeypatch.setattr(weight_choice, "SEARCH_WORK", 1e5)
     plant, schedule = drawn(2)
-    closed, choices, rounder = room._Proof.closed, room.round_choices, list[float]()
+    closed, choices, rounder = proofs.ScheduleProof.closed, room.round_choices, list[float]()
 
     def fails(proof, solver, plainly=False):
         if not rounder:
@@ -86,7 +87,7 @@ def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
         rounder.extend(np.linalg.cond(choice.P2) for some in found for choice in some)
         return found
 
-    monkeypatch.setattr(room._Proof, "closed", fails)
+    monkeypatch.setattr(proofs.ScheduleProof, "closed", fails)
     monkeypatch.setattr(room, "round_choices", asked)
     made = certify(plant, schedule)
     assert made.verify().passed
@@ -148,9 +149,9 @@ def open_proof(monkeypatch, *, spent=0.0, beyond=0.0):
     weights = (np.eye(2), *weights_of(oscillator, None, None, None))
     made = certify(oscillator, schedule, eta=0.4, P2=np.eye(2))
     still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
-    monkeypatch.setattr(room, "verdict_of", floats)
-    monkeypatch.setattr(room, "verify_rigorously", balls)
-    proof = room._Proof(oscillator, schedule, weights, 0.4, efforts.Efforts(), beyond * made.lam_samples)
+    monkeypatch.setattr(proofs, "verdict_of", floats)
+    monkeypatch.setattr(proofs, "verify_rigorously", balls)
+    proof = proofs.ScheduleProof(oscillator, schedule, weights, 0.4, efforts.Efforts(), beyond * made.lam_samples)
 
     def asked(plainly=False):
         with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
@@ -167,7 +168,7 @@ def test_no_proof_is_tried_twice(beyond, monkeypatch):
     Where the long run is far above all windows that could be followed, it alone is tried with room, and in balls.
     """
     tried, handed = open_proof(monkeypatch, beyond=beyond)()
-    rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *room.ROOM)
+    rooms = (1.0, 1.003 * beyond) if beyond else (1.0, *efforts.ROOM)
     assert tried == pytest.approx(rooms, rel=1e-6)
     assert handed == ([tried[1]] if beyond else [tried[0]])
 
@@ -176,7 +177,7 @@ def test_a_proof_that_is_taken_up_again_goes_on(monkeypatch):
     """Others have their turn before the best choice is stated with room; what was tried then is not tried again."""
     asked = open_proof(monkeypatch)
     assert asked(plainly=True) == (pytest.approx([1.0], rel=1e-6), pytest.approx([1.0], rel=1e-6))
-    assert asked(plainly=False) == (pytest.approx([1.0, *room.ROOM], rel=1e-6), pytest.approx([1.0], rel=1e-6))
+    assert asked(plainly=False) == (pytest.approx([1.0, *efforts.ROOM], rel=1e-6), pytest.approx([1.0], rel=1e-6))
 
 
 def test_what_only_took_too_much_work_is_stated_with_a_wide_room(monkeypatch):

@@ -23,7 +23,7 @@ from sampling_design.errors import SolverError
 from sampling_design.evidence import SolverRecord
 
 if TYPE_CHECKING:
-    from clarabel import DefaultSolver
+    from clarabel import DefaultSettings, DefaultSolver
     from cvxpy import Constraint as Constraint
     from cvxpy import Expression as Expression
     from cvxpy import Problem
@@ -33,6 +33,9 @@ Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Gap and feasibility asked of the solver; what comes back may still miss it by some digits."""
+
+THREADS = 1
+"""Of the solver: more of them wait busily for each other, for up to twice the work, and change no bit of a point."""
 
 SOLVED, INACCURATE, INFEASIBLE, UNBOUNDED, BUDGET, FAILED = (
     "solved",
@@ -56,6 +59,14 @@ def clarabel() -> ModuleType:
     return import_module("clarabel")
 
 
+def quiet_settings() -> DefaultSettings:
+    """Return the solver's own settings, but silent and in one thread."""
+    settings = clarabel().DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = THREADS
+    return settings
+
+
 def solve(
     problem: Problem, *, tolerance: float = TOLERANCE, budget: float | None = None, iterations: int = 200
 ) -> SolverRecord:
@@ -71,7 +82,7 @@ def solve(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an inaccurate solution is a status here, not a warning
-            problem.solve(solver=cp.CLARABEL, max_iter=iterations, **settings, **limits)
+            problem.solve(solver=cp.CLARABEL, max_iter=iterations, max_threads=THREADS, **settings, **limits)
         raw = str(problem.status)
     except cp.error.SolverError as error:
         raw = f"solver error: {error}"
@@ -180,8 +191,7 @@ def solve_cone_program(
     else:  # converted once, not block by block: small problems are posed by the hundred
         A = sparse.csc_matrix(np.vstack([A for _, A, _ in blocks]))
     b = np.concatenate([np.asarray(b, dtype=float).ravel() for _, _, b in blocks])
-    settings = cl.DefaultSettings()
-    settings.verbose = False
+    settings = quiet_settings()
     settings.max_iter = iterations
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
     if budget is not None:
@@ -249,8 +259,7 @@ class ConeSolver:
 
         cl = clarabel()
         kinds = {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "second order": cl.SecondOrderConeT}
-        settings = cl.DefaultSettings()
-        settings.verbose = False
+        settings = quiet_settings()
         settings.presolve_enable = False  # what is solved again must keep its rows
         settings.max_iter = iterations
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance

@@ -7,6 +7,8 @@ from scipy import sparse
 from sampling_design import _conic
 from sampling_design._conic import ConeSolver
 from sampling_design.errors import SolverError
+from sampling_design.estimators.constraints import least_distance
+from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 
 RNG = np.random.default_rng(7)
 
@@ -89,3 +91,21 @@ def test_what_a_scaled_program_does_not_solve_is_solved_with_care():
     assert solver._careful is None
     assert solver.solve(np.ones(1), np.array([-1.0, -1.0]))[2] == "infeasible"
     assert solver._careful is not None
+
+
+def test_every_problem_is_solved_in_one_thread(monkeypatch):
+    """Threads of a solver that wait busily for each other would take the time of other workers."""
+    cl, cp, made, given = _conic.clarabel(), _conic.cvxpy(), [], []
+    solver, solve = cl.DefaultSolver, cp.Problem.solve
+    monkeypatch.setattr(cl, "DefaultSolver", lambda *parts: made.append(parts[-1].max_threads) or solver(*parts))
+    monkeypatch.setattr(cp.Problem, "solve", lambda self, **how: given.append(how["max_threads"]) or solve(self, **how))
+    rows, b = np.array([[1.0], [-1.0]]), np.array([3.0, -1.0])  # 1 <= x <= 3
+    assert _conic.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).x[0] == pytest.approx(1.0)
+    assert ConeSolver(sparse.csc_matrix(rows), [("nonnegative", 2)]).solve(np.ones(1), b)[0] == pytest.approx(1.0)
+    nearest = least_distance.conic(LeastDistance(1, rows[:1], np.ones(1), np.array([np.inf]), [], np.ones(1), [], []))
+    assert nearest.z == pytest.approx(1.0)
+    assert made == [1, 1, 1]
+    x = cp.Variable()
+    assert _conic.solve(cp.Problem(cp.Minimize(x), [x >= 2])).status == "solved"
+    assert given == [1]
+    assert set(made) == {1}

@@ -121,8 +121,7 @@ def conic(problem: LeastDistance) -> NearestPoint | None:
         blocks += [np.zeros((1, size)), -M / scale]
         right += [np.array([radius / scale]), c / scale]
         kinds.append(cl.SecondOrderConeT(1 + M.shape[0]))
-    settings = cl.DefaultSettings()
-    settings.verbose = False
+    settings = _conic.quiet_settings()
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = SOLVER_TOLERANCE
     A, b = sparse.csc_matrix(np.vstack(blocks)), np.concatenate(right)
     found = cl.DefaultSolver(sparse.identity(size, format="csc"), np.zeros(size), A, b, kinds, settings).solve()

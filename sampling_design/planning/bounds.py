@@ -89,7 +89,7 @@ def separated(
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
-    views = {a: attack.weights(level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
+    views = {a: cover.view(attack, level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
     low, high = np.zeros(cover.columns), cover.ceiling(below)
     price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
     x = low
@@ -116,7 +116,7 @@ def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Wor
 def _violated(cover: Cover, pool: AttackPool, views: dict[int, Array], x: Array, known: set[Key]) -> list[Key]:
     """Ends at which a fractional point sees too little of an attack, first where it sees least."""
     steps = pool.steps
-    z = np.where(cover.place >= 0, x[cover.place], 0.0)
+    z = cover.seen(x)
     spectrum = np.fft.rfft(z, axis=0)
     fresh: list[tuple[float, Key]] = []
     for a, view in views.items():
@@ -223,7 +223,7 @@ class _Prover:
         for ask in (False, True):
             if ask:
                 self.find(x, self.level)
-            views = {a: t.weights(self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level}
+            views = {a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level}
             fresh = _violated(self.cover, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh

@@ -43,7 +43,7 @@ GRAIN = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class CoverModel:
-    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out with one sensor).
+    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out if they are whole).
 
     Attributes
     ----------
@@ -64,24 +64,25 @@ class Cover:
     def __init__(self, problem: PlanProblem, *, fixed: bool = False):
         self.problem, self.fixed = problem, fixed
         self.at = np.flatnonzero(problem.allowed.any(axis=1))
-        self.single = problem.allowed.shape[1] == 1
+        self.used = np.flatnonzero(problem.allowed.any(axis=0))
+        self.whole = _is_whole(problem)
         place = -np.ones(problem.allowed.shape, dtype=int)
-        if self.single:
-            place[self.at, 0] = np.arange(self.at.size)
+        if self.whole:
+            place[np.ix_(self.at, self.used)] = np.arange(self.at.size)[:, None]
         else:
             place[problem.allowed] = self.at.size + np.arange(int(problem.allowed.sum()))
         self.place = place
         self.sample_of = -np.ones(problem.steps, dtype=int)
         self.sample_of[self.at] = np.arange(self.at.size)
-        self.columns = self.at.size + (0 if self.single else int(problem.allowed.sum()))
+        self.columns = self.at.size + (0 if self.whole else int(problem.allowed.sum()))
 
     @cached_property
     def cost(self) -> Array:
         """Price of every variable; the number of samples where nothing has a price."""
         problem, c = self.problem, np.zeros(self.columns)
         c[: self.at.size] = 1.0 if problem.counts else problem.visit
-        if self.single:
-            c[: self.at.size] += problem.price[0]
+        if self.whole:
+            c[: self.at.size] += problem.price[self.used].sum()
         else:
             _, sensor = np.nonzero(problem.allowed)
             c[self.at.size :] = problem.price[sensor]
@@ -128,15 +129,15 @@ class Cover:
     @property
     def dearest(self) -> float:
         """Every admissible choice costs less than this."""
-        limit = self.problem.most_cost
-        return limit + (self.grain or 1e-6 * max(limit, 1.0)) if np.isfinite(limit) else np.inf
+        limit = min(self.problem.most_cost, float(self.cost.sum()))
+        return limit + (self.grain or 1e-6 * max(limit, 1.0))
 
     @cached_property
     def frame(self) -> tuple[sparse.csr_matrix, Array]:
         """Rows of every admissible choice: A x >= b."""
         problem = self.problem
         rows: list[tuple[npt.NDArray[np.intp], Array, float]] = []
-        if not self.single:
+        if not self.whole:
             for i, step in enumerate(self.at.tolist()):
                 mine = self.place[step][problem.allowed[step]]
                 rows.append((np.append(mine, i), np.append(np.ones(mine.size), -1.0), 0.0))
@@ -157,6 +158,13 @@ class Cover:
             rows.append((np.arange(self.at.size), np.ones(self.at.size), 1.0))
         return _stacked(rows, self.columns)
 
+    @property
+    def limits(self) -> list[int]:
+        """Rows of the frame that limit the number of samples and the cost: behind all others but the last."""
+        count = sum(map(np.isfinite, (self.problem.most_samples, self.problem.most_cost)))
+        last = int(self.frame[0].shape[0]) - 1
+        return list(range(last - count, last))
+
     def _spaced(self, place: npt.NDArray[np.intp], least: int) -> list[tuple[npt.NDArray[np.intp], Array, float]]:
         """At most one in every stretch of so many steps."""
         steps, rows = self.problem.steps, []
@@ -171,17 +179,36 @@ class Cover:
                 before = tuple(mine.tolist())
         return rows
 
+    @property
+    def places(self) -> npt.NDArray[np.intp]:
+        """The variable of each step and sensor, or of each step's sample (M, 1) where samples are whole; -1: none."""
+        return self.place[:, self.used[:1]] if self.whole else self.place
+
+    def seen(self, x: Array) -> Array:
+        """How much of each step and sensor, or of each step's sample, a point of the program measures."""
+        return np.where(self.places >= 0, x[self.places], 0.0)
+
+    def measured(self, x: Array) -> Array:
+        """The fractions (M, p) of measurements of a point of the program."""
+        return np.clip(np.where(self.place >= 0, x[self.place], 0.0), 0.0, 1.0)
+
+    def view(self, attack: HiddenMotion, level: float) -> Array:
+        """What measuring at each step back from the end adds, by sensors or, where samples are whole, by samples."""
+        weights = attack.weights(level)
+        return np.minimum(weights[:, self.used].sum(axis=1, keepdims=True), 1.0) if self.whole else weights
+
     def row(self, attack: HiddenMotion, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
         """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
-        weights = attack.weights(level)
-        back, sensor = np.nonzero(weights)
-        mine, values = self.place[(end - back) % self.problem.steps, sensor], weights[back, sensor]
+        weights = self.view(attack, level)
+        back, column = np.nonzero(weights)
+        mine, values = self.places[(end - back) % self.problem.steps, column], weights[back, column]
         mine, values = mine[mine >= 0], values[mine >= 0]
-        if attack.at_sample and self.sample_of[end] >= 0:  # only asked for where it is a sample's own
+        if attack.at_sample:  # only asked for where it is a sample's own
             own = int(self.sample_of[end])
             values = np.append(values[mine != own], values[mine == own].sum() - 1.0)
             mine = np.append(mine[mine != own], own)
-            return (mine, values, 0.0) if values[-1] < 0 else (np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
+            asked = own >= 0 and values[-1] < 0
+            return (mine, values, 0.0) if asked else (np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
         return mine, values, 1.0
 
     def model(
@@ -190,7 +217,7 @@ class Cover:
         """The program of these attacks at a level, and of what must be measured once wherever it shows."""
         A, b = self.frame
         rows = [self.row(attacks[a], end, level) for a, end in keys]
-        places = [self.place[where] for where in blind]
+        places = [np.unique(self.place[where]) for where in blind]
         rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
         more, right = _stacked(rows, self.columns)
         return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
@@ -215,6 +242,16 @@ class Cover:
         x[self.place[at, sensor]] = 1.0
         x[self.sample_of[at]] = 1.0
         return x
+
+
+def _is_whole(problem: PlanProblem) -> bool:
+    """Whether a sample may as well read every sensor that there is: more of them cost nothing and break nothing."""
+    used = np.flatnonzero(problem.allowed.any(axis=0))
+    if used.size <= 1:
+        return True
+    alike = bool(np.all(problem.allowed[:, used] == problem.allowed[:, used[:1]]))
+    free = not np.any(problem.price[used]) and bool(np.all(problem.longest_use[used] >= problem.steps))
+    return alike and free and bool(np.all(problem.sensor_spacing[used] <= max(problem.spacing, 1)))
 
 
 def cheapest(

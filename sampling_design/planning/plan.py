@@ -326,11 +326,18 @@ class _Planning:
                     if self._filled(chosen, i):
                         break
             if int(chosen.any(axis=1).sum()) == count:
-                return chosen
+                return self._filled_up(chosen)
         raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
 
+    def _filled_up(self, chosen: Mask) -> Mask:
+        """The samples of a choice with every sensor that there is room and money for, the cheapest first."""
+        for _ in range(chosen.shape[1]):
+            for i in np.flatnonzero(chosen.any(axis=1)).tolist():
+                self._filled(chosen, i)
+        return chosen
+
     def _filled(self, chosen: Mask, i: int) -> bool:
-        """Whether a sample at a step fits in, with every sensor that there is room and money for."""
+        """Whether one more sensor, the cheapest, fits in at a step."""
         done = False
         for j in np.argsort(self.problem.price, kind="stable").tolist():
             if self.problem.allowed[i, j] and not chosen[i, j]:

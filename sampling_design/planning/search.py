@@ -128,7 +128,7 @@ class PlanSearch:
             if cost <= least * (1 + FLAT):
                 return
             least = cost
-            z = np.clip(np.where(self.cover.place >= 0, x[self.cover.place], 0.0), 0.0, 1.0)
+            z = self.cover.measured(x)
 
     def find(self, x: Array, level: float) -> None:
         """Attacks at a level against a point of the program: a choice, or tangents at fractions of measurements."""
@@ -137,7 +137,7 @@ class PlanSearch:
         if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
             self.add(self.oracle.judge(self.cover.choice(x), above=level)[1], level)
             return
-        z = np.clip(np.where(self.cover.place >= 0, x[self.cover.place], 0.0), 0.0, 1.0)
+        z = self.cover.measured(x)
         found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
         self.add([t for t in found if t is not None], level)
 

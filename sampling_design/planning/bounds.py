@@ -7,14 +7,15 @@ all choices that keep these. A level is out of reach of a limit if what it costs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias, Union
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.planning.attacks import AttackPool
-from sampling_design.planning.cover import Cover, CoverModel, Key, proven, relaxed
+from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.cover import Cover, CoverModel, Key, relaxed
+from sampling_design.planning.hitting import hit
 from sampling_design.planning.work import RELAXED, Work
 
 Array = npt.NDArray[np.float64]
@@ -53,35 +54,7 @@ ENDS = 6
 """Ends of one attack that are added at a time."""
 
 
-@dataclass(frozen=True, eq=False)
-class CostLeaf:
-    """Multipliers: rows and their values."""
-
-    rows: tuple[int, ...]
-    values: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class CostBranch:
-    """One variable forbidden, or given."""
-
-    variable: int
-    without: CostTree
-    given: CostTree
-
-
 Finder: TypeAlias = Callable[[Array, float], None]
-CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
-
-
-@dataclass(frozen=True, eq=False)
-class CostProof:
-    """Every choice that sees the attacks `keys` at `level` costs at least `value`."""
-
-    level: float
-    value: float
-    keys: tuple[Key, ...]
-    tree: CostTree
 
 
 def separated(
@@ -155,10 +128,26 @@ def prove_cost(
     `find` is asked for attacks against a point that the rows so far do not exclude. `decide`: nothing below the target
     is of use, so that the proof ends with the first choice that costs less.
     """
+    counted = _counted(cover, pool, level, target, work, find)
+    if counted is not None:
+        return counted
     found, _ = separated(cover, pool, level, list(keys or []), work, target)
     prover = _Prover(cover, pool, level, target, found, work, find=find, decide=decide)
     tree, value = prover.node(np.zeros(cover.columns), cover.ceiling(target))
     return CostProof(level, min(cover.lifted(value), target), tuple(prover.keys), tree)
+
+
+def _counted(
+    cover: Cover, pool: AttackPool, level: float, target: float, work: Work, find: Finder | None
+) -> CostProof | None:
+    """The proof where nothing but the number of samples counts, or None."""
+    known = -1
+    while find is not None and len(pool.attacks) > known and not work.over:
+        known, found = len(pool.attacks), hit(cover, pool, level, target, work)
+        if found is None or found.chosen is None:
+            return None if found is None else found.proof
+        find(cover.point(found.chosen), level)
+    return None
 
 
 class _Prover:
@@ -223,40 +212,15 @@ class _Prover:
         for ask in (False, True):
             if ask:
                 self.find(x, self.level)
-            views = {a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level}
+            views = {
+                a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level
+            }
             fresh = _violated(self.cover, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh
                 self.model = self.cover.longer(self.model, self.pool.attacks, fresh, self.level)
                 return True
         return False
-
-
-def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
-    """What a proof's multipliers prove, worked out anew; no solver."""
-    model = cover.model(pool.attacks, list(proof.keys), proof.level)
-    if not _fits(proof.tree, model.b.size, cover.columns):
-        return -np.inf
-
-    def below(tree: CostTree, low: Array, high: Array) -> float:
-        if isinstance(tree, CostBranch):
-            up, down = low.copy(), high.copy()
-            up[tree.variable], down[tree.variable] = 1.0, 0.0
-            return min(below(tree.without, low, down), below(tree.given, up, high))
-        y = np.zeros(model.b.size)
-        y[list(tree.rows)] = tree.values
-        return proven(model, np.maximum(y, 0.0), low, high)
-
-    # a choice that cost less than the claim could be turned so that its largest gap follows step 0
-    return cover.lifted(below(proof.tree, np.zeros(cover.columns), cover.ceiling(proof.value)))
-
-
-def _fits(tree: CostTree, rows: int, columns: int) -> bool:
-    """Whether a tree names only rows and variables that there are."""
-    if isinstance(tree, CostBranch):
-        inside = 0 <= tree.variable < columns
-        return inside and _fits(tree.without, rows, columns) and _fits(tree.given, rows, columns)
-    return all(0 <= row < rows for row in tree.rows)
 
 
 def out_of_reach(

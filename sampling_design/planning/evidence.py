@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.planning.adversary import fly
 from sampling_design.planning.attacks import AttackPool, HiddenMotion, peaks_of
-from sampling_design.planning.bounds import CostBranch, CostProof, CostTree, proven_cost
+from sampling_design.planning.cost_proof import CostBranch, CostProof, CostTree, proven_cost
 from sampling_design.planning.cover import Cover
 from sampling_design.planning.motion import Motion
 from sampling_design.planning.problem import PlanProblem

@@ -31,7 +31,7 @@ from sampling_design.checkers.strict import (
     table,
     word,
 )
-from sampling_design.planning.bounds import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.evidence import PlanBound, attack_of
 from sampling_design.planning.motion import Motion, motion_of
 from sampling_design.planning.plan import proven_plan

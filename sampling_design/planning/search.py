@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sampling_design.planning.attacks import AttackPool, HiddenMotion, weighed
 from sampling_design.planning.bounds import separated
 from sampling_design.planning.cover import NODES, Cover, Key, cheapest
+from sampling_design.planning.hitting import Hit, hit
 from sampling_design.planning.oracle import SETTLED, Oracle
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.work import WEIGHED
@@ -82,6 +83,8 @@ class PlanSearch:
         self.spread = all(goal.spread for goal in problem.goals)
         self.held: list[tuple[Mask, float]] = []
         """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
+        self.counted = True
+        """Whether choices are sought by their number of samples alone, until that was given up."""
         self.share = np.inf
         self.blind: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
@@ -169,7 +172,8 @@ class PlanSearch:
         for _ in range(rounds):
             if self.late:
                 return None
-            chosen, none = self._candidate(keys, level)
+            few = self._few(level)
+            chosen, none = (few.chosen, few.none) if few is not None else self._candidate(keys, level)
             if none:
                 self.found.out_of_reach = max(self.found.out_of_reach, level)
                 self.found.keys = keys
@@ -179,6 +183,16 @@ class PlanSearch:
             self.found.rounds += 1
             if self.judged(chosen, level):
                 return True
+        return None
+
+    def _few(self, level: float) -> Hit | None:
+        """A choice within the limits that sees every attack of the pool, or that none does; None if given up."""
+        while self.counted:
+            found = hit(self.cover, self.pool, level, self.cover.dearest, self.oracle.work, self.blind)
+            self.counted = found is not None and (found.chosen is not None or found.none)
+            if found is None or found.chosen is None or (blindness := self.oracle.hidden(found.chosen)) is None:
+                return found if self.counted else None
+            self.blind.append(blindness.where)
         return None
 
     def _candidate(self, keys: list[Key], level: float, below: float = np.inf) -> tuple[Mask | None, bool]:

@@ -17,6 +17,9 @@ FAINT = (2e-3, 4e-6)
 COVER, NODE = (5e-3, 3.5e-7), 10
 """Of an integer program, and for each entry and column; a node of its tree counts as so many columns."""
 
+MEETING = (4e-5, 2e-9)
+"""Of a node of a tree of sets that a choice must meet, and for each entry of them."""
+
 WEIGHED = 6e-4
 """For each attack, of weighing what may take the place of a measurement."""
 

@@ -25,7 +25,7 @@ CASES = {  # file, period, share of the state's scale that w moves in a period, 
     "cart_pendulum": 1.0,
     "satellite": 5400.0,
 }
-STEPS, WORK, NOISE, MOVED = 48, 6.0, 0.05, 0.1
+STEPS, WORK, NOISE, MOVED = 48, 60.0, 0.05, 0.1
 
 
 def scales(signals, count):
@@ -76,4 +76,6 @@ def main(counts, names):
 
 if __name__ == "__main__":
     told = sys.argv[1:]
-    main([int(c) for c in told if c.isdigit()] or [4, 8], [n for n in told if not n.isdigit()] or list(CASES))
+    main(
+        [int(c) for c in told if c.isdigit()] or list(range(2, 9)), [n for n in told if not n.isdigit()] or list(CASES)
+    )

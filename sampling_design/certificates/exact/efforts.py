@@ -12,8 +12,8 @@ LOOK_WORK = 2e6
 what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 2.5e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 2e6, 1.3e6
-"""Likewise in balls, where nine states and four samples a period take 1.3e6, and one of it about two microseconds; a
+BALL_WORK, ONE_IN_BALLS = 2e6, 1.8e6
+"""Likewise in balls, where eight and nine states take up to 1.7e6, and one of it about two microseconds; a
 later group may do one."""
 LATER = 0.7
 """Share of that in floats for the spare choices, and for the round ones; one of their checks may do as much as one
@@ -21,7 +21,7 @@ of the first ones, or what takes much work would never be proven."""
 ALL_WORK, BALL_PRICE = 13e6, 1.7
 """Work of all proofs after the search of weights, where balls count so many times: then a call ends, if need be with
 none. It holds nine states to about twenty seconds of an ordinary processor core."""
-PARTS = 0.48, 0.9
+PARTS = 0.42, 0.55
 """Share of what is left of it that the first group of choices may do, and each later one: the next has its turn."""
 PRECISE_WORK, PRECISE_PROOF = 4e6, 2e6
 """Work of the search in more digits than doubles have, and of its proofs together; of one of them."""

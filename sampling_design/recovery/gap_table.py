@@ -32,8 +32,8 @@ LOSS = 2e-2
 CELLS = 2
 """Least number of coarse cells of a gap."""
 
-FINER_CELLS = 4
-"""So many times more cells on each finer level."""
+FINER_CELLS = (1, 2, 4, 16)
+"""So many times more cells on each level than on the first."""
 
 REMEMBERED = 1024
 """Gaps that are kept."""
@@ -74,7 +74,7 @@ class FlownGap:
         return self._cells[level]
 
     def _cut(self, level: int) -> Array:
-        count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS**level, float(self.marks.size))
+        count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS[level], float(self.marks.size))
         cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))

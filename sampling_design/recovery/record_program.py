@@ -24,7 +24,7 @@ from sampling_design.recovery.unknown import told_of_start
 
 Array = npt.NDArray[np.float64]
 
-TOLERANCE = (1e-6, 3e-8, 1e-9)
+TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
 DIFFUSE = 1e6
@@ -50,6 +50,9 @@ LEAST = 1e-12
 
 CLOSED = 1e-2
 """Share of the half-width by which the adversary may fall short of it before cells are made finer."""
+
+HALVED = 3.0
+"""Multiple of that share up to which cells of half the size are tried first: what they lose falls with their square."""
 
 COARSE = 1.1
 """Multiple of the bounds up to which cells on which w is constant may be too coarse to explain what bounds allow."""
@@ -212,12 +215,13 @@ class RecordProgram:
 
         BoxCells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
         """
-        ends, open_ = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], []
-        for level in range(1, LEVELS):
-            half = (ends[0].value + ends[1].value) / 2
-            open_ = [k for k in (0, 1) if ends[k].short > CLOSED * max(half, 0.0)]
-            if not open_ or (self.infeasible and (self._multiple(level - 1) > COARSE or self.contradicted)):
+        ends, level = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], 0
+        while level < LEVELS - 1:
+            half = max((ends[0].value + ends[1].value) / 2, 0.0)
+            open_ = [k for k in (0, 1) if ends[k].short > CLOSED * half]
+            if not open_ or (self.infeasible and (self._multiple(level) > COARSE or self.contradicted)):
                 break
+            level += 2 if level == 0 and max(end.short for end in ends) > HALVED * CLOSED * half else 1
             for k in open_:
                 finer = self._end(t, row if k == 0 else -row, level)
                 ends[k] = finer if finer.value < ends[k].value else replace(ends[k], short=finer.short)

@@ -173,12 +173,14 @@ def solve_cone_program(
     tolerance: float = TOLERANCE,
     budget: float | None = None,
     iterations: int = 200,
+    refined: bool = True,
 ) -> ConeSolution:
     """Minimise cost'x subject to b - A x in a cone, for every block ("zero" | "nonnegative" | "psd", A, b).
 
     A is dense or scipy-sparse with len(cost) columns; the rows of a psd block are `svec` of its matrices.
     The multipliers z satisfy cost + sum A'z = 0 up to the solver's tolerance. For problems that are
-    posed many times this is ten times cheaper than the modelling library.
+    posed many times this is ten times cheaper than the modelling library. Where the tolerance is coarse, steps need not
+    be `refined` to the last digit, which saves a third; what does not end as solved is solved again with that.
     """
     from scipy import sparse
 
@@ -194,11 +196,17 @@ def solve_cone_program(
     settings = quiet_settings()
     settings.max_iter = iterations
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = tolerance
+    settings.iterative_refinement_enable = refined
     if budget is not None:
         settings.time_limit = float(budget)
-    quadratic = sparse.csc_matrix((len(cost), len(cost)))
+    parts = sparse.csc_matrix((len(cost), len(cost))), np.asarray(cost, dtype=float), A, b, cones
     started = time.perf_counter()
-    found = cl.DefaultSolver(quadratic, np.asarray(cost, dtype=float), A, b, cones, settings).solve()
+    found = cl.DefaultSolver(*parts, settings).solve()
+    if not refined and str(found.status) not in ("Solved", "MaxTime"):
+        settings.iterative_refinement_enable = True
+        if budget is not None:
+            settings.time_limit = max(float(budget) - (time.perf_counter() - started), 0.0)
+        found = cl.DefaultSolver(*parts, settings).solve()
     raw = str(found.status)
     record = SolverRecord(
         name="Clarabel",

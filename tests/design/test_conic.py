@@ -44,6 +44,29 @@ def test_linear_cones_and_an_infeasible_program():
     assert np.isclose(_conic.solve_cone_program(np.array([1.0]), fixed).x[0], 2.5, atol=1e-7)
 
 
+def test_unrefined_steps_find_the_same_point_and_what_they_do_not_solve_is_solved_again(monkeypatch):
+    S, cl, asked = random_symmetric(4, 1)[0], _conic.clarabel(), []
+    block = ("psd", _conic.svec(np.eye(4))[:, None], _conic.svec(S))  # S - x I >= 0
+    refined = _conic.solve_cone_program(np.array([-1.0]), [block])
+    solver = cl.DefaultSolver
+
+    class Unsolved:
+        status, solve = "InsufficientProgress", lambda self: self
+
+    def made(*parts):
+        asked.append(parts[-1].iterative_refinement_enable)
+        return Unsolved() if poor and not asked[-1] else solver(*parts)
+
+    monkeypatch.setattr(cl, "DefaultSolver", made)
+    for attempts in ([False], [False, True]):
+        poor = len(attempts) > 1
+        asked.clear()
+        found = _conic.solve_cone_program(np.array([-1.0]), [block], refined=False, budget=60.0)
+        assert found.record.status == "solved"
+        assert found.x == pytest.approx(refined.x, abs=1e-8)
+        assert asked == attempts
+
+
 def test_modelled_problems_say_how_they_ended():
     cp = _conic.cvxpy()
     x = cp.Variable()

@@ -205,7 +205,7 @@ def solve_relaxation(
     roof = _conic.svec(rows.N)[:, None]
     for m in range(starts.size):
         blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
-    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds)
+    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
     Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
     return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)

@@ -42,7 +42,7 @@ def plan_robustness(plan: PlanFigures, work: Work | None = None) -> PlanRobustne
         late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
         single = [_judged(plan, without(plan, k, 1)) for k in range(N)]
         lost = 1 if max(single) <= 1 else 0
-        while lost and lost < MOST_LOST and all(_judged(plan, without(plan, k, lost + 1)) <= 1 for k in range(N)):
+        while lost and lost < MOST_LOST and all(proven_ratio(plan, without(plan, k, lost + 1)) <= 1 for k in range(N)):
             lost += 1
     except NotDetectableError:
         return None
@@ -102,27 +102,38 @@ def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:
         return 0.0, problem.step, plan.ratio
     steps = max(1, room // LATES)
     while True:
-        stride, most = steps * problem.step, 0
-        for m in range(1, min(LATES, room // steps) + 1):
-            if _broken(plan, delayed(plan, k, m * stride)) > 1:
-                break
-            most = m
-        for m in range(most, 0, -1):
-            ratio = proven_ratio(plan, delayed(plan, k, m * stride))
-            if ratio <= 1:
-                return m * stride, stride, ratio
-        if steps == 1:
-            return 0.0, stride, plan.ratio
+        stride, unbroken = steps * problem.step, 0
+        while unbroken < min(LATES, room // steps) and not _broken(plan, delayed(plan, k, (unbroken + 1) * stride)):
+            unbroken += 1
+        kept, reached = _proven_late(plan, k, stride, unbroken)
+        if kept or steps == 1:
+            return kept * stride, stride, reached
         steps = max(1, steps // LATES)
 
 
-def _broken(plan: PlanFigures, sequence: SampleSequence) -> float:
-    """What a motion on the raster makes of a sequence."""
-    return worst_ratio(plan, sequence, 1.0, float(sequence.times[-1]) - plan.schedule.period)
+def _proven_late(plan: PlanFigures, k: int, stride: float, unbroken: int) -> tuple[int, float]:
+    """How many strides late a sample may be by proof, of so many, and the accuracy over tolerance there; by halves."""
+    kept, reached, m = 0, plan.ratio, unbroken
+    while m > kept:
+        ratio = proven_ratio(plan, delayed(plan, k, m * stride))
+        if ratio <= 1:
+            kept, reached = m, ratio
+        else:
+            unbroken = m - 1
+        m = (kept + unbroken + 1) // 2
+    return kept, reached
+
+
+def _broken(plan: PlanFigures, sequence: SampleSequence) -> bool:
+    """Whether a motion on the raster breaks a tolerance before the first sample that is another one, or after it."""
+    return worst_ratio(plan, sequence, 1.0, float(sequence.times[sequence.first + 1])) > 1
 
 
 def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
     """Accuracy over tolerance: proven up to 1, else as a motion on the raster attains it."""
+    ratio = np.inf if _broken(plan, sequence) else proven_ratio(plan, sequence)
+    if ratio <= 1:
+        return ratio
     until = float(sequence.times[-1]) - plan.schedule.period
     attained = worst_ratio(plan, sequence, np.inf, until)
-    return attained if attained > 1 else proven_ratio(plan, sequence)
+    return attained if attained > 1 else ratio

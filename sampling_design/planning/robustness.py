@@ -27,7 +27,7 @@ class PlanRobustness(Record):
         The samples of the period.
     late : (N,) array
         So late each may be, alone, with every tolerance kept: proven for this delay; for the multiples of `step` below
-        it no motion was found that breaks one.
+        it no motion was found that breaks one before that sample or in the gap after it.
     step : (N,) array
         Distance of the delays that were judged.
     late_ratio : (N,) array

@@ -16,7 +16,7 @@ from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
-from sampling_design.planning.work import CHAIN, GAINS
+from sampling_design.planning.work import BETWEEN, CHAIN, GAINS
 from sampling_design.recovery.between import Integrals, Open, open_row
 from sampling_design.recovery.chain import SampleChain
 from sampling_design.recovery.search import ChainSearch
@@ -71,7 +71,8 @@ def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: 
             break
         window, last, length = window_after(oracle, sequence, k)
         for g in goals:
-            here = max(here, *oracle.looked(window, g, last, length, above).values(), 0.0)
+            far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
+            here = max(here, *oracle.looked(window, g, last, length, far).values(), 0.0)
         worst = max(worst, here)
         if worst > above:
             break
@@ -128,6 +129,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
     for k in range(max(sequence.first - 1, 0), settled + back):
         for goal, known in goals:
+            work.add((BETWEEN, 0.0), 0.0)
             opened = open_row(search.chain, k, goal.row, known=known)
             worst = max(worst, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:

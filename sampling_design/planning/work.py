@@ -8,7 +8,7 @@ from __future__ import annotations
 CONE = (1e-3, 1e-6)
 """Work of a cone program, and for each entry that is not zero."""
 
-STAGES = (3e-2, 3e-5)
+STAGES = (1e-2, 1.5e-5)
 """Of a program over stages, and for each of them, with n states, n^1.5 times."""
 
 FAINT = (2e-3, 4e-6)
@@ -32,8 +32,11 @@ SEQUENCE = (1e-3, 5e-5)
 RELAXED = (5e-3, 3e-6)
 """Of a linear program, and for each entry."""
 
-GAINS = (5e-3, 2.5e-4)
+GAINS = (5e-3, 1e-4)
 """Of bounding a row by gains, and for each sample behind it, with n states, n times."""
+
+BETWEEN = 1e-2
+"""Of bounding a row between two samples."""
 
 CHAIN = (1e-2, 2e-4)
 """Of making a chain of samples, and for each of them, with n states, n^2 times."""

@@ -8,9 +8,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import FileFormatError
-from sampling_design.planning.disturbed import plan_robustness
+from sampling_design.planning import disturbed
+from sampling_design.planning import oracle as judges
+from sampling_design.planning.disturbed import plan_robustness, without
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import plan_certificate
+from sampling_design.planning.sequence import worst_ratio
 from tests.oracles import planning as oracle
 
 
@@ -83,3 +86,40 @@ def test_more_than_it_bears_does_not_verify(whole):
 
 def test_a_plan_that_breaks_its_tolerance_bears_nothing(week):
     assert plan_robustness(replace(week, reached=week.reached * 2)) is None
+
+
+@pytest.mark.parametrize(("broken", "proven"), [(2, 8), (9, 5), (9, 8), (4, 0.5), (0.5, 8), (9, 1), (0, 0)])
+def test_the_latest_delay_is_proven_by_halves(broken, proven, week, monkeypatch):
+    """Delays in eighths of the room: the first `broken` of them are not, and so many are proven."""
+    ends = np.append(week.schedule.times, week.schedule.times[0] + week.schedule.period)
+    steps = (round((ends[1] - ends[0]) / week.problem.step) - 1) // 8
+    assert steps > 2  # so that less than an eighth can be looked at, too
+    unit, asked = steps * week.problem.step, []
+    monkeypatch.setattr(disturbed, "delayed", lambda plan, k, late: late)
+    monkeypatch.setattr(disturbed, "_broken", lambda plan, late: late > broken * unit)
+
+    def ratio(plan, late):
+        asked.append(late)
+        return 0.9 if late <= proven * unit else 1.1
+
+    monkeypatch.setattr(disturbed, "proven_ratio", ratio)
+    late, stride, reached = disturbed._late(week, 0)
+    limit = min(broken, proven, 8)
+    if limit >= 1:
+        assert (late, stride) == (limit * unit, unit)
+    else:
+        finest = week.problem.step
+        assert (late, stride) == (min(8, np.floor(limit * steps)) * finest, finest)
+    assert reached == (0.9 if late else week.ratio)
+    assert all(one <= broken * unit for one in asked)  # what a motion breaks is not tried to be proven
+    assert len(asked) <= 8  # four at either distance
+
+
+def test_what_is_far_below_the_worst_is_not_looked_at_and_changes_nothing(week, monkeypatch):
+    for k in range(week.samples):
+        lost = without(week, k, 1)
+        until = float(lost.times[-1]) - week.schedule.period
+        found = worst_ratio(week, lost, np.inf, until)
+        with monkeypatch.context() as patch:
+            patch.setattr(judges, "FAR", 0.0)
+            assert found == worst_ratio(week, lost, np.inf, until)

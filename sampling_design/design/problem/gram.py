@@ -110,35 +110,40 @@ class ScaledRows:
         return np.asarray(self.S.T @ self.S / self.unit)
 
     @cached_property
-    def _table(self) -> tuple[Array, Array]:
-        rows = np.linalg.solve(self.R.T, self._raw.T).T
-        slopes = rows @ self.A
-        shape = (_NODES, self.plant.n_outputs, self.plant.n_states)
-        return np.asarray(rows.reshape(shape), dtype=np.float64), slopes.reshape(shape)
+    def _table(self) -> Array:
+        rows = np.asarray(np.linalg.solve(self.R.T, self._raw.T).T, dtype=np.float64)
+        return self._side_by_side(rows, rows @ self.A)
 
     def rows(self, r: Array) -> Array:
         """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation (search only, never proof)."""
-        return self._between(self._table, r)
+        return self._between(self._table, r).reshape(*r.shape, self.plant.n_outputs, self.plant.n_states)
 
     @cached_property
-    def _flow_table(self) -> tuple[Array, Array]:
+    def _flow_table(self) -> Array:
         flow = expm_batch(self.A, self._nodes)
-        return flow, flow @ self.A
+        return self._side_by_side(flow, flow @ self.A)
 
     def flows(self, r: Array) -> Array:
         """Return e^{Ar} in the scaled basis, shape (*r.shape, n, n), 0 <= r <= window, likewise."""
-        return self._between(self._flow_table, r)
+        return self._between(self._flow_table, r).reshape(*r.shape, *self.A.shape)
 
-    def _between(self, table: tuple[Array, Array], r: Array) -> Array:
-        values, slopes = table
+    def _side_by_side(self, values: Array, slopes: Array) -> Array:
+        """Values and slopes at both ends of each step, in one row: a view, every node is held once."""
         h = self.window / (_NODES - 1)
-        place = np.clip(r / h, 0.0, _NODES - 1)
+        held = np.stack([values.reshape(_NODES, -1), h * slopes.reshape(_NODES, -1)], axis=1)
+        size = held[0].size
+        return np.lib.stride_tricks.sliding_window_view(held.ravel(), 2 * size)[::size]
+
+    def _between(self, table: Array, r: Array) -> Array:
+        place = np.minimum(np.maximum(r / (self.window / (_NODES - 1)), 0.0), _NODES - 1)
         node = np.minimum(place.astype(np.intp), _NODES - 2)
-        u = (place - node)[..., None, None]
+        u = place - node
         v = 1.0 - u
-        left = values[node] * (1 + 2 * u) + slopes[node] * (h * u)
-        right = values[node + 1] * (1 + 2 * v) - slopes[node + 1] * (h * v)
-        return np.asarray(left * v**2 + right * u**2)
+        weights = np.empty((*r.shape, 1, 4))
+        late, early = u**2, v**2
+        weights[..., 0, 0], weights[..., 0, 1] = (1 + 2 * u) * early, u * early
+        weights[..., 0, 2], weights[..., 0, 3] = (1 + 2 * v) * late, -v * late
+        return np.asarray(weights @ table[node].reshape(*r.shape, 4, table.shape[1] // 4))
 
     def least(self, grams: Array) -> tuple[Array, Array]:
         """Return sigma^2 of scaled Gram matrices (..., n, n) and the vectors z with z'S'Sz = 1 that attain it.

@@ -397,18 +397,23 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
 def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
     """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
-    period = maps[0]
-    for following in maps[1:]:
-        period = period.then(following)
-    several = period
-    for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
-        several = several.then(several)
-    known = np.diag(several.G)
-    start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
-    walk = RANDOM_WALK * several(start)
-    P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
     rooted = RootedPeriod(list(F), rows, [noise_root(w) for w in W])
-    if not rooted.walking(psd_root(walk)).gives_back(psd_root(P[0])):
+    start = np.eye(F.shape[1])
+    try:
+        period = maps[0]
+        for following in maps[1:]:
+            period = period.then(following)
+        several = period
+        for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
+            several = several.then(several)
+        known = np.diag(several.G)
+        start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
+        walk = RANDOM_WALK * several(start)
+        P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
+        followed = rooted.walking(psd_root(walk)).gives_back(psd_root(P[0]))
+    except np.linalg.LinAlgError:  # of a condition beyond doubles: on which side of singular it falls is rounding's
+        followed = False
+    if not followed:
         return _by_roots(rooted, np.sqrt(np.diag(start)))
     for following in maps[:-1]:
         P.append(following(P[-1]))
@@ -443,7 +448,10 @@ class LengthFlow:
         s = np.linspace(0.0, h, number + 1)
         E = expm_batch(A, s)
         middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
-        grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
+        with np.errstate(over="ignore"):
+            grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
+        if not np.isfinite(grown):
+            raise too_far()
         third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
         return cls(s, E @ G, E @ (A @ A @ G), third)
 

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+from sampling_design.recovery import chain
 from sampling_design.recovery.riccati import RootedPeriod
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -142,6 +143,24 @@ def test_growth_between_samples_costs_no_digits(growth):
     if growth == 3.0:
         ends = sd.standard_deviation(plant, sd.Schedule([0.0, 1.0, 2.0]), w_intensity=0.1, v_deviation=0.1, end=3.0)
         assert ends.profile[:, -1] == pytest.approx(in_many_digits(growth, 3), rel=1e-5)
+
+
+@pytest.mark.parametrize("growth", [3.0, 15.0, 20.0])
+def test_where_doubling_meets_a_singular_matrix_roots_go_on(growth, monkeypatch):
+    """Whether a condition beyond doubles is met as a singular matrix is rounding's, and the machine's."""
+
+    def singular(period):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(chain, "limit", singular)
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    found = sd.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=0.1, v_deviation=0.1)
+    assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)
+
+
+def test_gaps_whose_quadrature_overflows_are_undecided():
+    with pytest.raises(UndecidedError, match="grows so far between the samples"):
+        chain.LengthFlow.of(np.array([[0.0, 1e7], [0.0, 0.0]]), np.eye(2), 1.0)
 
 
 @pytest.mark.parametrize("growth", [28.0, 36.0, 100.0, 400.0])

@@ -1,5 +1,7 @@
 """The search: shares of the allowed time and back, and kicks that leave a local optimum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,10 +88,19 @@ def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
         tried.append(case.samples)
         return times, value
 
+    def led_nowhere(case, *_):
+        tried.append(-case.samples)
+
     monkeypatch.setattr(local_search, "refined", nothing_gained)
+    monkeypatch.setattr(local_search, "smoothed", led_nowhere)
+    units = np.array([1.0, 2.0, 1.0, 2.0])
     for samples in (4, 96):
-        case = problem(samples=samples, spacing=0.05, window=12.0, period=12.0)
-        times = spread(case, (np.arange(samples) + 0.5) / samples)
-        _kick(_Refinement(case, np.inf, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
+        turning = problem(samples=samples, spacing=0.05, window=12.0, period=12.0)
+        stretching = replace(turning, plant=Plant(turning.plant.A * units[:, None] / units, turning.plant.C / units))
+        times = spread(turning, (np.arange(samples) + 0.5) / samples)
+        for case in (turning, stretching):
+            _kick(_Refinement(case, np.inf, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
     assert tried.count(4) == 12
     assert 0 < tried.count(96) <= 4
+    assert tried.count(-4) == local_search._CHEAPER * 12
+    assert 0 < tried.count(-96) <= local_search._CHEAPER * 4

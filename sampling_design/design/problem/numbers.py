@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.problem.gram import ScaledRows
+from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +41,11 @@ class DesignProblem:
     def rows(self) -> ScaledRows:
         """The plant's rows over one window, in the scaled basis."""
         return ScaledRows(self.plant, self.window)
+
+    @cached_property
+    def turning(self) -> TurningWindows | None:
+        """Cheaper windows, where the plant's flow stretches no state."""
+        return TurningWindows.of(self.plant, self.window, self.period)
 
     @property
     def is_shift_invariant(self) -> bool:

@@ -73,6 +73,16 @@ def window_grams(problem: DesignProblem, times: Array, where: Positions, used: M
 
 def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None) -> Array:
     """Least sigma^2 over the positions, for each schedule (B, k) of sorted times; `used` as for `window_grams`."""
+    if problem.turning is None or not times.size:
+        return _worst_of_positions(problem, times, inner, used)
+    result, sure = problem.turning.worst(times, problem.measured(times) if used is None else used)
+    if not sure.all():
+        result[~sure] = _worst_of_positions(problem, times[~sure], inner, None if used is None else used[~sure])
+    return result
+
+
+def _worst_of_positions(problem: DesignProblem, times: Array, inner: int, used: Mask | None) -> Array:
+    """The same for any plant, a few positions in every gap."""
     result = np.empty(times.shape[0])
     chunk = max(1, _NUMBERS // (times.shape[1] * (12 + 4 * inner) * problem.plant.n_states**2))
     for low in range(0, times.shape[0], chunk):

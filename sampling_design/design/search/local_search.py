@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation, repeating
+from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import (
     even,
     exchanged,
@@ -23,7 +25,8 @@ from sampling_design.design.search.fedorov_exchange import (
     spread,
 )
 from sampling_design.design.search.refine import refined
-from sampling_design.design.search.rotations import rotated
+from sampling_design.design.search.rotations import exchanged_hours, rotated
+from sampling_design.design.search.smooth import smoothed
 from sampling_design.errors import SolverError
 
 Array = npt.NDArray[np.float64]
@@ -35,13 +38,19 @@ DRAWS = 60
 KICKS = 4
 """Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
 
-ROTATIONS = 4
-"""Rotations that are refined where what is allowed repeats."""
+ROTATIONS, CHEAP_ROTATIONS = 4, 80
+"""Rotations that are refined where what is allowed repeats; more where a quasi-Newton method leads them on."""
 
+_MORE_STEPS = 5.0  # times as many rotations are looked at then
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
 _MANY_SAMPLES = 32  # from there on
+_CHEAPER = 30  # kicks, where a quasi-Newton method refines them, for one that small semidefinite programs refine
+_GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what share of sigma^2 two must differ
+_EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
 _NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
+_FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
+HOPELESS_START, HOPELESS_KICK = 0.85, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 FIRST_STEPS = 12  # of that first refinement
@@ -93,7 +102,7 @@ def search(
     SolverError
         If no admissible start was found although the requirement leaves room for one.
     """
-    pool = _starts(problem, relaxation, rng, deadline)
+    pool, most = _starts(problem, relaxation, rng, deadline), KICKS * starts
     if not pool:
         raise SolverError(
             f"No admissible start was found for {problem.samples} samples, although there is room for them. "
@@ -101,10 +110,12 @@ def search(
             status="no start",
         )
     run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
+    if problem.turning is not None:
+        pool, starts = _led(run, problem.turning, pool, starts), min(starts, _FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
     order = np.argsort(-values, kind="stable")[:starts]
     named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
-    chosen = [*order, *named]
+    chosen = [*order, *(named if problem.turning is None else [])]
     for done, i in enumerate(chosen):
         if run.trials and run.is_over:
             break
@@ -117,14 +128,36 @@ def search(
             run.refine("exchange", t, value)
     if run.value <= 0 and not run.is_over:
         _restart(run, rng)
-    _kick(run, rng, KICKS * starts)
+    _kick(run, rng, most)
     complete = run.is_best or time.perf_counter() <= deadline
     return FoundSchedule(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
 
 
+def _led(
+    run: _Refinement, turning: TurningWindows, pool: list[tuple[str, Array]], starts: int
+) -> list[tuple[str, Array]]:
+    """The starts worth it, led on by the quasi-Newton method. Without time, as they are."""
+    problem = run.problem
+    values = worst_sigma2(problem, np.array([t for _, t in pool]))
+    best = np.argsort(-values, kind="stable")[:starts]
+    found = []
+    for i in [*best, *(i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in best)]:
+        if time.perf_counter() > run.deadline:
+            break
+        name, times = pool[i]
+        near = smoothed(problem, turning, times, HOPELESS_START * run.highest, run.deadline)
+        if near is not None:
+            run.keep(near)
+            found.append((name, near))
+    return found or pool
+
+
 @dataclass
 class _Refinement:
-    """The best schedule so far, its sigma^2, and the trials that led there."""
+    """The best schedule so far, its sigma^2, and the trials that led there.
+
+    `good` are the best that the quasi-Newton method led to, with their sigma^2.
+    """
 
     problem: DesignProblem
     deadline: float
@@ -132,6 +165,12 @@ class _Refinement:
     best: Array
     value: float
     trials: list[SearchTrial]
+    good: list[tuple[float, Array]] = field(default_factory=list)
+
+    @property
+    def highest(self) -> float:
+        """Sigma^2 of the best of those."""
+        return self.good[0][0] if self.good else 0.0
 
     @property
     def is_best(self) -> bool:
@@ -153,29 +192,66 @@ class _Refinement:
             self.best, self.value = times, after
         return better
 
+    def keep(self, times: Array) -> float:
+        """Keep a schedule among the few best to go on from, of those that are alike the best one; its sigma^2."""
+        value = float(worst_sigma2(self.problem, times[None])[0])
+        alike = [one for one in self.good if abs(one[0] - value) <= _ALIKE * value]
+        if all(value > known for known, _ in alike):
+            others = [one for one in self.good if abs(one[0] - value) > _ALIKE * value]
+            self.good = sorted([*others, (value, times)], key=lambda one: -one[0])[:_GOOD]
+        return value
+
 
 def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     """Move a few samples of the best schedule, near or far, and refine; until nothing was gained for a while."""
     problem, idle = run.problem, 0
     free = problem.samples - problem.fixed.size
     patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
+    if problem.turning is not None:
+        most, patience = most * _CHEAPER, patience * _CHEAPER
     if free == 0:
         return
     for _ in range(most):
         if run.is_over or idle >= patience or run.value >= (_NEAR * run.enough) ** 2:
             return
         idle += 1
-        shares = shares_of(problem, run.best[~np.isin(run.best, problem.fixed)])
-        moved = rng.choice(free, min(_KICKED, free), replace=False)
-        near = shares[moved] + rng.normal(size=moved.size) / free
-        shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
-        times = spread(problem, shares)
+        parent = run.good[rng.integers(len(run.good))][1] if run.good else run.best
+        times = _kicked(problem, parent, rng)
         if times is None or not is_admissible(problem, times):
             continue
         before = float(worst_sigma2(problem, times[None, :])[0])
-        times, value = refined(problem, times, before, steps=FIRST_STEPS, deadline=run.deadline)
-        if value > HOPELESS * run.value and run.refine("kick", times, value, before):
+        made = _first_steps(run, times, before)
+        if made is not None and run.refine("kick", *made, before):
             idle = 0
+
+
+def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, float] | None:
+    """The schedule after a first refinement and its sigma^2; None where it is not worth a second one."""
+    problem = run.problem
+    if problem.turning is None:
+        times, value = refined(problem, times, before, steps=FIRST_STEPS, deadline=run.deadline)
+        return (times, value) if value > HOPELESS * run.value else None
+    highest = run.highest
+    near = smoothed(problem, problem.turning, times, HOPELESS_KICK * highest, run.deadline)
+    if near is None:
+        return None
+    value = run.keep(near)
+    return (near, value) if value > highest * (1 + _GAIN) else None  # another one leads to no better one, mostly
+
+
+def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> Array | None:
+    """A few free samples moved at once, near or far; or where hours repeat, two samples' times of day exchanged."""
+    held = times[~np.isin(times, problem.fixed)]
+    parts = round(problem.period / turn(problem)) if repeating(problem) else 1
+    if parts > 1 and held.size > 1 and rng.uniform() < _EXCHANGED:
+        return exchanged_hours(problem, times, *rng.choice(held.size, 2, replace=False))
+    shares = shares_of(problem, held)
+    moved = rng.choice(held.size, min(_KICKED, held.size), replace=False)
+    near = shares[moved] + rng.normal(size=moved.size) / held.size
+    if parts > 1:  # another hour of the same day
+        near = (np.floor(shares[moved] * parts) + rng.uniform(size=moved.size)) / parts
+    shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
+    return spread(problem, shares)
 
 
 def _restart(run: _Refinement, rng: np.random.Generator) -> None:
@@ -212,7 +288,9 @@ def _starts(
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
     found.append(("packed", packed(problem)))
     if repeating(problem):
-        turned = rotated(problem, relaxation, ROTATIONS, _share(problem), deadline)
+        count = ROTATIONS if problem.turning is None else CHEAP_ROTATIONS
+        steps = 1.0 if problem.turning is None else _MORE_STEPS
+        turned = rotated(problem, relaxation, count, _share(problem), deadline, steps)
         found += [("rotated", times) for times in turned]
     else:
         found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]

@@ -30,27 +30,40 @@ _TINY = 1e-12  # of the period: rounding in a time that is shifted
 
 
 def rotated(
-    problem: DesignProblem, found: Relaxation, count: int, share: float = 1.0, deadline: float = np.inf
+    problem: DesignProblem,
+    found: Relaxation,
+    count: int,
+    share: float = 1.0,
+    deadline: float = np.inf,
+    finer: float = 1.0,
 ) -> list[Array]:
     """The `count` best admissible rotations, of which no two are alike; `share` of the usual number is looked at.
 
-    Those that were looked at by the `deadline` (perf_counter seconds).
+    The number of steps is `finer` times the usual one. Those that were looked at by the `deadline` (perf_counter
+    seconds).
     """
+    k = problem.samples
+    steps = int(np.clip(_STEPS * share / k, _OFFSETS, _MOST_STEPS) * finer)
+    wanted = [(step, offset) for step in np.arange(steps) / steps for offset in np.arange(_OFFSETS) / _OFFSETS]
+    drawn = _rotations(problem, found, np.array(wanted))
+    pool, values = _judged(problem, drawn, deadline)
+    new = np.append(True, np.diff(values) < -_GAIN * values[:-1])[: values.size]
+    best = list(pool[new][:count])
+    return [_swapped(problem, best[0], float(values[0]), share, deadline), *best[1:]] if best else []
+
+
+def _rotations(problem: DesignProblem, found: Relaxation, wanted: Array) -> list[Array]:
+    """Schedules of the steps and offsets that are `wanted` (m, 2), near admissible ones."""
     shift, k = turn(problem), problem.samples
     order = np.argsort(np.mod(found.times, shift), kind="stable")
     place, total = np.mod(found.times, shift)[order], np.cumsum(found.weights[order])
     j = np.arange(k)
     day = np.floor(j * (round(problem.period / shift) / k)) * shift
-    steps = int(np.clip(_STEPS * share / k, _OFFSETS, _MOST_STEPS))
     drawn = []
-    for step in np.arange(steps) / steps:
-        for offset in np.arange(_OFFSETS) / _OFFSETS:
-            at = np.searchsorted(total, np.mod(step * j + offset, 1.0) * total[-1])
-            drawn.append(day + place[np.minimum(at, place.size - 1)])
-    pool, values = _judged(problem, drawn, deadline)
-    new = np.append(True, np.diff(values) < -_GAIN * values[:-1])[: values.size]
-    best = list(pool[new][:count])
-    return [_swapped(problem, best[0], float(values[0]), share, deadline), *best[1:]] if best else []
+    for step, offset in wanted:
+        at = np.searchsorted(total, np.mod(step * j + offset, 1.0) * total[-1])
+        drawn.append(day + place[np.minimum(at, place.size - 1)])
+    return drawn
 
 
 def _swapped(problem: DesignProblem, times: Array, value: float, share: float, deadline: float) -> Array:
@@ -59,17 +72,25 @@ def _swapped(problem: DesignProblem, times: Array, value: float, share: float, d
     apart = int(min(_SWAPS * share / k**2, k // 2))
     pairs = [(i, (i + d) % k) for d in range(1, apart + 1) for i in range(k)]
     for _ in range(_ROUNDS):
-        day = np.floor(times / shift + _TINY) * shift
-        drawn = []
-        for i, other in pairs:
-            hours = times - day
-            hours[[i, other]] = hours[[other, i]]
-            drawn.append(day + hours)
+        drawn = [_swap(times, shift, i, other) for i, other in pairs]
         pool, values = _judged(problem, drawn, deadline)
         if not values.size or values[0] <= value * (1 + _GAIN):
             break
         times, value = pool[0], float(values[0])
     return times
+
+
+def exchanged_hours(problem: DesignProblem, times: Array, i: int, other: int) -> Array | None:
+    """The schedule after an exchange of the times of day of two samples; None where it does not fit."""
+    found = _admitted(problem, [_swap(times, turn(problem), i, other)])
+    return found[0] if found else None
+
+
+def _swap(times: Array, shift: float, i: int, other: int) -> Array:
+    day = np.floor(times / shift + _TINY) * shift
+    hours = times - day
+    hours[[i, other]] = hours[[other, i]]
+    return day + hours
 
 
 def _judged(problem: DesignProblem, drawn: list[Array], deadline: float) -> tuple[Array, Array]:

@@ -1,0 +1,86 @@
+"""Windows of a plant whose flow turns states and stretches none, at a tenth of what others cost.
+
+Where e^{As} is orthogonal, sigma is the same wherever a window begins between two samples, and seen from time 0 as well
+as from there. If the window holds whole periods, only one window for each sample is left; from one to the next the
+rows of a sample, C e^{As}, leave and come back a window later. Search only: nothing here is a claim.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
+_STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
+_NUMBERS = 400_000  # numbers per batch: fits into a cache
+UNSURE = 1e-5
+"""Of the largest eigenvalue of a window's Gram matrix: a least one below it has lost digits to the sums here."""
+
+
+class TurningWindows:
+    """Gram matrices, in the plant's own coordinates, of the windows that begin just before each of k samples."""
+
+    def __init__(self, plant: Plant, window: float, period: float) -> None:
+        skew = (plant.A - plant.A.T) / 2
+        self.speeds, self.modes = np.linalg.eigh(-1j * skew)
+        self.outputs = plant.C @ self.modes
+        self.period, self.repeats = period, round(window / period)
+
+    @classmethod
+    def of(cls, plant: Plant, window: float, period: float) -> TurningWindows | None:
+        """None where the flow stretches, or the window holds no whole number of periods."""
+        ratio = window / period
+        stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
+        whole = ratio > 1 - _WHOLE and abs(ratio - round(ratio)) <= _WHOLE * ratio
+        return cls(plant, window, period) if whole and stretch <= _STRETCH else None
+
+    def rows(self, times: Array, mask: Mask) -> tuple[Array, Array]:
+        """Rows C e^{As} and their derivatives, (*times.shape, p, n), zero where `mask` says that nothing is seen."""
+        turned = self.outputs * np.exp(1j * self.speeds * times[..., None])[..., None, :] * mask[..., None]
+        back = self.modes.conj().T
+        return (turned @ back).real, ((turned * (1j * self.speeds)) @ back).real
+
+    def grams(self, times: Array, mask: Mask) -> Array:
+        """(B, k, n, n) of the windows of each schedule (B, k) of sorted times."""
+        seen = [_squares(self.rows(times + r * self.period, mask)[0]) for r in range(self.repeats + 1)]
+        first = np.sum(seen[:-1], axis=(0, 2))[:, None]
+        moved = np.cumsum((seen[-1] - seen[0])[:, :-1], axis=1)
+        return np.concatenate([first, first + moved], axis=1)
+
+    def worst(self, times: Array, mask: Mask) -> tuple[Array, Mask]:
+        """Least sigma^2 of each schedule, and whether it has digits enough to say so."""
+        ends = np.empty((2, times.shape[0]))
+        chunk = max(1, _NUMBERS // (times.shape[1] * self.outputs.shape[1] ** 2))
+        for low in range(0, times.shape[0], chunk):
+            part = slice(low, low + chunk)
+            values = np.linalg.eigvalsh(self.grams(times[part], mask[part]))
+            ends[:, part] = values[..., 0].min(axis=1), values[..., -1].max(axis=1)
+        return ends[0], ends[0] > UNSURE * ends[1]
+
+    def soft(self, times: Array, mask: Mask, sharpness: float) -> tuple[float, Array]:
+        """-log(sum of e^{-sharpness lambda})/sharpness over all eigenvalues lambda of all windows, and its gradient.
+
+        A smooth function below the least eigenvalue: it comes as near as log(k n)/sharpness.
+        """
+        values, vectors = np.linalg.eigh(self.grams(times[None], mask[None])[0])
+        least = float(values.min())
+        shares = np.exp(-sharpness * (values - least))
+        total = float(shares.sum())
+        M = (vectors * (shares / total)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        later = np.cumsum(M[::-1], axis=0)[::-1]
+        every, after = later[0], np.concatenate([later[1:], np.zeros_like(M[:1])])  # windows that begin behind it
+        slope = np.zeros(times.size)
+        for r in range(self.repeats + 1):
+            c, d = self.rows(times + r * self.period, mask)
+            held = every - after if r == 0 else (after if r == self.repeats else every)
+            slope += 2 * np.sum((c @ held) * d, axis=(1, 2))
+        return least - float(np.log(total)) / sharpness, slope
+
+
+def _squares(rows: Array) -> Array:
+    return np.asarray(np.swapaxes(rows, -1, -2) @ rows)

@@ -45,12 +45,13 @@ _MORE_STEPS = 5.0  # times as many rotations are looked at then
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
 _MANY_SAMPLES = 32  # from there on
-_CHEAPER = 30  # kicks, where a quasi-Newton method refines them, for one that small semidefinite programs refine
+_CHEAPER, _ORDERS = 10, 3  # kicks that the quasi-Newton method refines for one of programs; more if hours have orders
 _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what share of sigma^2 two must differ
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
 _NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
+_LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 _FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
-HOPELESS_START, HOPELESS_KICK = 0.85, 0.92  # of the best sigma^2 after a few steps: not led on any further
+HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 FIRST_STEPS = 12  # of that first refinement
@@ -139,7 +140,7 @@ def _led(
     """The starts worth it, led on by the quasi-Newton method. Without time, as they are."""
     problem = run.problem
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
-    best = np.argsort(-values, kind="stable")[:starts]
+    best = np.argsort(-values, kind="stable")[: _LED * starts]
     found = []
     for i in [*best, *(i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in best)]:
         if time.perf_counter() > run.deadline:
@@ -208,7 +209,8 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     free = problem.samples - problem.fixed.size
     patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
     if problem.turning is not None:
-        most, patience = most * _CHEAPER, patience * _CHEAPER
+        more = _CHEAPER * (_ORDERS if repeating(problem) else 1)
+        most, patience = most * more, patience * more
     if free == 0:
         return
     for _ in range(most):

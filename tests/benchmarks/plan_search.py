@@ -95,7 +95,9 @@ def main(times, told):
             proof, goal = accuracy_of(found.problem, rival.chosen), found.problem.goals[0].tolerance
             assert proof.upper[0] >= level * goal
             assert proof.lower[0] >= found.ratio * (1 - found.gap) * goal * (1 - 1e-9)
-            figures = f"{found.ratio:.4f} | {level:.4f} | {spent:.1f} | {how} | {proof.upper[0] / goal:.4f} | {rival.tried}"
+            figures = (
+                f"{found.ratio:.4f} | {level:.4f} | {spent:.1f} | {how} | {proof.upper[0] / goal:.4f} | {rival.tried}"
+            )
             print(f"| {name} | {figures} |", flush=True)
 
 

@@ -14,7 +14,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import local_search
 from sampling_design.design.search.fedorov_exchange import is_admissible, packed, shares_of, spread
-from sampling_design.design.search.local_search import _kick, _Refinement, search
+from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
 from sampling_design.design.search.refine import refined
 
 
@@ -104,3 +104,16 @@ def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
     assert 0 < tried.count(96) <= 4
     assert tried.count(-4) == local_search._CHEAPER * 12
     assert 0 < tried.count(-96) <= local_search._CHEAPER * 4
+
+
+def test_starts_that_tie_keep_their_order_whatever_rounding_says():
+    assert _ranked(np.array([1 - 1e-12, 0.5, 1.0, 0.7])).tolist() == [0, 2, 3, 1]
+    assert _ranked(np.array([1 - 1e-6, 0.5, 1.0, 0.7])).tolist() == [2, 0, 3, 1]
+    assert _ranked(np.array([0.0, -1e-20, 0.0])).tolist() == [0, 2, 1]
+
+
+def test_even_samples_of_an_oscillator_begin_half_a_gap_after_the_origin():
+    """Moved at will they are as good: the first start that was found stays."""
+    oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    found = sd.design_schedule(oscillator, sd.Requirement(window=2 * np.pi, samples=4, spacing=0.1))
+    np.testing.assert_allclose(found.schedule.times, np.pi / 4 + np.pi / 2 * np.arange(4), rtol=1e-9)

@@ -54,6 +54,7 @@ _FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Ne
 HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
 HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined further
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
+_TIE = 1e-9  # likewise: less is rounding, and the schedule that was found first stays
 FIRST_STEPS = 12  # of that first refinement
 
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
@@ -114,7 +115,7 @@ def search(
     if problem.turning is not None:
         pool, starts = _led(run, problem.turning, pool, starts), min(starts, _FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
-    order = np.argsort(-values, kind="stable")[:starts]
+    order = _ranked(values)[:starts]
     named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
     chosen = [*order, *(named if problem.turning is None else [])]
     for done, i in enumerate(chosen):
@@ -134,13 +135,19 @@ def search(
     return FoundSchedule(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
 
 
+def _ranked(values: Array) -> npt.NDArray[np.intp]:
+    """The best first; those that tie with the best one in their own order, and not in that of their rounding."""
+    highest = float(np.max(values, initial=0.0))
+    return np.argsort(-np.where(values >= highest * (1 - _TIE), highest, values), kind="stable")
+
+
 def _led(
     run: _Refinement, turning: TurningWindows, pool: list[tuple[str, Array]], starts: int
 ) -> list[tuple[str, Array]]:
     """The starts worth it, led on by the quasi-Newton method. Without time, as they are."""
     problem = run.problem
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
-    best = np.argsort(-values, kind="stable")[: _LED * starts]
+    best = _ranked(values)[: _LED * starts]
     found = []
     for i in [*best, *(i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in best)]:
         if time.perf_counter() > run.deadline:
@@ -189,7 +196,7 @@ class _Refinement:
         first = value if before is None else before
         self.trials.append(SearchTrial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
         better = after > self.value * (1 + _GAIN) or len(self.trials) == 1
-        if after > self.value or len(self.trials) == 1:
+        if after > self.value * (1 + _TIE) or len(self.trials) == 1:
             self.best, self.value = times, after
         return better
 

@@ -222,8 +222,10 @@ class Accuracy(Gridded):
         if not parts:
             return text.strip()
         low, up = self.lower[known], self.upper[known]
-        width = float(np.max(np.divide(up, low, out=np.ones_like(up), where=low > 0))) - 1
+        widths = np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0) - 1
+        width = float(np.max(widths))
         late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
+        within = f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
         when = "At all times"
         if any(np.isinf(self.known_from[k]) for k in late):
             when = "Where the samples determine them"
@@ -231,7 +233,7 @@ class Accuracy(Gridded):
             when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{short(low, 4)} (brackets within {100 * width:.2g} %)."
+            f"{short(low, 4)} ({within})."
             + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )

@@ -27,6 +27,9 @@ SHOWN = 1e-9
 CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
 
+LAST_DIGIT = float(np.finfo(float).eps)
+"""So much of what w can move a state by may be left open of it, too: the last digit of w does that."""
+
 Array = npt.NDArray[np.float64]
 
 
@@ -107,6 +110,7 @@ class AccuracyWitness(Record):
             )
             terms = np.einsum("kij,kj->ki", np.abs(ahead), np.abs(z[at]))
             terms += np.einsum("kij,kj->ki", np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
+            terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=2))
             unit, left = terms.clip(1e-300), z[at + 1] - moved
             change = _least_change(flat / unit[:, :, None], left / unit)
             open_still = np.abs(left - _times(flat, change))

@@ -242,3 +242,16 @@ def test_what_only_the_width_of_panels_leaves_open_is_not_attacked_for_ever(monk
     assert found.lower[0] == pytest.approx(0.1, rel=1e-9)
     assert 0.1 <= found.upper[0] <= 0.101
     assert len(calls) < 20
+
+
+def test_states_that_a_motion_does_not_move_close_none_of_it_open():
+    """A satellite's radial place says nothing of its motion across: 1e-26 of rounding there left nothing attained."""
+    plant = sd.named_plant("satellite")
+    schedule = sd.PeriodicSchedule([1350.0] * 4, time_unit="s")
+    found = sd.accuracy(plant, schedule, w_bound=[1.85e-6] * 3, v_bound=[5.0] * 3, of=np.eye(6)[:1], rtol=0.02)
+    assert found.closed.all()
+    assert np.all(np.abs(found.witnesses[0].states[:, [2, 5]]) < 1e-20)
+    assert found.verify()
+    unattained = replace(found, lower=np.zeros(1)).explain()
+    assert "brackets" in found.explain()
+    assert "0: nothing was attained" in unattained

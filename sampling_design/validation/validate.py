@@ -121,10 +121,9 @@ def validate(
     root = source.bit_generator.seed_seq
     assert isinstance(root, np.random.SeedSequence)
     count = _checks.whole("runs", runs, 1)
-    settled = [plant.to_dict(), schedule.to_dict(), None if certificate is None else certificate.to_dict()]
-    of = (settled, bounds.to_dict(), estimator, duration, count, _seed_of(root), __version__, np.__version__)
+    settled = (plant, schedule, certificate, bounds, estimator, duration, count, _seed_of(root))
     study = Study(plant, schedule, certificate, bounds, estimator, duration)
-    study.journal = None if resume is None else Journal(resume, digest(*of))
+    study.journal = None if resume is None else Journal(resume, digest(*settled, __version__, np.__version__))
     study.run(chosen, root.spawn(count), workers, progress)
     settings = {
         "runs": count,

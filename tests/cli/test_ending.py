@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -179,3 +180,23 @@ def test_the_package_runs_as_a_module():
     told = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (told.returncode, told.stdout.split()[0], told.stderr) == (0, "sampling-design", "")
     importlib.import_module("sampling_design.__main__")  # as worker processes do: nothing runs
+
+
+def test_a_validation_that_was_killed_goes_on(tmp_path):
+    """The process dies with no warning; the second one certifies anew, and the certificate is the same."""
+    schedule = tmp_path / "schedule.csv"
+    schedule.write_text("# sampling-design schedule; time_unit=s; period=1.0\ntime\n1.0\n")
+    arguments = ["validate", str(OSCILLATOR), str(schedule), "--eta", "0.4", "--runs", "1500", "--quiet", "-o"]
+    command = [sys.executable, "-m", "sampling_design", *arguments]
+    assert subprocess.run([*command, str(tmp_path / "whole")], check=False, capture_output=True).returncode == 0
+    killed, journal = tmp_path / "killed", tmp_path / "killed" / "validation.journal"
+    with subprocess.Popen([*command, str(killed)], stdout=subprocess.DEVNULL) as process:
+        while not journal.exists() or journal.read_bytes().count(b"\n") < 3:
+            assert process.poll() is None
+            time.sleep(0.002)
+        process.kill()
+    kept = journal.read_bytes().count(b"\n")
+    again = subprocess.run([*command, str(killed)], check=False, capture_output=True, text=True)
+    assert (again.returncode, again.stderr) == (0, "")
+    assert kept >= 3
+    assert (killed / "report.json").read_bytes() == (tmp_path / "whole" / "report.json").read_bytes()

@@ -56,8 +56,9 @@ _COMMON: dict[str, tuple[object, object]] = {
 }
 
 
-NO_BUDGET = ("accuracy", "plan", "next", "certify", "estimate", "explore", "new", "validate", "thyroid")
-"""Commands whose work is given by their arguments: nothing in them could end early with what it has."""
+NO_BUDGET = ("accuracy", "plan", "next", "certify", "estimate", "explore", "new", "pareto", "validate", "thyroid")
+"""Commands whose work is given by their arguments: nothing in them ends early with what it has, unless (`pareto`) it is
+told to. What ends by the clock depends on how many share the work."""
 
 
 @dataclass

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design._checks import positive
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
@@ -59,8 +60,18 @@ def pareto(
     counts: Annotated[str, typer.Option(help="Samples per period: 8,10,12 or 8-16.")] = "",
     workers: Hands = 1,
     scheduler: Scheduler = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds that all counts may take together; bounds then depend on how fast they are worked out. "
+            "Default: none.",
+            metavar="SECONDS",
+        ),
+    ] = None,
 ) -> None:
     """Design for several counts: what more samples buy. With -o DIR it can be interrupted and resumed.
+
+    Without a budget the result is the same for any number of workers.
 
     Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
     """
@@ -78,7 +89,7 @@ def pareto(
             workers=hands,
             resume=resume,
             progress=progress,
-            budget=settings.budget,
+            budget=None if budget is None else positive("budget", budget),
         )
     if folder is not None and resume is not None:
         settings.wrote(resume)

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+import sampling_design as sd
+from sampling_design.design.pareto import ParetoFront
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 
@@ -44,6 +47,22 @@ def test_pareto_draws_and_resumes(shell, tmp_path):
     again = json.loads(shell("pareto", OSCILLATOR, "--counts", "2-4", "-o", tmp_path, "--json").out)
     assert again["points"][:2] == kept["points"]
     assert len(again["points"]) == 3
+
+
+def test_a_clock_ends_pareto_only_where_it_is_asked_to(shell, monkeypatch):
+    """What ends by the clock depends on how many share the work."""
+    given = []
+
+    def asked(plant, requirement, counts, *, budget, **rest):
+        given.append(budget)
+        return ParetoFront(())
+
+    monkeypatch.setattr(sd, "pareto", asked)
+    assert shell("pareto", OSCILLATOR, "--counts", "2").code == 0
+    assert shell("pareto", OSCILLATOR, "--counts", "2", "--budget", "7").code == 0
+    assert given == [None, 7.0]
+    refused = shell("pareto", OSCILLATOR, "--counts", "2", "--budget", "-1")
+    assert (refused.code, "budget` must be" in refused.err) == (2, True)
 
 
 @pytest.mark.parametrize("counts", ["", "a", "3-", "2-b"])

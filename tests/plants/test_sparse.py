@@ -104,6 +104,17 @@ def test_dominance_proves_that_nothing_is_retained():
         split_sparse(plant, decay_rate=0.5)
 
 
+def test_many_small_asymmetries_are_one_large():
+    """Each entry of the hub's row is symmetric to rounding in units of |A|; their sum moves eigenvalues."""
+    n = 10_000
+    star = sparse.diags_array(-np.append(n - 1.0, np.ones(n - 1))).tolil()
+    star[0, 1:] = star[1:, 0] = 1.0
+    assert split_sparse(SparsePlant(star, np.eye(1, n)), decay_rate=0.1).eigenvalues.size == 1
+    star[0, 1:] = 1.0 + 1e-12
+    with pytest.raises(ArgumentError, match="not symmetric"):
+        split_sparse(SparsePlant(star, np.eye(1, n)), decay_rate=0.1)
+
+
 def test_small_splits_agree_with_the_dense_verb():
     plant = library.droop_network(60, meters=2, seed=2)
     dense = library.double_integrator().__class__(plant.A.toarray() / plant.mass[:, None], plant.C.toarray())

@@ -43,6 +43,10 @@ FAMILY_STATES = 8
 """Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with
 their sixth power, two seconds for six, minutes for eleven."""
 
+OWN_SAMPLES = 10_000
+"""Most samples whose own times are certified in passing: some six seconds; memory and work grow with their number, and
+some three times as many are more than one proof may follow."""
+
 MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
 Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
 WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
@@ -208,6 +212,9 @@ def _from_gaps(
             return sd.certify(plant, family, **chosen), f"Guarantee for all schedules with {seen}."
         except (MathematicsError, SolverError):
             pass  # not every schedule with these gaps can be certified: perhaps this one can
+    if times.size > OWN_SAMPLES:
+        words = f"No guarantee beyond the ellipsoid: the file's own {times.size} times ({seen}) are more than the "
+        return None, words + f"{OWN_SAMPLES} that are certified in passing. Give a certificate or a schedule."
     order = np.unique(record.times, return_index=True)[1]
     kept = order[measured[order]]
     mask = np.isfinite(record.y[kept])

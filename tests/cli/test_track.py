@@ -319,6 +319,20 @@ def test_a_family_is_not_sought_in_passing_for_many_states(shell, tmp_path, monk
     assert "ask `certify --gap-range`: 2 states take it long" in told
 
 
+def test_the_own_times_of_a_long_record_are_not_certified_in_passing(shell, tmp_path, monkeypatch):
+    """Gaps around half a turn hide a state, so that no family with them can be certified."""
+    readings = write_readings(tmp_path / "y.csv", [1.0, 1.5, 4.7, 5.2, 8.4])
+    short = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
+    monkeypatch.setattr("sampling_design.cli.track.OWN_SAMPLES", 4)
+    long = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
+    assert (short.code, long.code) == (0, 0)
+    assert "Guarantee for the file's own times only" in " ".join(short.err.split())
+    assert (
+        "the file's own 5 times (gaps from 0.5 to 3.2 s) are more than the 4 that are certified in passing"
+        in " ".join(long.err.split())
+    )
+
+
 def test_of_many_states_fewer_rows_are_looked_at_closely(shell, tmp_path, monkeypatch):
     """Two states count as many here; of eleven a row took a second."""
     readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])

@@ -63,7 +63,7 @@ def test_curves_never_sink_below_their_lowered_chords(cells, seed, monkeypatch):
     table, _, at = tables.at(cells, point)
     z, d = rng.normal(size=3), rng.normal(size=3) * 0.3
     X = (np.outer(z, z + d) + np.outer(z + d, z)) / 2
-    value, bent = (part[0].transpose(0, 2, 1) @ (z + d) for part in table.against(z[None], at))
+    value, bent = (part[0].transpose(0, 2, 1) @ (z + d) for part in table.against(z[None], at)[:2])
     here = at[0, :, :-1]
     sink = np.maximum(bent[:, :-1], bent[:, 1:]) * table.eighth[here]
     low = value - around(np.maximum(sink + table.beyond[here] * np.linalg.norm(X, "nuc"), 0.0))

@@ -2,6 +2,7 @@
 
 import json
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -82,7 +83,7 @@ def test_samples_half_a_period_apart_leave_a_direction_unseen():
     assert (found.lower, found.status, found.closed) == (0.0, "below rounding", True)
     assert found.upper < 1e-12
     assert found.witness[1] - found.witness[0] == pytest.approx(np.pi, abs=1e-9)
-    assert "zero to rounding" in found.explain()
+    assert "which rounding does not tell from zero" in found.explain()
 
 
 def test_just_above_the_critical_number_sigma_is_small_but_proven_positive():
@@ -296,3 +297,53 @@ def test_a_plant_without_states_is_plain_data_without_infinities():
     data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert found.lower == np.inf
     assert (data["lower"], data["upper"], data["status"]) == (None, None, "no states")
+
+
+@pytest.mark.parametrize(
+    ("count", "scale", "best"),
+    [(3, 1.0, np.sqrt(0.5)), (4, 1.0, 1.0), (4, 1e3, 1.0), pytest.param(6, 1.0, 2.0, marks=pytest.mark.long)],
+)
+def test_clusters_of_a_millionth_half_a_turn_apart_are_found_and_closed(count, scale, best):
+    """Samples half a turn apart see the same state least: two clusters of them around its two zeros, in closed form."""
+    plant, spacing = Plant(scale * oscillators(1.0).A, [[1.0, 0.0]]), 1e-6 / scale
+    found = worst_case_sigma(plant, SpacedWindows(4.0 / scale, count, spacing))
+    assert found.closed
+    assert found.upper == pytest.approx(1e-6 * best, rel=1e-6)
+    assert 0.99 * found.upper <= found.lower <= 1e-6 * best * (1 + 1e-9)
+
+
+def test_a_zero_that_clusters_would_hide_is_found():
+    found = worst_case_sigma(oscillators(1.0), SpacedWindows(20.0, 4, 1e-6))
+    assert (found.status, found.lower) == ("below rounding", 0.0)
+    assert found.upper < 1e-14
+    assert np.allclose(np.diff(found.witness) % np.pi, 0.0, atol=1e-7) or np.allclose(
+        np.sin(np.diff(found.witness)), 0.0, atol=1e-7
+    )
+
+
+def test_two_samples_a_millionth_of_the_window_apart_close():
+    found = worst_case_sigma(chain(2), SpacedWindows(4.0, 2, 1e-6))
+    assert found.closed
+    assert found.upper == pytest.approx(1e-6 / np.sqrt(34), rel=1e-5)
+
+
+def test_what_rounding_may_take_from_the_sums_is_less_than_is_allowed():
+    """Against 80 digits: the rows and the state as the tables hold them, the form at a corner of a small cell."""
+    rng = np.random.default_rng(5)
+    rows = SpacedRows(oscillators(1.0), 4.0, 3, 1e-6)
+    tables = Tables(rows, np.array([0.0, 1e-3, 2.0]), 1e-4)
+    cells = tables.least_cells
+    point = np.tile(np.arange(cells + 1), (1, 3, 1))
+    table, _, at = tables.at(cells, point)
+    for half in (1e-8, 1e-4, 1e-1):
+        y = np.array([[1.0, rng.uniform(-0.5, 0.5)]])
+        step = np.array([[0.0, half]])
+        along, _, of_y = table.against(y, at)
+        computed = np.einsum("bknw,bn->bkw", along, y) + along[:, :, 1] * half
+        allowed = table.rounded(y, step, of_y, at)
+        with mpmath.workdps(80):
+            for k, w in np.ndindex(3, cells + 1):
+                seen = mpmath.matrix(table.seen[at[0, k, w]].tolist())
+                f, g = (seen * mpmath.matrix(v.tolist()) for v in (y[0], (y + step)[0]))
+                true = sum(a * b for a, b in zip(f, g, strict=True))
+                assert abs(float(true - computed[0, k, w])) <= allowed[0, k, w]

@@ -18,6 +18,8 @@ _TURNS = 30
 _NEWTON_STEPS = 40
 _DAMPING = np.append(10.0 ** np.arange(-14.0, 0.5), [4.0, 16.0])  # of the largest curvature: all tried at once
 _TIE = 1e-9  # slacks closer than this part of S move together
+_LOOKS, _MOST_DIPS = 512, 64  # cells in which dips of one direction are looked for, and how many are followed
+_HALVINGS = 52  # of such a cell
 _NUMBERS = 2_000_000  # numbers per batch of starts
 LEAST_CELLS, _MOST_CELLS = 48, 2048
 
@@ -51,6 +53,8 @@ def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np
     starts = max(4, min(_STARTS, _NUMBERS // table.shape[0]))
     directions = np.vstack([basis.T, rng.standard_normal((starts, rows.n)) @ basis.T])
     found = _alternate(rows, slacks, table, directions, deadline)
+    if rows.spacing < rows.slack / cells:  # clusters are narrower than the grid: where it puts two of them says nothing
+        found = np.vstack([found, *(_clustered(rows, x) for x in directions if time.monotonic() <= deadline)])
     sigma, _ = _weakest(rows.observed(found))
     order = np.argsort(sigma, kind="stable")[:3]
     polished = [polish(rows, found[i], rows.slack / cells, deadline) for i in order]
@@ -70,7 +74,8 @@ def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.in
     for _ in range(_TURNS):
         if time.monotonic() > deadline:
             return best
-        local = np.unique(np.clip(best.slacks[:, None] + step * np.linspace(-1, 1, 9), 0.0, rows.slack))
+        near = (best.slacks[:, None] + step * np.linspace(-1, 1, 9)).ravel()
+        local = np.unique(np.clip(np.append(near, _dips(rows, best.direction)), 0.0, rows.slack))
         seen = rows.at(rows.times(local[:, None])) @ best.direction
         path = least_path(np.sum(seen**2, axis=-1).T[None])[0]
         trial = worst_of(rows, local[path][None])
@@ -81,6 +86,38 @@ def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.in
             if step < 1e-4 * rows.slack:
                 break
     return _newton(rows, best, deadline)
+
+
+def _clustered(rows: SpacedRows, direction: Array) -> Array:
+    """The worst schedule (1, k) for a direction with all samples around its dips; none (0, k) where it has none."""
+    slacks = np.unique(_dips(rows, direction))
+    if not slacks.size:
+        return np.zeros((0, rows.count))
+    seen = rows.at(rows.times(slacks[:, None])) @ direction
+    return slacks[least_path(np.sum(seen**2, axis=-1).T[None])]
+
+
+def _dips(rows: SpacedRows, direction: Array) -> Array:
+    """Slacks at which samples cluster around a least |C e^{At} x|, to the last digit: no grid meets what is as narrow.
+
+    m samples around t begin at t - (m - 1) epsilon/2, which for the i-th of all is that slack less (i - 1) epsilon.
+    """
+    edges = np.linspace(0.0, rows.window, _LOOKS + 1)
+    slope = _slopes(rows, direction, edges)
+    at = np.flatnonzero((slope[:-1] < 0) & (slope[1:] >= 0))[:_MOST_DIPS]
+    low, high = edges[at], edges[at + 1]
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        falls = _slopes(rows, direction, middle) < 0
+        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+    slacks = (high[:, None] - rows.spacing / 2 * np.arange(2 * rows.count - 1)).ravel()
+    return slacks[(slacks >= 0) & (slacks <= rows.slack)]
+
+
+def _slopes(rows: SpacedRows, direction: Array, times: Array) -> Array:
+    """Half the slope of |C e^{At} x|^2."""
+    state = rows.plant.transition(times) @ direction
+    return np.asarray(np.sum((state @ rows.C.T) * (state @ (rows.C @ rows.A).T), axis=1))
 
 
 def _weakest(observed: Array) -> tuple[Array, Array]:

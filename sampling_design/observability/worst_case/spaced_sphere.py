@@ -335,13 +335,13 @@ class _Batch:
     def _samples(self, table: CurveTable, blur: Array, at: Indices) -> None:
         """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums."""
         z, half, reach = self.cells.centre, self.cells.half, self.reach[:, None, None]
-        along, bent = table.against(z, at)
+        along, bent, of_z = table.against(z, at)
         self.own_cost = np.einsum("bknw,bn->bkw", along, z)
         bent = np.einsum("bknw,bn->bkw", bent, z) + np.einsum("bknw,bn->bkw", np.abs(bent), half)
         cell = at[..., :-1]
         sink = np.maximum(bent[..., :-1], bent[..., 1:]) * table.eighth[cell] + table.beyond[cell] * reach
         self.sink = around(np.maximum(sink, 0.0))
-        self.lost = blur[at] * self.most[:, None, None] + table.rounding[at] * reach
+        self.lost = blur[at] * self.most[:, None, None] + table.rounded(z, half, of_z, at)
         base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
         self.cost = self._corners(base, along)
         self.so_far = sums_so_far(self.cost, self.start)

@@ -12,6 +12,7 @@ from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
 _EPS = float(np.finfo(float).eps)
+_TINY = float(np.finfo(float).tiny)
 _NUMBERS = 6_000_000  # most numbers in a table of all points of a grid; of finer ones those that are asked for are made
 MOST_CELLS = 2**40  # cells of the finest grid, about
 _WIDER = 0.25  # a first cell is no wider than this part of its time since the first sample, or of the spacing
@@ -28,6 +29,8 @@ class CurveTable(NamedTuple):
         h^2/8.
     beyond : (M,) array
         (h^2/8)^2 times a proven bound on |d^4 G/dt^4| within the cell.
+    size, wrong : (M,) arrays
+        |R|; and what the rounding of R itself, a product, can take from z'Gz, |z| = 1, beyond the part `forgiven`.
     rounding : (M,) array
         Of y'Gz and of its place in a sum of k, for |y| |z| = 1.
     """
@@ -37,15 +40,29 @@ class CurveTable(NamedTuple):
     bending: Array
     eighth: Array
     beyond: Array
+    size: Array
+    wrong: Array
     rounding: Array
 
-    def against(self, y: Array, at: Indices) -> tuple[Array, Array]:
-        """Gy and G''y, (B, k, n, W), at the knots `at` (B, k, W), for y (B, n)."""
+    def against(self, y: Array, at: Indices) -> tuple[Array, Array, Array]:
+        """Gy and G''y, (B, k, n, W), and |Ry| (B, k, W), at the knots `at` (B, k, W), for y (B, n)."""
         seen, turning, bending = self.seen[at], self.turning[at], self.bending[at]
         of_y, turned, bent = (np.einsum("bkwpn,bn->bkwp", part, y) for part in (seen, turning, bending))
         value = np.einsum("bkwpn,bkwp->bknw", seen, of_y)
         second = np.einsum("bkwpn,bkwp->bknw", seen, bent) + np.einsum("bkwpn,bkwp->bknw", bending, of_y)
-        return value, second + 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
+        second += 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
+        return value, second, np.linalg.norm(of_y, axis=3)
+
+    def rounded(self, y: Array, half: Array, of_y: Array, at: Indices) -> Array:
+        """What rounding can take from y'Gc at the corners c of the cell y +- half, (B, k, W), where |Ry| is `of_y`.
+
+        Products with Ry as it was rounded lose a part of |Ry| |R| |c|; Ry itself is off by a part of |R| |y|, times
+        |Rc| <= |Ry| + |R| |c - y|. So little is lost where y is hardly seen and the cell is small.
+        """
+        long, wide = (np.linalg.norm(part, axis=1)[:, None, None] for part in (y, half))
+        size = np.maximum(self.size[at], _TINY)
+        lost = self.rounding[at] * np.minimum(2 * of_y / size + wide + _EPS * long, long)
+        return np.asarray((long + wide) * (lost + self.wrong[at] * (long + wide)))
 
 
 class StartTable(NamedTuple):
@@ -79,7 +96,8 @@ class Tables:
     first sample's, which is then as free as the others (`pulled` is False).
 
     Rows y + e with |e| <= delta have |y + e|^2 >= (1 - g) |y|^2 - delta^2/g for every g in (0, 1). `forgiven`
-    is g: the caller takes this part off every bound, and delta^2/g/(1 - g) is `blur`.
+    is g: the caller takes this part off every bound, and 2 delta^2/g/(1 - g) is `blur` for the exponentials' share of
+    e, `wrong` for that of their product with L: |a + b|^2 <= 2 |a|^2 + 2 |b|^2.
     """
 
     def __init__(self, rows: SpacedRows, worst: Array, forgiven: float) -> None:
@@ -93,6 +111,7 @@ class Tables:
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
         self.growth = max(0.0, float(np.abs(np.linalg.eigvalsh((inner + inner.T) / 2)).max(initial=0.0)))
         self._whole = max(2, _NUMBERS // (3 * rows.count * rows.p * rows.n))
+        self._near = worst - worst[0]
         self._first = self._first_knots()
         self._kept: dict[int, tuple[CurveTable, Array]] = {}
         self._starts: dict[int, StartTable] = {}
@@ -103,13 +122,14 @@ class Tables:
         return int(min(wanted, 2 ** np.floor(np.log2(self._whole))))
 
     def _first_knots(self) -> Array:
-        """Knots of the first grid: near the first sample as fine as the spacing."""
+        """Knots of the first grid: near the samples of the worst schedule known as fine as the spacing."""
         S, wide = self.rows.slack, self.rows.slack / self.first_cells()
         if not self.pulled:
             return np.linspace(0.0, S, self.first_cells() + 1)
         knots = [0.0]
         while knots[-1] < S:
-            knots.append(knots[-1] + min(wide, max(_WIDER * (knots[-1] + self.rows.spacing), 1e-12 * S)))
+            away = float(np.min(np.abs(self._near - knots[-1])))
+            knots.append(knots[-1] + min(wide, max(_WIDER * (away + self.rows.spacing), 1e-12 * S)))
         return np.append(np.array(knots[:-1]) * (S / knots[-1]), S)
 
     @property
@@ -140,7 +160,7 @@ class Tables:
         slack = self.knot(cells, point)
         times = np.minimum(slack + self.rows.offsets[sample], self.rows.window)
         step = self.knot(cells, np.minimum(point + 1, cells)) - slack
-        blur = self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
+        blur = 2 * self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
         return self._curve(self.rows.at(times), step, self.rows.A), blur
 
     def starts(self, cells: int) -> StartTable:
@@ -175,6 +195,8 @@ class Tables:
         """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots and the widths of their cells."""
         p, n = values.shape[-2:]
         derivative = [values @ self.basis]
+        wrong = 2 * (n * _EPS * np.linalg.norm(values, axis=(1, 2)) * np.linalg.norm(self.basis)) ** 2
+        wrong /= self.forgiven * (1 - self.forgiven)
         for _ in range(4):
             values = values @ A
             derivative.append(values @ self.basis)
@@ -182,6 +204,5 @@ class Tables:
         a = [d * np.exp(self.growth * step) for d in size]
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
         rounding = 8 * (self.rows.count + n + p) ** 1.5 * _EPS * size[0] ** 2
-        return CurveTable(
-            derivative[0], derivative[1], derivative[2], step**2 / 8, fourth * (step**2 / 8) ** 2, rounding
-        )
+        seen, turning, bending, eighth = *derivative[:3], step**2 / 8
+        return CurveTable(seen, turning, bending, eighth, fourth * eighth**2, size[0], wrong, rounding)

@@ -160,7 +160,8 @@ class WorstCaseSigma(SigmaBracket):
             return f"{many}, are fewer measurements than the {self.direction.size} states: sigma is 0."
         where = f"The worst times are {short(self.witness)} {unit}"
         if self.status == "below rounding":
-            return f"{where}; they do not see the state {short(self.direction)}: sigma is zero to rounding."
+            seen = f"of the state {short(self.direction)} they see {short(self.upper)}"
+            return f"{where}; {seen}, which rounding does not tell from zero."
         proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 

@@ -32,7 +32,7 @@ def test_one_solve_with_a_full_window(benchmark, every):
     before, warm = scheme.state, scheme.window
 
     def rewind():
-        scheme.state, scheme.window = before, warm
+        scheme.state, scheme.search.window = before, warm
 
     estimate = benchmark.pedantic(lambda: scheme.update(TIMES[-1], Y[-1]), setup=rewind, rounds=20, warmup_rounds=1)
     assert estimate.status == "ok"

@@ -1,4 +1,4 @@
-"""Run every benchmark and write docs/benchmarks.md: `python tests/benchmarks/report.py`.
+"""Run every benchmark and write docs/benchmarks.md: `python tests/benchmarks/report.py`, or some: `... worst_case`.
 
 Times are medians over several rounds of one run on one machine, so that the ratios hold where the absolute
 figures do not. First calls are benchmarks of their own.
@@ -110,11 +110,16 @@ def beside(page: str) -> dict[str, list[str]]:
     return found
 
 
-def main() -> None:
-    """Write the page; what people wrote after a table stays there."""
-    kept = beside(TARGET.read_text() if TARGET.exists() else "")
+def main(asked: list[str]) -> None:
+    """Write the page, or the tables that are asked for anew; what people wrote after a table stays there."""
+    page = TARGET.read_text() if TARGET.exists() else ""
+    kept = beside(page)
+    before = {section.split("\n")[0]: section.rstrip().split("\n") for section in page.split("\n## ")[1:]}
     lines = ["# Benchmarks", "", "Made by `python tests/benchmarks/report.py` with the `test` extra installed, "]
-    lines[-1] += f"on {date.today()}."
+    lines[-1] += (
+        f"on {date.today()}, all figures of a table within one run; paragraphs with a command of their own were "
+    )
+    lines[-1] += "run apart."
     lines += [""]
     lines += [f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()}; "]
     lines[-1] += ", ".join(f"{name} {version(name)}" for name in LIBRARIES) + ". One BLAS thread."
@@ -123,10 +128,13 @@ def main() -> None:
             continue
         summary = (path.read_text().split('"""')[1].strip().splitlines() or [""])[0]
         title = path.stem.removeprefix("bench_").replace("_", " ").capitalize()
+        if asked and title in before and path.stem.removeprefix("bench_") not in asked:
+            lines += ["", f"## {before[title][0]}", *before[title][1:]]
+            continue
         lines += ["", f"## {title}", "", summary, "", *table([measured(entry) for entry in run(path)])]
         lines += kept.get(title, [])
     TARGET.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

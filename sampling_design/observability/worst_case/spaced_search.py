@@ -70,12 +70,13 @@ def search_from(rows: SpacedRows, direction: Array, cells: int) -> Attained:
 
 def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.inf) -> Attained:
     """Improve one schedule off the grid: alternation on shrinking local grids, then Newton on what is free."""
-    best = worst_of(rows, slacks[None])
+    best, tight = worst_of(rows, slacks[None]), rows.spacing < step
     for _ in range(_TURNS):
         if time.monotonic() > deadline:
             return best
         near = (best.slacks[:, None] + step * np.linspace(-1, 1, 9)).ravel()
-        local = np.unique(np.clip(np.append(near, _dips(rows, best.direction)), 0.0, rows.slack))
+        far = _dips(rows, best.direction) if tight else best.slacks  # what the grid has not resolved may be elsewhere
+        local = np.unique(np.clip(np.append(near, far), 0.0, rows.slack))
         seen = rows.at(rows.times(local[:, None])) @ best.direction
         path = least_path(np.sum(seen**2, axis=-1).T[None])[0]
         trial = worst_of(rows, local[path][None])

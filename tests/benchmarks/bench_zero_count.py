@@ -26,7 +26,7 @@ def test_critical_length(benchmark, order):
     assert benchmark(critical_length, values) >= np.pi / (order // 2)
 
 
-def test_kappa_of_a_long_lap(benchmark):
+def test_kappa_of_a_long_period(benchmark):
     K = SamplingSet(PeriodicSchedule(np.random.default_rng(0).uniform(0.1, 1.0, 10_000)))
     assert benchmark(K.kappa, 100.0) > 100
 

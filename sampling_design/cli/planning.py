@@ -39,7 +39,7 @@ def plan(
         float,
         typer.Option(
             metavar="SECONDS",
-            help="Work of the search, as seconds of a core; what follows may take half as much more, and 2 s.",
+            help="Work of the search, as seconds of a core; what follows may take as much again, and 2 s.",
         ),
     ] = 60.0,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",

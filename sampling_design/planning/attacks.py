@@ -100,7 +100,8 @@ class AttackPool:
 
     def add(self, attack: HiddenMotion) -> None:
         """Keep one more."""
-        self.attacks.append(attack)
+        if not any(known is attack for known in self.attacks):
+            self.attacks.append(attack)
 
     def against(self, chosen: Mask) -> tuple[float, HiddenMotion | None, int]:
         """The largest ratio of accuracy to tolerance that the pool proves of a choice, the attack, and its end."""

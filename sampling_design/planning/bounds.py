@@ -50,6 +50,9 @@ ADDED = 8
 FLAT = 1e-6
 """Rows that raise a node by no more than this share are the last, unless they exclude a choice."""
 
+BELOW = 1 - 1e-6
+"""A level this much below what a motion reaches that all that is allowed hides is out of reach."""
+
 ENDS = 6
 """Ends of one attack that are added at a time."""
 
@@ -247,6 +250,11 @@ def out_of_reach(
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
+    ratio, attack, end = pool.against(cover.problem.allowed)
+    if attack is not None:  # a motion that nothing shows proves its level alone
+        place = next(a for a, each in enumerate(pool.attacks) if each is attack)
+        proof = prove_cost(cover, pool, ratio * BELOW, more, work, [(place, end)], decide=True)
+        best, low = (proof, proof.level) if proof.value >= more * (1 - 1e-9) else (None, 0.0)
     while high > low * (1 + width) and not work.over:
         level = (low + high) / 2 if best is None else float(np.sqrt(low * high))
         proof = prove_cost(cover, pool, level, more, work, keys, find=find, decide=True)

@@ -197,6 +197,12 @@ class Cover:
         weights = attack.weights(level)
         return np.minimum(weights[:, self.used].sum(axis=1, keepdims=True), 1.0) if self.whole else weights
 
+    def sizes(self, attack: HiddenMotion, ends: npt.NDArray[np.intp], level: float) -> npt.NDArray[np.intp]:
+        """How many of the measurements that may be taken see an attack turned to each of these ends."""
+        seen = self.view(attack, level) > 0
+        there = self.places[self.at] >= 0
+        return np.asarray(np.sum(seen[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
+
     def row(self, attack: HiddenMotion, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
         """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
         weights = self.view(attack, level)

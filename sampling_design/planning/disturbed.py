@@ -126,7 +126,7 @@ def _proven_late(plan: PlanFigures, k: int, stride: float, unbroken: int) -> tup
 
 def _broken(plan: PlanFigures, sequence: SampleSequence) -> bool:
     """Whether a motion on the raster breaks a tolerance before the first sample that is another one, or after it."""
-    return worst_ratio(plan, sequence, 1.0, float(sequence.times[sequence.first + 1])) > 1
+    return worst_ratio(plan, sequence, 1.0, float(sequence.times[sequence.first + 1]), closely=False) > 1
 
 
 def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
@@ -135,5 +135,5 @@ def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
     if ratio <= 1:
         return ratio
     until = float(sequence.times[-1]) - plan.schedule.period
-    attained = worst_ratio(plan, sequence, np.inf, until)
+    attained = worst_ratio(plan, sequence, np.inf, until, closely=False)
     return attained if attained > 1 else ratio

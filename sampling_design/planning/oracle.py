@@ -29,6 +29,12 @@ FAR = 0.5
 
 MOST_KNOTS = 400
 
+FEW = 60
+"""Measurements that may be taken, up to which each of them can be looked at by itself."""
+
+REMEMBERED = 8
+"""Choices of which it is remembered what they came to."""
+
 SHALLOW = (16, 4)
 """Shares of the past that refute a choice first, where all of it makes a large program."""
 
@@ -47,10 +53,14 @@ class Oracle:
         self.back = 0
         self.work = Work()
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+        self.few = int(problem.allowed.sum()) <= FEW
+        """Whether so little may be measured that it can be gone through one by one."""
         spread = any(goal.spread for goal in problem.goals)
         self.spread = RasterFilter(problem, motion, self.work) if spread else None
-        self._kept: tuple[object, tuple[float, list[HiddenMotion]]] = None, (0.0, [])
-        """The last choice that took long to judge and was not refuted, and what it came to."""
+        self._kept: dict[object, tuple[float, list[HiddenMotion]]] = {}
+        """What the last choices that were judged came to."""
+        self._feared = 0
+        """The goal that was broken last."""
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def count(self, work: Work) -> None:
@@ -66,18 +76,23 @@ class Oracle:
         `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
         Infinite, without an attack, where the choice hides a motion that never fades.
         """
-        if self.hidden(chosen) is not None:
-            return np.inf, []
+        key = chosen.tobytes(), self.back, above, longest
+        if key not in self._kept:
+            hidden = self.hidden(chosen) is not None
+            self._kept[key] = (np.inf, []) if hidden else self._judged(chosen, above, longest)
+            while len(self._kept) > REMEMBERED:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[key]
+
+    def _judged(self, chosen: Mask, above: float, longest: bool) -> tuple[float, list[HiddenMotion]]:
+        """The same, worked out."""
         goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
         turns = all(goal.at != "given times" for goal in self.problem.goals)
         worst, found = self._deviations(chosen)
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
         order = np.argsort(-gaps, kind="stable")[: LONGEST if longest and turns else None].tolist() if goals else []
-        key = chosen.tobytes(), self.back, above, longest
         depths = self._depths(chosen, int(at[order[0]]), above) if order else []
-        if key == self._kept[0]:
-            return self._kept[1]
         for back in depths:
             known: set[bytes] = set()
             for k in order:
@@ -91,9 +106,18 @@ class Oracle:
                 worst = max([worst, *(attack.reach for attack in attacks)])
                 if worst > above:
                     return worst, found
-        if len(depths) > 1:
-            self._kept = key, (worst, found)
         return worst, found
+
+    def elsewhere(self, chosen: Mask, attack: HiddenMotion, level: float) -> list[HiddenMotion]:
+        """The strongest attack of a goal that is broken in a gap, for every gap but that in which a known one ends."""
+        at = np.flatnonzero(chosen.any(axis=1))
+        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        found = list[HiddenMotion]()
+        for last, length in zip(at.tolist(), gaps.tolist(), strict=True):
+            if (attack.end - last) % self.problem.steps > length:
+                found += self._gap(chosen, last, length, goals, level, self.back)
+        return [other for other in found if other.reach > level]
 
     def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
         """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
@@ -130,22 +154,67 @@ class Oracle:
     def _gap(
         self, chosen: Mask, last: int, length: int, goals: list[int], above: float, back: int
     ) -> list[HiddenMotion]:
-        """The strongest attacks that end in the gap after a sample."""
+        """The strongest attacks that end in the gap after a sample; of few measurements, up to one beyond `above`."""
         if not self.back:
             self._look_back(chosen, last, length, goals)
         window = self._window(chosen, last, back or self.back)
         best: list[HiddenMotion] = []
-        for g in goals:
+        for g in sorted(goals, key=lambda g: g != self._feared):
             looks = self.looked(window, g, last, length, above)
             attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
             best += [attack] if attack is not None else []
+            if self.few and attack is not None and attack.reach > above:
+                self._feared = g
+                break
         return best
 
-    def looked(self, window: RasterWindow, g: int, last: int, length: int, above: float = np.inf) -> dict[int, float]:
+    def ending(self, chosen: Mask, attack: HiddenMotion, level: float) -> HiddenMotion | None:
+        """The strongest attack that ends where another one does and that a choice hides; None up to a level."""
+        at = np.flatnonzero(chosen.any(axis=1))
+        since = (attack.end - at - (not attack.at_sample)) % self.problem.steps + (not attack.at_sample)
+        length = int(since.min(initial=self.problem.steps + 1))
+        if length > (0 if attack.at_sample else self.motion.longest):
+            return None
+        last = int(at[np.argmin(since)])
+        window = self._window(chosen, last, self.back)
+        if self.reach(window, length, attack.goal) <= level:
+            return None
+        return self._attack(window, last, length, attack.goal)
+
+    def drifting(self, blindness: Blindness, level: float) -> HiddenMotion | None:
+        """A motion that reaches a level since nothing outside `blindness.where` shows it, however long it drifts.
+
+        None where w does not drive it, or only slowly.
+        """
+        hidden = self.problem.allowed & ~blindness.where
+        at = np.flatnonzero(hidden.any(axis=1))
+        gaps = np.diff(np.append(at, at[:1] + self.problem.steps))
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        if not goals or not at.size:
+            return None
+        last, length = int(at[np.argmax(gaps)]), int(gaps.max())
+        back, knots = self.back or 2 * length, 0
+        while back <= FARTHEST * self.problem.steps and knots < MOST_KNOTS:
+            window = self._window(hidden, last, back)
+            for g in goals:
+                looks = self.looked(window, g, last, length, level)
+                if max(looks.values(), default=0.0) > level:
+                    attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g)
+                    if attack is not None and attack.reach > level:
+                        return attack
+            if len(window.knots) == knots:
+                break
+            back, knots = 2 * back, len(window.knots)
+        return None
+
+    def looked(
+        self, window: RasterWindow, g: int, last: int, length: int, above: float = np.inf, *, closely: bool = True
+    ) -> dict[int, float]:
         """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
 
         Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
-        any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`.
+        any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
+        `closely`, only at the end.
         """
         goal, length = self.problem.goals[g], min(length, self.motion.longest)
         if goal.at == "after each sample":
@@ -153,6 +222,8 @@ class Oracle:
         if goal.at == "given times":
             within = {int(o) for o in (goal.steps - last) % self.problem.steps if o <= length}
             return {offset: self.reach(window, offset, g) for offset in sorted(within)}
+        if not closely:
+            return {length: self.reach(window, length, g)}
         found = {
             offset: self.reach(window, offset, g)
             for offset in {round(length * i / QUARTERS) for i in range(QUARTERS + 1)}

@@ -88,7 +88,7 @@ def plan(
         Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
         solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
         of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate
-        and robustness) may take half as much more and two seconds, and what does not fit in is left out, and said
+        and robustness) may take as much again and two seconds, and what does not fit in is left out, and said
         (`left_out`). None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
@@ -185,7 +185,7 @@ class _Planning:
         search = self.search
         self._require_seen()
         worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
-        search.add(attacks, 1.0)
+        search.add(attacks, 0.0 if self.oracle.few else 1.0)
         if worst > 1:
             self._refuse(attacks)
         everything = self._densest()
@@ -379,7 +379,7 @@ class _Planning:
         """
         search = self.search
         while (blindness := self.oracle.hidden(chosen)) is not None:
-            search.blind.append(blindness.where)
+            search.see(blindness, 0.0)
             model = search.cover.model([], [], 0.0, search.blind)
             other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:

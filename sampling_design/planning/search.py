@@ -13,10 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import AttackPool, HiddenMotion, weighed
-from sampling_design.planning.bounds import separated
+from sampling_design.planning.attacks import MOST_ENDS, AttackPool, HiddenMotion, weighed
+from sampling_design.planning.bounds import BELOW, separated
 from sampling_design.planning.cover import NODES, Cover, Key, cheapest
+from sampling_design.planning.evidence import EASED
 from sampling_design.planning.hitting import Hit, hit
+from sampling_design.planning.motion import Blindness
+from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.oracle import SETTLED, Oracle
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.work import WEIGHED
@@ -45,6 +48,9 @@ TANGENTS = 40
 
 WHOLE = 1e-6
 """An entry counts as 0 or 1 within this."""
+
+FRUITLESS = 5
+"""Repairs in a row that come to nothing, after which only the cheapest choices are judged."""
 
 FLAT = 1e-5
 """A tangent that raises the least cost by no more than this share is the last."""
@@ -138,11 +144,25 @@ class PlanSearch:
         if self.late:
             return
         if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
-            self.add(self.oracle.judge(self.cover.choice(x), above=level)[1], level)
+            chosen = self.cover.choice(x)
+            if (blindness := self.oracle.hidden(chosen)) is not None:
+                self.see(blindness, level)
+                return
+            attacks = [attack for attack in self.oracle.judge(chosen, above=level)[1] if attack.reach > level]
+            self.add(attacks, level)
+            if attacks and self.oracle.few:
+                self._fainter(max(attacks, key=lambda a: a.reach), level, chosen)
             return
         z = self.cover.measured(x)
         found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
         self.add([t for t in found if t is not None], level)
+
+    def see(self, blindness: Blindness, level: float) -> None:
+        """Ask for a measurement that shows what never fades, by a motion that reaches a level if there is one."""
+        self.blind.append(blindness.where)
+        attack = self.oracle.drifting(blindness, level) if self.oracle.few else None
+        if attack is not None:
+            self.add([attack], level)
 
     def _typical_ends(self, g: int) -> list[int]:
         steps = self.problem.steps
@@ -192,7 +212,7 @@ class PlanSearch:
             self.counted = found is not None and (found.chosen is not None or found.none)
             if found is None or found.chosen is None or (blindness := self.oracle.hidden(found.chosen)) is None:
                 return found if self.counted else None
-            self.blind.append(blindness.where)
+            self.see(blindness, level)
         return None
 
     def _candidate(self, keys: list[Key], level: float, below: float = np.inf) -> tuple[Mask | None, bool]:
@@ -208,7 +228,7 @@ class PlanSearch:
             if chosen is None:
                 return None, none
             if (blindness := self.oracle.hidden(chosen)) is not None:
-                self.blind.append(blindness.where)
+                self.see(blindness, level)
                 continue
             fresh = self._unseen(chosen, level, keys)
             if not fresh or self.late:
@@ -223,7 +243,10 @@ class PlanSearch:
             if attack.reach < level:
                 continue
             ends = np.flatnonzero(self.pool.proven(attack, at, sensor) >= level)
-            ends = ends[np.round(np.linspace(0, ends.size - 1, min(SPREAD_ENDS, ends.size))).astype(int)]
+            if self.oracle.few:
+                size = self.cover.sizes(attack, ends, level)
+                ends = ends[size == size.min(initial=self.problem.allowed.size)]
+            ends = ends[_spread(ends.size, SPREAD_ENDS)]
             fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
         return fresh
 
@@ -240,9 +263,16 @@ class PlanSearch:
             if worst <= level:
                 return True
         if attacks:
-            attack = max(attacks, key=lambda a: a.reach)
-            self.faint(attack.goal, attack.end + self.problem.steps, level, trial)
+            self._fainter(max(attacks, key=lambda a: a.reach), level, trial)
         return False
+
+    def _fainter(self, attack: HiddenMotion, level: float, known: Mask) -> None:
+        """Keep an attack like one that `known` does not see, which less of what may be measured sees."""
+        if attack.flight is None or not self.oracle.few:
+            self.faint(attack.goal, attack.end + self.problem.steps, level, known)
+        else:
+            for each in (attack, *self.oracle.elsewhere(known, attack, level)):
+                self.pool.add(narrowed(self.oracle, each, level))
 
     def deepened(self, chosen: Mask, worst: float, enough: float, patience: int = 1) -> float:
         """How bad a choice is if one looks farther back, and so for all others from then on.
@@ -279,8 +309,7 @@ class PlanSearch:
             for i, j in zip(*np.nonzero(chosen), strict=True):
                 rest = chosen.copy()
                 rest[i, j] = False
-                self.oracle.work.add((0.0, WEIGHED), len(self.pool.attacks))
-                values = self.pool.swaps(rest, options)
+                values = self._swapped(rest, options)
                 for o in np.argsort(values, kind="stable")[:20].tolist():
                     if values[o] >= best * (1 - 1e-6):
                         break
@@ -323,6 +352,12 @@ class PlanSearch:
         chosen[np.round(np.arange(count) * self.problem.steps / count).astype(int)] = True
         return [chosen] if self.problem.is_admissible(chosen) else []
 
+    def _swapped(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
+        """What the attacks so far prove of a choice with each option added, counted."""
+        ends = min(self.problem.steps, MOST_ENDS)
+        self.oracle.work.add_each(len(self.pool.attacks), WEIGHED, ends * len(options))
+        return self.pool.swaps(rest, options)
+
     def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:
         """Move one measurement at a time to where the standard deviations are least, while that gains."""
         assert self.oracle.spread is not None
@@ -351,7 +386,7 @@ class PlanSearch:
     def cheapest(self, level: float, rounds: int) -> None:
         """The least cost at a level: the cheapest choices that see every attack, until one of them holds."""
         keys = self.found.keys
-        best = np.inf
+        best, fruitless = np.inf, 0
         for _ in range(rounds):
             if self.late:
                 return
@@ -365,7 +400,9 @@ class PlanSearch:
             if self.late and self.found.chosen is not None:  # cut short: what a longer search would never look at
                 return
             self.found.rounds += 1
-            for trial in (chosen, self.repaired(chosen, level, best)):
+            more = self.repaired(chosen, level, best) if fruitless < FRUITLESS or not self.oracle.few else None
+            fruitless = 0 if more is not None else fruitless + 1
+            for trial in (chosen, more):
                 if trial is None or self.problem.cost(trial) >= best:
                     continue
                 worst, attacks = self.oracle.judge(trial, above=level)
@@ -379,8 +416,7 @@ class PlanSearch:
                     self.keep(trial, worst)
                 elif attacks:
                     attack = max(attacks, key=lambda a: a.reach)
-                    aim = 1.0 if attack.reach > 1 + level * 1e-3 else level
-                    self.faint(attack.goal, attack.end + self.problem.steps, aim, trial)
+                    self._fainter(attack, 1 / EASED**2 if attack.reach > 1 + level * 1e-3 else level, trial)
 
     def repaired(self, chosen: Mask, level: float, dearest: float) -> Mask | None:
         """Add the measurement that hides least of what is left open, until the attacks so far are seen."""
@@ -391,8 +427,7 @@ class PlanSearch:
             self.add(attacks, level)
             if worst <= level:
                 return trial
-            self.oracle.work.add((0.0, WEIGHED), len(self.pool.attacks))
-            values = self.pool.swaps(trial, options)
+            values = self._swapped(trial, options)
             for o in np.argsort(values, kind="stable").tolist():
                 more = trial.copy()
                 more[options[o]] = True
@@ -407,8 +442,9 @@ class PlanSearch:
 
     def improve(self, rounds: int) -> None:
         """Most accurate: ask for a little less than the best so far until that is out of reach."""
+        least = self.pool.against(self.problem.allowed)[0]
         while not self.late:
-            lowest = self.found.out_of_reach
+            lowest = max(self.found.out_of_reach, least * BELOW)
             if lowest > 0 and self.found.worst <= lowest * (1 + NARROW):
                 self.found.complete = True
                 return
@@ -416,6 +452,11 @@ class PlanSearch:
             answer = self.decide(level, rounds)
             if answer is None:
                 return
+
+
+def _spread(size: int, count: int) -> npt.NDArray[np.intp]:
+    """So many places of a list, evenly spread."""
+    return np.round(np.linspace(0, size - 1, min(count, size))).astype(np.intp)
 
 
 def _ends(problem: PlanProblem, g: int) -> Mask:

@@ -15,6 +15,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
+from sampling_design.planning.settling import settled_factors
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
 from sampling_design.planning.work import BETWEEN, CHAIN, GAINS
 from sampling_design.recovery.between import Integrals, Open, open_row
@@ -26,6 +27,10 @@ Mask = npt.NDArray[np.bool_]
 
 SHARPER = 40
 """Offsets of a gap that are solved, at most."""
+
+
+FADED = 0.01
+"""What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
 
 
 def looks_back(plan: PlanFigures) -> int:
@@ -49,21 +54,32 @@ def settles(plan: PlanFigures) -> int:
     return max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
 
 
-def worst_ratio(plan: PlanFigures, sequence: SampleSequence, above: float = np.inf, until: float = np.inf) -> float:
+def worst_ratio(
+    plan: PlanFigures,
+    sequence: SampleSequence,
+    above: float = np.inf,
+    until: float = np.inf,
+    *,
+    closely: bool = True,
+) -> float:
     """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the raster.
 
-    Stops once a gap is worse than `above`, or begins at or after `until`.
+    Stops once a gap is worse than `above`, or begins at or after `until`. Unless `closely`, a gap is looked at where it
+    ends, and only the worst of them elsewhere: attained all the same.
     """
     oracle = plan.oracle
     spread = spread_of(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
     if spread > above or plan.accuracy is None:
         return spread
-    return max(spread, _bounded_worst(oracle, sequence, plan.samples, above, until))
+    return max(spread, _bounded_worst(oracle, sequence, plan.samples, above, until, closely=closely))
 
 
-def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: float, until: float) -> float:
+def _bounded_worst(
+    oracle: Oracle, sequence: SampleSequence, count: int, above: float, until: float, *, closely: bool
+) -> float:
     """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
     worst = before = here = 0.0
+    where = None
     goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
     start = max(sequence.first - 1, 0)
     for k in range(start, len(sequence.times) - 1):
@@ -72,14 +88,19 @@ def _bounded_worst(oracle: Oracle, sequence: SampleSequence, count: int, above: 
         window, last, length = window_after(oracle, sequence, k)
         for g in goals:
             far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
-            here = max(here, *oracle.looked(window, g, last, length, far).values(), 0.0)
+            looks = oracle.looked(window, g, last, length, far, closely=closely)
+            found = max(looks.values(), default=0.0)
+            where = (window, g, last, length) if found > max(worst, here) else where
+            here = max(here, found)
+            if here > above:
+                return here
         worst = max(worst, here)
-        if worst > above:
-            break
         if (k - start) % count == count - 1:
             if here <= before:
                 break
             before, here = here, 0.0
+    if where is not None and not closely:
+        worst = max(worst, *oracle.looked(*where).values())
     return worst
 
 
@@ -127,14 +148,18 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     if settled < sequence.first or not _is_the_plan(search, filtered, settled):
         return np.inf
     goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
+    usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
+    begins, factors = _settling(plan, sequence, search, filtered, settled, back)
     for k in range(max(sequence.first - 1, 0), settled + back):
+        if k >= begins and usual * factors[k - begins] <= max(worst, usual * (1 + FADED)):
+            worst = max(worst, usual * float(factors[k - begins]))
+            continue
         for goal, known in goals:
             work.add((BETWEEN, 0.0), 0.0)
             opened = open_row(search.chain, k, goal.row, known=known)
             worst = max(worst, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
         if worst > 1:
             return worst
-    usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     wider, room = 1.0, 1 / usual if 0 < usual < 1 else np.inf
     for k in range(settled, settled + memory):
         phase = phase_of(schedule, float(times[k]) - sequence.shift)
@@ -170,6 +195,20 @@ def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
         return search.gains(k, search.chain.mu(k, row[None])[:, 0]).value
     opened = open_row(search.chain, k, row, d)
     return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
+
+
+def _settling(
+    plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, settled: int, back: int
+) -> tuple[int, Array]:
+    """From which sample on all is the plan's again, and how much more than its gaps those from there on are at most."""
+    begins = settled
+    if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
+        return settled + back, np.zeros(0)
+    while begins > sequence.first and _is_the_plan(search, own, begins - 1):
+        begins -= 1
+    phases = [phase_of(plan.schedule, float(t) - sequence.shift) for t in sequence.times[begins : settled + back]]
+    reach = [search.atoms[begins + k].reach for k in range(len(phases))]
+    return begins, settled_factors(plan, phases, reach)
 
 
 def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:

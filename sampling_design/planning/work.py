@@ -20,8 +20,8 @@ COVER, NODE = (5e-3, 3.5e-7), 10
 MEETING = (4e-5, 2e-9)
 """Of a node of a tree of sets that a choice must meet, and for each entry of them."""
 
-WEIGHED = 6e-4
-"""For each attack, of weighing what may take the place of a measurement."""
+WEIGHED = (1.2e-4, 2e-9)
+"""For each attack, of weighing what may take the place of a measurement, and for each end and measurement."""
 
 FILTER = (4e-5, 1e-7)
 """Of each step of a filter, and for each choice, step and state."""
@@ -44,7 +44,7 @@ CHAIN = (1e-2, 2e-4)
 CERTIFIED = (1.5, 0.06)
 """Of a certificate, and for each sample, with n states, n^2 times."""
 
-AFTER = ((0.1, 1.0), (0.2, 1.5), (0.5, 2.0))
+AFTER = ((0.1, 1.0), (0.2, 1.5), (1.0, 2.0))
 """By what share of itself, and how many seconds, a budget may be exceeded: after the proof of the least cost, after
 that of the best accuracy, and in the end."""
 
@@ -78,6 +78,10 @@ class Work:
         if self.firm and self.spent + more > self.limit:
             raise WorkSpentError
         self.spent += more
+
+    def add_each(self, count: int, price: tuple[float, float], size: float) -> None:
+        """Count so many programs alike."""
+        self.add((count * price[0], count * price[1]), size)
 
     def until(self, share: float, seconds: float, *, firm: bool = False) -> None:
         """Let so much be spent in all beyond the budget: a share of it, and seconds."""

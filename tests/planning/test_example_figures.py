@@ -29,6 +29,18 @@ def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reache
         assert found.bound.ratio.level >= out_of_reach - ROUNDED
 
 
+@pytest.mark.long
+def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_bear():
+    requirement, plant = requirement_and_plant(PLANS / "satellite_passes.toml")
+    found = sd.plan(plant, requirement)
+    assert found.cost == found.bound.cost.value == 19.0
+    assert found.ratio <= 0.93
+    assert found.gap <= 0.05
+    assert found.left_out == ()
+    assert found.robustness is not None
+    assert found.robustness.least_late >= 300.0
+
+
 @pytest.mark.parametrize("name", ["cart_pendulum", "satellite"])
 def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundredth(name):
     found = sd.plan(*plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False)

@@ -17,7 +17,7 @@ ROUNDED = 0.002
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "cost", "cheapest", "reached", "out_of_reach"),
-    [("tide_gauge", 4.0, 2.0, 0.916, 0.648), ("thyroid_month", 72.0, 54.0, 0.983, 0.953)],
+    [("tide_gauge", 4.0, 2.0, 0.916, 0.714), ("thyroid_month", 72.0, 54.0, 0.983, 0.953)],
 )
 def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reached, out_of_reach):
     requirement, plant = requirement_and_plant(PLANS / f"{name}.toml")

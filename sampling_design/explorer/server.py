@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import secrets
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -19,6 +21,9 @@ from sampling_design.explorer.socket_frames import TEXT, accepted, frame, messag
 MODULE = Path(__file__).with_name("explorer.js")
 LARGEST = 1_000_000
 """Bytes of a question; 400 samples of 30 sensors take a tenth of it."""
+_LINGER = 2.0  # seconds that whoever still sends is listened to after the last answer
+_UNREAD = 20 * LARGEST  # bytes that are thrown away meanwhile
+_BLOCK = 65536  # of them at a time
 
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -75,6 +80,17 @@ class Server(ThreadingHTTPServer):
         """A browser that has gone away is no defect; anything else is told."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+    def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
+        """End a connection once its peer has: closed with bytes unread it is reset, and the last answer is lost."""
+        line = request if isinstance(request, socket.socket) else request[1]
+        until, unread = time.monotonic() + _LINGER, _UNREAD
+        with suppress(OSError):  # gone, or silent for too long
+            line.shutdown(socket.SHUT_WR)
+            while unread > 0 and (left := until - time.monotonic()) > 0:
+                line.settimeout(left)
+                unread -= len(line.recv(_BLOCK)) or unread
+        self.close_request(request)
 
     @property
     def address(self) -> str:

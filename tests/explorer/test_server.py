@@ -73,6 +73,23 @@ def test_a_question_too_large_is_refused(server):
     assert ask(server, "POST", "/ask", X_Token=server.token, Content_Length=str(LARGEST + 1))[0] == 413
 
 
+def test_a_refusal_reaches_whoever_is_still_sending(server):
+    for _ in range(20):
+        assert ask(server, "POST", "/ask", bytes(4 * LARGEST), X_Token=server.token)[0] == 413
+
+    def send_on(line):
+        began = time.monotonic()
+        while time.monotonic() - began < 10:
+            line.sendall(bytes(65536))
+
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as line:
+        line.sendall(b"POST /ask HTTP/1.1\r\nContent-Length: 9999999\r\n\r\n")
+        heard = b"".join(iter(lambda: line.recv(65536), b""))
+        assert heard.startswith(b"HTTP/1.1 413 ")
+        with pytest.raises(ConnectionError):  # who sends without end is not listened to for ever
+            send_on(line)
+
+
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 
 

@@ -206,12 +206,12 @@ def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRe
     }
     bounds = [push.get(name, 0.0) for name in states]
     return sd.PlanRequirement(
-        goals,  # type: ignore[arg-type]  # numbers are tolerances
+        goals,  # numbers are tolerances
         period=asked.period if calendar is not None or asked.period is not None else span,
         raster=asked.raster or (RASTER if calendar is not None else None),
         spacing=asked.spacing,
         visit_price=asked.visit,
         w_bound=bounds,
-        sensors=sensors,  # type: ignore[arg-type]  # tables of terms
-        calendar=calendar,  # type: ignore[arg-type]  # a table of its keys
+        sensors=sensors,  # tables of terms
+        calendar=calendar,  # a table of its keys
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +69,16 @@ class AccuracyGoal(Record):
     at: str | Sequence[float] = "all times"
     row: Array | None = None
     kind: str = KINDS[0]
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            tolerance: float,
+            at: str | Sequence[float] = "all times",
+            row: npt.ArrayLike | None = None,
+            kind: str = "guaranteed",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         _word("kind", self.kind, KINDS)
@@ -225,6 +235,25 @@ class PlanRequirement(Record):
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
+
+    if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
+
+        def __init__(
+            self,
+            accuracy: Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None = None,
+            period: Duration | None = None,
+            raster: Duration | None = None,
+            spacing: Duration | None = None,
+            samples: int | None = None,
+            cost_limit: float | None = None,
+            visit_price: float = 0.0,
+            aim: str | None = None,
+            w_bound: DisturbanceBound = None,
+            sensors: Mapping[str, SensorTerms | Mapping[str, object]] | None = None,
+            calendar: OpeningCalendar | Mapping[str, object] | None = None,
+            time_unit: str | None = None,
+            w_intensity: DisturbanceBound = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}

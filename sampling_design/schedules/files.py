@@ -91,7 +91,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
         if "times" not in data:
             raise ArgumentError("a periodic schedule needs `gaps`, or `times` and `period`.")
         return PeriodicSchedule.from_times(data["times"], data["period"], outputs, **details)
-    by_gaps = PeriodicSchedule(data["gaps"], data.get("first"), outputs, **details)  # type: ignore[arg-type]
+    by_gaps = PeriodicSchedule(data["gaps"], data.get("first"), outputs, **details)
     if "times" not in data:
         return by_gaps
     by_times = PeriodicSchedule.from_times(data["times"], data["period"], outputs, **details)

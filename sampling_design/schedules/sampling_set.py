@@ -130,7 +130,7 @@ class SamplingSet(Record):
         if isinstance(self.schedule, PeriodicSchedule):
             turn = -((i - 1) % len(self.schedule))
             turned = None if mask is None else np.roll(mask, turn, axis=0)
-            return PeriodicSchedule(np.roll(self.schedule.gaps, turn), None, turned, **details)  # type: ignore[arg-type]
+            return PeriodicSchedule(np.roll(self.schedule.gaps, turn), None, turned, **details)
         times = self.schedule.times
         return Schedule(times[i - 1 :] - times[i - 2], None if mask is None else mask[i - 1 :], **details)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, TypedDict, Unpack
+from typing import TYPE_CHECKING, ClassVar, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ class Details(TypedDict, total=False):
 
     time_unit: str | None
     origin: str | None
-    output_names: tuple[str, ...] | None
+    output_names: Sequence[str] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,6 +92,12 @@ class Schedule(_Sampled):
     _reader: ClassVar[str] = "read_schedule"
     times: Array
     outputs: Mask | None = None
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self, times: npt.ArrayLike, outputs: npt.ArrayLike | None = None, **details: Unpack[Details]
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         times = _checks.increasing("times", self.times, _GAPS_SLIP)
@@ -197,6 +204,16 @@ class PeriodicSchedule(_Sampled):
     outputs: Mask | None = None
     times: Array = field(init=False)
     period: float = field(init=False)
+
+    if TYPE_CHECKING:  # likewise
+
+        def __init__(
+            self,
+            gaps: npt.ArrayLike,
+            first: float | None = None,
+            outputs: npt.ArrayLike | None = None,
+            **details: Unpack[Details],
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         gaps = _checks.vector("gaps", self.gaps)

@@ -1,12 +1,15 @@
 """The front door: every name opens, is documented and typed, and costs nothing before it is used."""
 
 import ast
+import doctest
 import importlib
 import inspect
 import pickle
+import pkgutil
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -151,21 +154,51 @@ WRONG = {
 
 
 def _others():
-    """As a user's mypy has it: our bodies are not read again, nor the types of the libraries below us."""
+    """As a user's mypy has it: our bodies are not read again, nor the types of the libraries below us.
+
+    An example of a docstring may name whatever its file names.
+    """
     (skipped,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
     below = f"[mypy-{','.join(skipped['module'])}]\nignore_missing_imports = true\nfollow_imports = skip\n"
-    return f"{below}[mypy-sampling_design.*]\nfollow_imports = silent\n"
+    return f"{below}[mypy-sampling_design.*]\nfollow_imports = silent\nimplicit_reexport = true\n"
+
+
+_CODES = "arg-type|call-arg|call-overload|dict-item|list-item"
+UNFIT = re.compile(rf'examples\.py:\d+: error: (?!.*"\*\*dict).*\[({_CODES})\]')
+"""Something is passed that the types do not take; what `**` of a table hands on, mypy cannot know."""
+
+
+def docstring_examples():
+    """Every example of every docstring as a function of its own, with what it names of its file."""
+    names = [m.name for m in pkgutil.walk_packages(sampling_design.__path__, "sampling_design.")]
+    finder, found = doctest.DocTestFinder(), {}
+    for module in [importlib.import_module(name) for name in names if not name.endswith("__main__")]:
+        for test in finder.find(module, module.__name__):
+            code = "".join(example.source for example in test.examples)
+            read = {node.id for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)}
+            named = sorted(read & vars(module).keys())
+            found[test.name] = "".join(f"from {module.__name__} import {name}\n" for name in named) + code
+    texts = [textwrap.indent(code, "    ") for code in found.values() if code]
+    return "".join(f"def example_{k}() -> None:\n{text}\n" for k, text in enumerate(texts))
 
 
 def test_an_editor_knows_our_types(tmp_path):
-    """One run of mypy, away from the checkout: the README's eight lines pass as `strict`, each wrong line fails."""
+    """One run of mypy, away from the checkout: the README's eight lines pass as `strict`, each wrong line fails.
+
+    What the examples pass, the types take.
+    """
     (tmp_path / "right.py").write_text(README_LINES)
     (tmp_path / "wrong.py").write_text("\n".join(["import sampling_design as sd", *WRONG, ""]))
+    examples = docstring_examples()
+    (tmp_path / "examples.py").write_text(examples)
     (tmp_path / "mypy.ini").write_text(f"[mypy]\nstrict = true\nmypy_path = {ROOT}\n{_others()}")
     cache = ROOT / ".mypy_cache" / "front_door"
-    command = [sys.executable, "-m", "mypy", "--cache-dir", cache, "right.py", "wrong.py"]
+    command = [sys.executable, "-m", "mypy", "--cache-dir", cache, "right.py", "wrong.py", "examples.py"]
     told = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False).stdout
     assert "right.py" not in told, told
+    unfit = [line for line in told.splitlines() if UNFIT.match(line)]
+    assert not unfit, unfit
+    assert examples.count("def example") > 80
     for line, (code, message) in enumerate(WRONG.items(), start=2):
         assert re.search(rf"wrong\.py:{line}: error: {message}", told), f"{code}:\n{told}"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -83,6 +83,23 @@ class DetectabilityCertificate(Record):
     gain: Array | None = field(default=None, kw_only=True)
     constants: ConstantList = field(default=ConstantList(), kw_only=True)
     solver: SolverRecord | None = field(default=None, kw_only=True)
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            plant: Plant,
+            P: npt.ArrayLike,
+            eta: float,
+            c_w: float,
+            c_y: float,
+            *,
+            margin: float = 0.0,
+            method: str = "given",
+            gain: npt.ArrayLike | None = None,
+            constants: ConstantList = ...,
+            solver: SolverRecord | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,10 @@ class OutputAccess(Record):
 
     available: Array | None = None
     cost: float = 0.0
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(self, available: npt.ArrayLike | None = None, cost: float = 0.0) -> None: ...
 
     def __post_init__(self) -> None:
         if self.available is not None:
@@ -110,7 +114,7 @@ class Requirement(Record):
     window: float | None = None
     period: float | None = None
     spacing: float | None = None
-    samples: Any = None
+    samples: dict[str, int] = None  # type: ignore[assignment]
     target_sigma: float | None = None
     decay_rate: float = 0.0
     forbidden: Array = None  # type: ignore[assignment]
@@ -119,6 +123,25 @@ class Requirement(Record):
     cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
     scaled: bool | None = field(default=None, kw_only=True)
+
+    if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
+
+        def __init__(
+            self,
+            window: float | None = None,
+            period: float | None = None,
+            spacing: float | None = None,
+            samples: int | Mapping[str, int] | None = None,
+            target_sigma: float | None = None,
+            decay_rate: float = 0.0,
+            forbidden: npt.ArrayLike | None = None,
+            fixed: npt.ArrayLike | None = None,
+            outputs: Mapping[str, OutputAccess | Mapping[str, object]] | None = None,
+            cost_limit: float | None = None,
+            *,
+            time_unit: str | None = None,
+            scaled: bool | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}

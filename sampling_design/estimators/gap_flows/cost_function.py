@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
+import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
 
+Array = npt.NDArray[np.float64]
 Form = Literal["certificate", "paper"]
 ArrivalKind = Literal["fixed", "filtered"]
 Beginning = Literal["horizon", "sample"]
@@ -62,16 +64,30 @@ class CostFunction(Record):
     array([1.5])
     """
 
-    P2: npt.ArrayLike | None = None
-    Qw: npt.ArrayLike | None = None
-    R: npt.ArrayLike | None = None
-    Qv: npt.ArrayLike | None = None
+    P2: Array | None = None
+    Qw: Array | None = None
+    R: Array | None = None
+    Qv: Array | None = None
     eta: float | None = None
     form: Form | None = None
     arrival: ArrivalKind = "fixed"
     begins: Beginning = "horizon"
 
     _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=, begins=)."
+
+    if TYPE_CHECKING:  # callers may pass anything that becomes an array
+
+        def __init__(
+            self,
+            P2: npt.ArrayLike | None = None,
+            Qw: npt.ArrayLike | None = None,
+            R: npt.ArrayLike | None = None,
+            Qv: npt.ArrayLike | None = None,
+            eta: float | None = None,
+            form: Form | None = None,
+            arrival: ArrivalKind = "fixed",
+            begins: Beginning = "horizon",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for key in MATRICES:

@@ -189,7 +189,7 @@ def test_budget_that_runs_out_is_said_and_what_was_proven_stands():
 
 
 def test_a_crowd_of_cells_ends_the_search_with_its_bound(monkeypatch):
-    monkeypatch.setattr(spaced_sphere, "_MOST_CELLS", 60)
+    monkeypatch.setattr(spaced_sphere, "_MOST_CELLS", 12)
     found = worst_case_sigma(oscillators(1.0, 3.0), SpacedWindows(4.0, 7, 0.3))
     assert found.status == "budget"
     assert 0.0 <= found.lower <= found.upper

@@ -11,7 +11,8 @@ whose worst state lies in the cell has lambda < mu. At a corner y'Gc is a sum ov
 over all schedules that end by a slack v is a least path through a table, to be compared with the largest y'N(u)c over
 u <= S - v. Between grid times the terms lie above their chords minus (h^2/8) max of the second derivative. y is the
 cell's centre z0: at c = z0 + d a sample gives f (f + g) >= -g^2/4, f and g the outputs of z0 and d. (Convexity of z'Gz
-alone would give f (f + 2 g) >= -g^2: cells half as wide in n - 1 directions.)
+alone would give f (f + 2 g) >= -g^2: cells half as wide in n - 1 directions.) Cells lie along what the first sample
+sees: by itself it leaves a worst state a thin slab, |R z|^2 <= z'Gz = lambda |x|^2, and nothing else is looked at.
 """
 
 from __future__ import annotations
@@ -188,6 +189,9 @@ class _SphereSearch:
 
     def _worked(self, cells: SphereCells) -> SphereCells:
         """Bound a batch; return what stays open, cut in two or with a finer grid."""
+        cells = self._seen_by_the_first(cells)
+        if not cells.face.size:
+            return cells
         self.cells += cells.face.size
         work = _Batch(self, cells)
         bound = np.maximum(cells.bound, np.minimum(work.bound, self.wanted))
@@ -205,6 +209,23 @@ class _SphereSearch:
         loss, left = cells.half * np.sqrt(work.stretch()), ~hopeless & (torn.gap == 0)
         cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
         return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
+
+    def _seen_by_the_first(self, cells: SphereCells) -> SphereCells:
+        """The part of each cell whose states the first sample alone does not see enough of; no cell without one."""
+        many = self.tables.slab.size
+        if not many:
+            return cells
+        most = self.tables.slabs(cells.centre, cells.half, self.wanted)
+        centre, half = cells.centre.copy(), cells.half.copy()
+        low = np.maximum(centre[:, :many] - half[:, :many], -most)
+        high = np.minimum(centre[:, :many] + half[:, :many], most)
+        kept = np.all(low <= high, axis=1)
+        if not kept.all():
+            self.closed_at = min(self.closed_at, self.wanted)
+        cut = half[:, :many] > (high - low) / 2  # a side that is not cut keeps its very numbers, a face its place
+        centre[:, :many] = np.where(cut, (low + high) / 2, centre[:, :many])
+        half[:, :many] = np.where(cut, (high - low) / 2, half[:, :many])
+        return cells._replace(centre=centre, half=half).take(kept)
 
     def _improve(self, work: _Batch) -> None:
         """Follow a centre whose best schedule on the grid already beats the attained one."""

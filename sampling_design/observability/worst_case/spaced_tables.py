@@ -17,6 +17,9 @@ _NUMBERS = 6_000_000  # most numbers in a table of all points of a grid; of fine
 MOST_CELLS = 2**40  # cells of the finest grid, about
 _WIDER = 0.25  # a first cell is no wider than this part of its time since the first sample, or of the spacing
 _MOST_STARTS = 1024
+_LOOKS = 64  # starts at which the length of a state at the window's start is looked at
+_FARTHEST = 20.0  # powers of e by which it may grow between two of them; beyond, the first sample's slab is not used
+_UNSEEN = 1e-6  # part of the strongest axis below which the first sample counts as not seeing an axis
 _CONDITION = 1e6  # of e^{AS}, beyond which states are not carried from the first sample back to the window's start
 
 
@@ -106,6 +109,8 @@ class Tables:
             there, back = rows.plant.transition(np.array([rows.slack, -rows.slack]))
             self.pulled = bool(np.linalg.norm(there) * np.linalg.norm(back) < _CONDITION)
         self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst)
+        turn = self._turn(worst)
+        self.basis, inverse = self.basis @ turn, turn.T @ inverse
         inner = inverse @ rows.A @ self.basis
         self.speed = float(np.linalg.norm(inner, 2))
         # the logarithmic norm bounds |e^{+-A t}| far better than the norm: oscillators hardly grow
@@ -115,6 +120,48 @@ class Tables:
         self._first = self._first_knots()
         self._kept: dict[int, tuple[CurveTable, Array]] = {}
         self._starts: dict[int, StartTable] = {}
+
+    def _turn(self, worst: Array) -> Array:
+        """The rotation to the axes that the first sample sees, then to those of the worst schedule known.
+
+        Cells lie along these axes: thin where schedules see much, long where they see little.
+        """
+        seen = self.rows.observed((worst - worst[0] if self.pulled else worst)[None])[0] @ self.basis
+        self.slab = np.zeros(0)
+        self._states = self._back() if self.pulled else np.zeros((0, self.rows.n, self.rows.n))
+        if not len(self._states):
+            return np.asarray(np.linalg.svd(seen)[2].T)
+        _, sees, axes = np.linalg.svd(self.rows.C @ self.basis)
+        self.slab = sees[sees > _UNSEEN * sees[0]]
+        first, rest = axes[: self.slab.size].T, axes[self.slab.size :].T
+        within = np.linalg.svd(seen @ rest)[2].T if rest.shape[1] else np.zeros((0, 0))
+        turn = np.hstack([first, rest @ within])
+        flow = float(np.linalg.norm(self._states, axis=(1, 2)).max())
+        self._astray = self.rows.grade * flow * float(np.linalg.norm(self.basis))  # by rounding, of a state's length
+        self._states = self._states @ self.basis @ turn
+        return np.asarray(turn)
+
+    def _back(self) -> Array:
+        """e^{-Au} at even starts u, lengthened for all starts next to it; none where that takes much."""
+        starts = self.rows.slack * np.arange(_LOOKS + 1) / _LOOKS
+        A = self.rows.A
+        between = self.rows.slack / (2 * _LOOKS) * float(np.abs(np.linalg.eigvalsh((A + A.T) / 2)).max(initial=0.0))
+        if between > _FARTHEST:
+            return np.zeros((0, *A.shape))
+        return np.asarray(self.rows.plant.transition(-starts) * np.exp(between))
+
+    def slabs(self, centre: Array, half: Array, wanted: float) -> Array:
+        """How far along each of the first sample's axes a state in the boxes centre +- half can lie, (B, len(slab)).
+
+        A worst state z has |R z|^2 <= z'Gz = lambda |x|^2, R the first sample's rows and x the state at the window's
+        start: along R's axes it is no longer than sqrt(wanted) |x|/(what R sees of them), or lambda is `wanted`.
+        """
+        at = np.linalg.norm(np.einsum("unm,bm->bun", self._states, centre), axis=2)
+        wide = np.linalg.norm(self._states, axis=1)
+        away = np.linalg.norm(np.abs(centre) + half, axis=1)
+        longest = (at + half @ wide.T).max(axis=1) + self._astray * away
+        lost = 4 * self.rows.n * _EPS * float(np.linalg.norm(self.rows.C) * np.linalg.norm(self.basis)) * away
+        return np.asarray((np.sqrt(wanted) * longest + lost)[:, None] / self.slab)
 
     def first_cells(self) -> int:
         """A power of two of cells on which the plant turns by no more than half a radian."""

@@ -40,14 +40,14 @@ def test_least_path_is_the_least_of_all(count, length):
 def test_windows_may_begin_anywhere_and_both_directions_meet():
     rng, width = np.random.default_rng(5), 3
     start = np.array([[0, 0, 2], [1, 4, 5], [0, 3, 3]])
-    cost = rng.uniform(0, 1, (3, 3, 2, width))
+    cost = rng.uniform(0, 1, (3, width, 3, 2))
     through = sums_so_far(cost, start) + sums_to_go(cost, start)
     for b in range(3):
         for c in range(2):
-            known = {(i, int(start[b, i]) + w): cost[b, i, c, w] for i in range(3) for w in range(width)}
+            known = {(i, int(start[b, i]) + w): cost[i, w, b, c] for i in range(3) for w in range(width)}
             for (i, point), _ in known.items():
                 expected = least_through(known, i, point)
-                assert through[b, i, c, point - start[b, i]] == pytest.approx(expected)
+                assert through[i, point - start[b, i], b, c] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("cells", [2, 7, 32])

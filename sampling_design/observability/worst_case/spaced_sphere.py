@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.observability.worst_case.spaced_paths import sums_so_far, sums_to_go
+from sampling_design.observability.worst_case.spaced_paths import so_far, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import Attained, search_from
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, StartTable, Tables
@@ -37,7 +38,7 @@ MOST_STATES = 12
 """A cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried."""
 
 _STAGES = (0.25, 0.5, 0.75, 0.9, 1.0)  # of the wanted sigma: a search that is cut short has proven something
-_BATCH = 100_000  # numbers per batch: fits into a cache
+_BATCH = 300_000  # numbers per batch
 _ROUND = 20_000  # cells per round
 _MOST_CELLS = 400_000  # open at once
 _THINNEST = 1e-12  # half-width below which a cell of directions is not cut again
@@ -47,23 +48,23 @@ _TEAR = 16  # least points of a stretch at which a window is torn
 _TIME_SHARE = 0.5  # the grid is refined where time costs more than this part of what else is missing
 
 
-_PER_CELL = [
-    "sides",
-    "reach",
-    "start",
-    "outside",
-    "own",
-    "most",
-    "own_cost",
-    "sink",
-    "lost",
-    "cost",
-    "so_far",
-    "seen",
-    "room",
-    "rise",
-    "norm",
-]
+_PER_CELL = {  # of what a batch holds, and which axis counts the cells
+    "sides": 0,
+    "reach": 0,
+    "start": 0,
+    "outside": 0,
+    "own": 0,
+    "most": 0,
+    "own_cost": 0,
+    "sink": 0,
+    "lost": 0,
+    "cost": 2,
+    "so_far": 2,
+    "seen": 0,
+    "room": 0,
+    "rise": 0,
+    "norm": 1,
+}
 
 
 class SphereCells(NamedTuple):
@@ -115,6 +116,7 @@ class _SphereSearch:
         self.rows, self.best, self.rtol = rows, found, rtol
         self.tables = Tables(rows, found.slacks, rtol / 100)
         n, k = rows.n, rows.count
+        self.signs = np.array(list(product((1.0, -1.0), repeat=n - 1))).T.reshape(n - 1, 2 ** (n - 1))
         self.sides = np.array([[j for j in range(n) if j != face] for face in range(n)], dtype=int).reshape(n, n - 1)
         cells = self.tables.least_cells
         zeros = np.zeros((n, k), dtype=int)
@@ -314,10 +316,14 @@ class _Torn(NamedTuple):
 
 
 class _Batch:
-    """Bounds at the corners of a batch of cells on one grid."""
+    """Bounds at the corners of a batch of cells on one grid.
+
+    Of samples, points, cells and corners the corners come last, (k, W, B, c), and every step is one over many of them.
+    """
 
     def __init__(self, search: _SphereSearch, cells: SphereCells) -> None:
         self.cells, self.count, self.sides = cells, search.rows.count, search.sides[cells.face]
+        self.signs = search.signs
         z = cells.centre
         self.reach = np.linalg.norm(z, axis=1) * np.linalg.norm(np.abs(z) + cells.half, axis=1)
         grid, tables = int(cells.grid[0]), search.tables
@@ -329,17 +335,17 @@ class _Batch:
         largest = self._starts(tables.starts(grid), table.eighth[at[:, -1]].max(axis=1))
         self._samples(table, blur, at)
         self.room = tables.room(grid, point[:, -1])
-        before = np.minimum(self.room.astype(int), largest.shape[2] - 1)
-        after = np.minimum(before + 1, largest.shape[2] - 1)
-        low, high = (np.take_along_axis(largest, at[:, None], axis=2) for at in (before, after))
-        self.norm = low + (high - low) * (self.room - before)[:, None]
-        total = self.so_far[:, -1]
+        before = np.minimum(self.room.astype(int).T, len(largest) - 1)
+        after, own = np.minimum(before + 1, len(largest) - 1), np.arange(len(z))
+        low, high = largest[before, own], largest[after, own]
+        self.norm = low + (high - low) * (self.room.T - before)[:, :, None]
+        total = self.so_far[-1]
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(self.norm > 0.0, total / self.norm, np.where(total > 0.0, np.inf, 0.0))
-        self.bound = np.maximum(np.min(ratio, axis=(1, 2)), 0.0)
+        self.bound = np.maximum(np.min(ratio, axis=(0, 2)), 0.0)
 
     def _starts(self, table: StartTable, eighth: Array) -> Array:
-        """At least y'N(u)c for all starts up to each one, at each corner (B, c, Q + 1).
+        """At least y'N(u)c for all starts up to each one, at each corner (Q + 1, B, c).
 
         Linear between the starts, and between last slacks whose cells have h^2/8 <= `eighth` (B,).
         """
@@ -349,9 +355,9 @@ class _Batch:
         bend = np.einsum("bmq,bm->bq", bend, z) + np.einsum("bmq,bm->bq", np.abs(bend), half)
         self.rise = np.maximum(bend.max(axis=1) + table.beyond * self.reach, 0.0) * (table.eighth + eighth)
         base = self.own + self.rise[:, None] + table.rounding * self.reach[:, None]
-        found = self._corners(base, along)
-        self.most = np.maximum(found[..., 0].max(axis=1), 0.0)
-        return np.maximum.accumulate(found, axis=2)
+        found = self._corners(base.T, along.transpose(2, 0, 1))
+        self.most = np.maximum(found[0].max(axis=1), 0.0)
+        return so_far(found, np.maximum)
 
     def _samples(self, table: CurveTable, blur: Array, at: Indices) -> None:
         """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums."""
@@ -364,38 +370,33 @@ class _Batch:
         self.sink = around(np.maximum(sink, 0.0))
         self.lost = blur[at] * self.most[:, None, None] + table.rounded(z, half, of_z, at)
         base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
-        self.cost = self._corners(base, along)
+        self.cost = self._corners(base.transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
         self.so_far = sums_so_far(self.cost, self.start)
         self.seen = table.seen[at]
 
     def _corners(self, centre: Array, along: Array) -> Array:
-        """What is `centre` (B, ..., m) at z0 and of slope `along` (B, ..., n, m), at all corners: (B, ..., c, m)."""
-        extra = (1,) * (along.ndim - 3)
-        sides = self.sides.reshape(len(self.sides), *extra, -1, 1)
-        half = self.cells.half.reshape(len(self.sides), *extra, -1, 1)
-        steps = np.take_along_axis(along * half, sides, axis=-2)
-        found = np.empty((*centre.shape[:-1], 2 ** steps.shape[-2], centre.shape[-1]))
-        found[..., 0, :], many = centre, 1
-        for j in range(steps.shape[-2]):
-            step = steps[..., j, None, :]
-            np.subtract(found[..., :many, :], step, out=found[..., many : 2 * many, :])
-            found[..., :many, :] += step
-            many *= 2
+        """What is `centre` (..., B) at z0 and of slope `along` (..., B, n), at all corners: (..., B, c)."""
+        n = along.shape[-1]
+        place = self.sides + n * np.arange(len(self.sides))[:, None]
+        steps = np.take((along * self.cells.half).reshape(*along.shape[:-2], -1), place, axis=-1)
+        found = steps @ self.signs
+        found += centre[..., None]
         return np.asarray(found)
 
     def take(self, index: npt.NDArray[np.bool_]) -> _Batch:
         """The same for some of the cells."""
         part = object.__new__(_Batch)
         part.__dict__.update(self.__dict__)
-        for name in _PER_CELL:
-            setattr(part, name, getattr(self, name)[index])
+        for name, axis in _PER_CELL.items():
+            setattr(part, name, np.compress(index, getattr(self, name), axis=axis))
         part.cells = self.cells.take(index)
         return part
 
     def narrowed(self, cells: SphereCells, wanted: float) -> tuple[SphereCells, _Torn]:
         """Windows without the times through which no schedule with its worst state here comes below `wanted`."""
         needed = wanted * np.maximum(self.norm, 0.0)
-        alive = np.any(self.so_far + sums_to_go(self.cost, self.start, -needed) <= 0.0, axis=2)
+        through = self.so_far + sums_to_go(self.cost, self.start, -needed)
+        alive = (through.min(axis=3) <= 0.0).transpose(2, 0, 1)
         first = np.argmax(alive, axis=-1) + self.start
         last = self.width - 1 - np.argmax(alive[..., ::-1], axis=-1) + self.start
         # a real time next to a point that matters still counts: one cell more on either side
@@ -405,19 +406,20 @@ class _Batch:
     def losses(self, wanted: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """What time costs at the weakest corner, what else is missing, and where rounding costs more than both."""
         needed = wanted * np.maximum(self.norm, 0.0)
-        missing = np.max(needed - self.so_far[:, -1], axis=2)
+        missing = np.max(needed - self.so_far[-1], axis=0)
         row, weak = np.arange(missing.shape[0]), np.argmax(missing, axis=1)
-        firm = self.cost[row, :, weak] + self.sink
-        flat = sums_so_far(np.stack([firm + self.lost, firm], axis=2), self.start)[:, -1]
-        needed = wanted * np.maximum(self.norm[row, weak] - self.rise[:, None], 0.0)
-        left = np.max(needed[:, None] - flat, axis=2)
+        firm = self.cost[:, :, row, weak] + self.sink.transpose(1, 2, 0)
+        flat = sums_so_far(np.stack([firm + self.lost.transpose(1, 2, 0), firm], axis=3), self.start)[-1]
+        needed = wanted * np.maximum(self.norm[:, row, weak] - self.rise, 0.0)
+        left = np.max(needed[:, :, None] - flat, axis=0)
         by_time, by_rounding = missing[row, weak] - left[:, 1], left[:, 1] - left[:, 0]
         by_direction = np.maximum(left[:, 0], 0.0)
         return by_time, by_direction, by_time + by_direction < by_rounding
 
     def centre(self) -> tuple[Array, Indices]:
         """The least lambda of the centre over the grid's schedules, and the start that gives it."""
-        total = sums_so_far(np.where(self.outside, np.inf, self.own_cost)[:, :, None], self.start)[:, -1, 0]
+        cost = np.where(self.outside, np.inf, self.own_cost).transpose(1, 2, 0)[..., None]
+        total = sums_so_far(cost, self.start)[-1, :, :, 0].T
         latest = np.floor(self.room).astype(int)
         ratio = total / np.take_along_axis(np.maximum.accumulate(self.own, axis=1), latest, axis=1)
         row, end = np.arange(len(total)), np.argmin(ratio, axis=1)

@@ -24,6 +24,7 @@ from sampling_design.design.search.fedorov_exchange import (
     shares_of,
     spread,
 )
+from sampling_design.design.search.heat_bath import annealed
 from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours, rotated
 from sampling_design.design.search.smooth import smoothed
@@ -38,17 +39,18 @@ DRAWS = 60
 KICKS = 4
 """Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
 
-ROTATIONS, CHEAP_ROTATIONS = 4, 80
+ROTATIONS, CHEAP_ROTATIONS = 4, 16
 """Rotations that are refined where what is allowed repeats; more where a quasi-Newton method leads them on."""
 
+_STARTS_PER_BATH = 2  # where hours repeat
 _MORE_STEPS = 5.0  # times as many rotations are looked at then
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
 _MANY_SAMPLES = 32  # from there on
-_CHEAPER, _ORDERS = 10, 3  # kicks that the quasi-Newton method refines for one of programs; more if hours have orders
+_CHEAPER = 10  # kicks that the quasi-Newton method refines for one of programs
 _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what share of sigma^2 two must differ
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
-_NEAR = 0.997  # of the bound: from there on a kick costs more than it can gain
+_NEAR = 0.997  # of the bound: from there on a kick, or a heat bath, costs more than it can gain
 _LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 _FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
 HOPELESS_START, HOPELESS_KICK = 0.7, 0.92  # of the best sigma^2 after a few steps: not led on any further
@@ -113,7 +115,12 @@ def search(
         )
     run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
     if problem.turning is not None:
-        pool, starts = _led(run, problem.turning, pool, starts), min(starts, _FEW)
+        pool = _led(run, problem.turning, pool, starts)
+        if repeating(problem) and run.highest < (_NEAR * enough) ** 2:
+            begun = [times for _, times in run.good[: -(-starts // _STARTS_PER_BATH)]]
+            bathed = [("heat bath", times) for times in annealed(problem, relaxation, begun, rng, deadline)]
+            pool += _led(run, problem.turning, bathed, len(bathed)) if bathed else []
+        starts = min(starts, _FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
     order = _ranked(values)[:starts]
     named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
@@ -216,8 +223,7 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
     free = problem.samples - problem.fixed.size
     patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
     if problem.turning is not None:
-        more = _CHEAPER * (_ORDERS if repeating(problem) else 1)
-        most, patience = most * more, patience * more
+        most, patience = most * _CHEAPER, patience * _CHEAPER
     if free == 0:
         return
     for _ in range(most):

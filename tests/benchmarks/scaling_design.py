@@ -1,4 +1,4 @@
-"""How the cost of a design grows: writes docs/scaling.md and docs/figures/scaling_design.png.
+"""How the cost of designs, long windows and large plants grows: docs/scaling.md and docs/figures/scaling_design.png.
 
 python -m tests.benchmarks.scaling_design
 
@@ -8,15 +8,27 @@ over log(size): 1 is linear growth.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from sampling_design import Plant, Requirement, design_schedule
+from sampling_design import (
+    PeriodicSchedule,
+    Plant,
+    Requirement,
+    SpacedWindows,
+    design_schedule,
+    library,
+    split_sparse,
+    window_sigma,
+    worst_case_sigma,
+)
 from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.numbers import DesignProblem
@@ -28,6 +40,9 @@ COUNTS = (12, 25, 50, 100)
 STATES = (2, 4, 6, 8)
 GRID = (100, 200, 400, 800)
 CELLS = (1200, 2400, 4800, 9600)
+WINDOWS = (10, 100, 1000, 10_000, 100_000)
+SIDES = (10, 32, 100)
+NODES = (100, 1000, 10_000)
 CLOSED = np.array([[0.0, 1.5]])
 
 
@@ -96,6 +111,30 @@ def bounds_of_cells(cells: int) -> Callable[[], object]:
     return run
 
 
+def window_of(length: int) -> Callable[[], object]:
+    """Sigma over all positions of a window: four uneven samples in 5.2 s, an oscillator of 1 rad/s."""
+    schedule = PeriodicSchedule([0.7, 1.6, 0.9, 2.0], time_unit="s")
+    return lambda: window_sigma(library.oscillator(), schedule, float(length))
+
+
+def worst_of(length: int) -> Callable[[], object]:
+    """The worst of all schedules with four samples of place and velocity in the window, half a second apart."""
+    family, plant = SpacedWindows(float(length), 4, 0.5), Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 0.3]])
+    return lambda: worst_case_sigma(plant, family)
+
+
+def plate(states: int) -> Callable[[], object]:
+    """Modes of a heat plate near and right of the line, and the proof that none was missed."""
+    plant = library.heat_plate(round(states**0.5))
+    return lambda: split_sparse(plant)
+
+
+def network(nodes: int) -> Callable[[], object]:
+    """The same of a power grid."""
+    plant = library.droop_network(nodes)
+    return lambda: split_sparse(plant)
+
+
 CURVES: dict[str, tuple[str, tuple[int, ...], Callable[[int], Callable[[], object]], int]] = {
     "whole design, 4 states": ("samples per period", COUNTS, lambda k: designs(4, k), 2),
     "worst sigma of 20 schedules": ("samples per period", COUNTS, evaluations, 15),
@@ -103,16 +142,30 @@ CURVES: dict[str, tuple[str, tuple[int, ...], Callable[[int], Callable[[], objec
     "relaxation": ("grid times", GRID, relaxations, 9),
     "bound, time cells": ("grid times", CELLS, bounds_of_cells, 3),
     "whole design, 16 samples": ("retained states", STATES, lambda n: designs(n, 16), 2),
+    "sigma over all windows, oscillator": ("radians in a window", WINDOWS, window_of, 5),
+    "worst spaced schedule, oscillator": ("radians in a window", WINDOWS, worst_of, 3),
+    "modes of a heat plate": ("states of a sparse plant", tuple(n * n for n in SIDES), plate, 5),
+    "modes of a power grid": ("states of a sparse plant", NODES, network, 5),
+}
+TICKS = {
+    "samples per period": COUNTS,
+    "grid times": (100, 1000, 10_000),
+    "retained states": STATES,
+    "radians in a window": WINDOWS,
+    "states of a sparse plant": NODES,
 }
 
 
 def main() -> None:
     """Measure, write the table and the picture."""
     designs(2, 8)()  # the first call loads the solver
-    lines = ["# How the cost of a design grows", "", *__doc__.split("\n\n")[2].split("\n"), ""]
-    lines[2:2] = ["Made by `python -m tests.benchmarks.scaling_design`.", ""]
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
-    axes = dict(zip(("samples per period", "grid times", "retained states"), figure.subplots(1, 3), strict=True))
+    lines = ["# How the cost grows", "", *__doc__.split("\n\n")[2].split("\n"), ""]
+    made = f"Made by `python -m tests.benchmarks.scaling_design`, last on {date.today()}; {os.cpu_count()} cores."
+    lines[2:2] = [made, ""]
+    figure = Figure(figsize=(9.0, 7.4), layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    panels[-1].remove()
+    axes = dict(zip(TICKS, panels[:-1], strict=True))
     for name, (what, sizes, make, rounds) in CURVES.items():
         times = [seconds(make(size), rounds) for size in sizes]
         slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
@@ -128,12 +181,10 @@ def main() -> None:
         )
         axes[what].loglog(sizes, times, "o-", label=f"{name} ({slope:.2f})")
     for what, ax in axes.items():
-        sizes = {"samples per period": COUNTS, "grid times": CELLS, "retained states": STATES}[what]
-        low = min(line.get_ydata()[0] for line in ax.get_lines())
-        first = min(line.get_xdata()[0] for line in ax.get_lines())
-        ax.loglog([first, sizes[-1]], [low, low * sizes[-1] / first], ":", color="#b8b8b8", label="linear")
-        ticks = (100, 1000, 10000) if what == "grid times" else sizes
-        ax.set_xticks(ticks, [str(size) for size in ticks])
+        first, low = min(min(zip(*line.get_data(), strict=True)) for line in ax.get_lines())
+        last = TICKS[what][-1]
+        ax.loglog([first, last], [low, low * last / first], ":", color="#b8b8b8", label="linear")
+        ax.set_xticks(TICKS[what], [f"{size:g}" if size < 1e4 else f"1e{len(str(size)) - 1}" for size in TICKS[what]])
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlabel(what)
         ax.set_ylabel("CPU time [s]")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
@@ -96,13 +97,21 @@ def _in_order(found: Iterator[tuple[int, Result]]) -> Iterator[Result]:
 def numbered(
     function: Callable[[Item], Result], items: Sequence[Item], workers: Workers
 ) -> Iterator[tuple[int, Result]]:
-    """Yield (number, function(item)) as they are finished; errors and workers as in `mapped`."""
+    """Yield (number, function(item)) as they are finished; errors and workers as in `mapped`.
+
+    Raises
+    ------
+    ArgumentError
+        Likewise if a pool of processes cannot be told of the function.
+    """
     check_workers(workers)
     todo = dict(enumerate(items))
     if workers is None:
         return ((k, function(item)) for k, item in todo.items())
     if isinstance(workers, (Executor, Client)):
         given = workers if isinstance(workers, Executor) else workers.get_executor()
+        if isinstance(given, ProcessPoolExecutor):
+            _check_can_travel(function, todo)
         return _surviving(function, todo, given, None)
     if isinstance(workers, int):
         return _surviving(function, todo, None, partial(_processes, workers))
@@ -110,6 +119,17 @@ def numbered(
 
     chosen = Parallel(n_jobs=-1, backend=workers, return_as="generator_unordered")
     return iter(chosen(delayed(_with_number)(function, k, item) for k, item in todo.items()))
+
+
+def _check_can_travel(function: Callable[[Item], Result], todo: dict[int, Item]) -> None:
+    """Refuse what the standard library's processes cannot be told of; processes of our own can."""
+    try:
+        pickle.dumps((function, next(iter(todo.values()), None)))
+    except (AttributeError, TypeError, pickle.PicklingError) as error:
+        raise ArgumentError(
+            "`workers`: a ProcessPoolExecutor can only be told of functions that its processes can import, those of a "
+            f"module ({error}). Name such a one, or give a number of processes."
+        ) from None
 
 
 def _with_number(function: Callable[[Item], Result], k: int, item: Item) -> tuple[int, Result]:

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import partial
@@ -63,6 +63,13 @@ def test_a_broken_executor_is_stood_in_for(whole):
     alone = sweep(QUESTION, SCHEDULES)
     with Breaking(whole) as pool:
         assert sweep(QUESTION, SCHEDULES, workers=pool).to_dict() == alone.to_dict()
+
+
+def test_a_function_that_cannot_travel_is_refused():
+    with ProcessPoolExecutor(1) as pool, pytest.raises(ArgumentError, match="only be told of functions that its proc"):
+        sweep(lambda schedule: QUESTION(schedule), SCHEDULES, workers=pool)
+    with ThreadPoolExecutor(1) as pool:
+        assert len(sweep(lambda schedule: QUESTION(schedule), SCHEDULES, workers=pool)) == len(SCHEDULES)
 
 
 def test_a_sweep_goes_on_where_it_was_killed(tmp_path):

@@ -26,21 +26,10 @@ def _told(value: object) -> object:
         return [_told(value.func), list(value.args), value.keywords]
     for way in ("to_dict", "tolist"):
         if hasattr(value, way) and not isinstance(value, type):
-            return _timeless(getattr(value, way)())
+            return getattr(value, way)()
     if hasattr(value, "__qualname__"):
         return f"{getattr(value, '__module__', '')}.{value.__qualname__}"
     return repr(value)
-
-
-def _timeless(data: object) -> object:
-    """Plain data without how long a solver took, and without the digests of certificates, which hold that too."""
-    if isinstance(data, dict):
-        kept = {key: _timeless(value) for key, value in data.items() if key != "digest"}
-        solver = kept.get("solver")
-        if isinstance(solver, dict):
-            kept["solver"] = {key: value for key, value in solver.items() if key != "seconds"}
-        return kept
-    return [_timeless(each) for each in data] if isinstance(data, list) else data
 
 
 class Journal:

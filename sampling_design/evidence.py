@@ -39,15 +39,19 @@ class Claim:
 
 @dataclass(frozen=True)
 class SolverRecord:
-    """Which solver ran, how it ended and how long it took. Never evidence, only provenance."""
+    """Which solver ran and how it ended. Never evidence, only provenance.
+
+    `seconds` is what files of before say; how long it took is not written any more, so that the same call gives the
+    same file.
+    """
 
     name: str
     version: str = ""
     status: str = ""
     iterations: int = 0
-    seconds: float = 0.0
     details: Mapping[str, Plain] = field(default_factory=dict)
+    seconds: float | None = None
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if value is not None}

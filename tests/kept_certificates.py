@@ -33,7 +33,7 @@ BUDGET = 600.0
 
 
 def content(data: dict[str, Any]) -> str:
-    """What a certificate states, as a key: all of its file but who made it and in how many seconds."""
+    """What a certificate states, as a key: all of its file but who made it."""
     stated = {key: value for key, value in data.items() if key not in ("digest", "tool", "solver")}
     return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
 

@@ -68,4 +68,6 @@ def test_claims_say_how_strong_they_are():
 
 
 def test_solver_records_are_plain_data():
-    assert SolverRecord("clarabel", "0.9", "Solved", 7, 0.1).to_dict()["iterations"] == 7
+    told = {"name": "clarabel", "version": "0.9", "status": "Solved", "iterations": 7, "details": {}}
+    assert SolverRecord("clarabel", "0.9", "Solved", 7).to_dict() == told
+    assert SolverRecord(**told, seconds=0.1).to_dict()["seconds"] == 0.1

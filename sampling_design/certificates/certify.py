@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, overload
 
@@ -218,7 +217,6 @@ def certify(
     rate = None if eta is None else _checks.positive("eta", eta)
     if not _checks.number("budget", budget) > 1:
         raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
-    began = time.perf_counter()
     if not plant.n_states:
         prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
     if prior is None:
@@ -229,7 +227,7 @@ def certify(
         with np.errstate(all="ignore"):
             rate = choose_rate(canon, canon.inside(prior), _bounds(plant, schedule, canon), progress) / canon.time
         how = "least horizon for given P2"
-    solver = SolverRecord("sampling_design", __version__, "given", 0, time.perf_counter() - began, {"weights": how})
+    solver = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how})
     return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and bool(plant.n_states))
 
 
@@ -252,7 +250,6 @@ def chosen(
     UndecidedError
         If the proof closes for none of the weights that were tried.
     """
-    began = time.perf_counter()
     if not plant.n_states:
         empty = np.zeros((0, 0))
         return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in budgets]
@@ -275,7 +272,7 @@ def chosen(
         problem, asked = (plant, schedule, weights), [(budget, Efforts()) for budget in budgets]
         try:
             found = zip(choose_weights(canon, bounds, budgets, progress), asked, strict=True)
-            return [_best_proven(problem, canon, choices, eta, *each, began) for choices, each in found]
+            return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
         except UndecidedError as error:
             if slip(plain):  # dates are asked for their origin, and not followed from time 0
                 raise
@@ -292,7 +289,6 @@ def _best_proven(
     eta: float | None,
     budget: float,
     first: Efforts,
-    began: float,
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
     failed: list[UndecidedError] = []
@@ -306,7 +302,7 @@ def _best_proven(
         for some in groups:
             try:
                 if some:
-                    return _first_proven(problem, canon, some, eta, budget, began, efforts)
+                    return _first_proven(problem, canon, some, eta, budget, efforts)
             except UndecidedError as error:
                 failed.append(error)
             if efforts.over:
@@ -325,7 +321,6 @@ def _first_proven(
     choices: list[Choice],
     eta: float | None,
     budget: float,
-    began: float,
     efforts: Efforts,
 ) -> Certificate:
     """The first of these choices whose proof closes, the nearest ones in the order of their exact horizons."""
@@ -349,8 +344,7 @@ def _first_proven(
         how = {"weights": f"least horizon under budget {budget:g}"}
         if choice.spare:
             how = {"weights": f"a first guess under budget {budget:g}: at the best rate no proof closed"}
-        seconds = time.perf_counter() - began
-        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
+        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
         try:
             return proof.closed(solver, plainly)
         except UndecidedError as error:

@@ -55,7 +55,7 @@ AROUND: dict[str, Reader] = {
     "digest": text,
 }
 SOLVER = table(
-    {"name": text, "version": text, "status": text, "iterations": count, "seconds": nonnegative, "details": anything}
+    {"name": text, "version": text, "status": text, "iterations": count, "details": anything}, {"seconds": nonnegative}
 )
 RATES: dict[str, Reader] = {"eta": positive, "margin": nonnegative}
 NUMBERS: dict[str, Reader] = {**RATES, "lam": positive, "lam_samples": positive}

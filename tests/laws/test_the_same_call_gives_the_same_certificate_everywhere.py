@@ -1,18 +1,20 @@
 """What `certify` finds depends on its arguments alone: work is counted, so that a slow machine finds the same bits."""
 
-import dataclasses
+import json
 import time
 
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design import PeriodicSchedule, Plant, Requirement, certify, design_schedule, load_certificate
 from sampling_design._ball_flow import OutOfTime
 from sampling_design.certificates.exact import efforts, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import default_weights
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import CountedClock, verify_rigorously
+from sampling_design.checkers.check import check
+from sampling_design.checkers.parts import digest
 from sampling_design.checkers.work import Work
 from sampling_design.errors import UndecidedError
 
@@ -28,9 +30,8 @@ def slowed(clock):
 
 
 def certified(**given):
-    """The certificate without the seconds that it took."""
-    made = certify(LARGE, UNEVEN, **given)
-    return dataclasses.replace(made, solver=dataclasses.replace(made.solver, seconds=0.0)).to_dict()
+    """The certificate's whole file, its digest included."""
+    return certify(LARGE, UNEVEN, **given).to_dict()
 
 
 @pytest.mark.long
@@ -84,3 +85,19 @@ def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):
         monkeypatch.setattr(efforts, name, 1.0)
     with pytest.raises(UndecidedError, match="it takes more work than one check may do"):
         certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6))
+
+
+def test_two_calls_write_one_file_and_a_file_of_before_still_holds(tmp_path):
+    plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
+    one, two = (certify(plant, schedule).save(tmp_path / name).read_bytes() for name in ("one.json", "two.json"))
+    assert one == two
+    asked = Requirement(window=6.0, spacing=0.5, samples=3)
+    assert design_schedule(plant, asked).to_dict() == design_schedule(plant, asked).to_dict()
+    before = json.loads(one)
+    before["solver"]["seconds"] = 0.25  # as it was written once
+    before["digest"] = digest({key: value for key, value in before.items() if key != "digest"})
+    (tmp_path / "before.json").write_text(json.dumps(before))
+    found = load_certificate(tmp_path / "before.json")
+    assert found.to_dict() == before
+    assert found.verify().passed
+    assert check(before)["verdict"] == "proven"

@@ -7,7 +7,6 @@ propose is proven in balls.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
@@ -182,7 +181,6 @@ def precisely_chosen(
     UndecidedError
         If balls prove none, or are not installed.
     """
-    began = time.perf_counter()
     rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
     dear = Work(whole.left / BALL_PRICE, whole, BALL_PRICE)
     search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(PRECISE_WORK)
@@ -195,8 +193,7 @@ def precisely_chosen(
         met = windows.peaks(choice.P2)
         stated = replace(choice, eta=rate / canon.time if eta is None else eta, P2=symmetrise(canon.outside(choice.P2)))
         how = {"weights": f"a first guess under budget {budget:g}, followed in {BITS} binary digits"}
-        seconds = time.perf_counter() - began
-        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, seconds, how)
+        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
         try:
             return _proven(problem, stated, met, solver, proofs)
         except UndecidedError:

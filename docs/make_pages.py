@@ -38,7 +38,17 @@ FLOORS = (
     ("plotting", "explorer"),
     ("cli",),
 )
-WRITTEN = {"index", "tour", "choosing", "conventions", "formats", "numerics", "references", "architecture"}
+WRITTEN = {
+    "index",
+    "many_cores",
+    "tour",
+    "choosing",
+    "conventions",
+    "formats",
+    "numerics",
+    "references",
+    "architecture",
+}
 WRITTEN |= {
     "contributing",
     "changelog",

@@ -67,3 +67,47 @@ def test_states_that_grow_too_fast_between_two_looks_have_no_slab():
     _, tables = tables_of(A, np.array([[1.0, 0.0]]), 12.0, 3, 0.1)
     assert tables.pulled
     assert tables.slab.size == 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_sample_next_to_a_knot_sees_less_than_is_said_of_any_state_of_a_box(seed):
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(2, 5)), int(rng.integers(1, 3))
+    A, C = rng.normal(size=(n, n)), rng.normal(size=(p, n))
+    rows, tables = tables_of(A, C, 3.0, 3, 0.1)
+    cells = 4 * tables.least_cells
+    at_all = np.broadcast_to(np.arange(cells + 1), (1, 3, cells + 1))
+    table, _, at = tables.at(cells, at_all)
+    centre, half = rng.uniform(-1, 1, (1, n)), np.full((1, n), 0.02)
+    said = table.least_seen(centre, half, at)[0]
+    knots = tables.knot(cells, np.arange(cells + 1))
+    z = centre + half * np.vstack([rng.uniform(-1, 1, (60, n)), np.sign(rng.normal(size=(20, n)))])
+    loose = []
+    for i, w in zip(rng.integers(0, 3, 40), rng.integers(0, cells + 1, 40), strict=True):
+        times = np.linspace(knots[max(w - 1, 0)], knots[min(w + 1, cells)], 9) + rows.offsets[i]
+        true = min(np.linalg.norm(z @ (C @ expm(A * t) @ tables.basis).T, axis=1).min() for t in times)
+        assert said[i, w] <= true + 1e-12
+        loose.append(true - said[i, w])
+    # one output alone is looked at, and slopes are taken at their steepest: near, not exact
+    assert np.median(loose) <= 0.5 * np.abs(said).max()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_time_of_a_schedule_is_ruled_out_for_its_own_worst_state(seed):
+    rng = np.random.default_rng(seed)
+    n, k = int(rng.integers(2, 5)), 4
+    rows, tables = tables_of(rng.normal(size=(n, n)) / np.sqrt(n), rng.normal(size=(1, n)), 3.0, k, 0.1)
+    cells = tables.least_cells
+    table, _, at = tables.at(cells, np.broadcast_to(np.arange(cells + 1), (1, k, cells + 1)))
+    knots, ruled_out = tables.knot(cells, np.arange(cells + 1)), 0
+    for _ in range(10):
+        slacks = np.sort(rng.uniform(0, rows.slack, k))
+        slacks -= slacks[0]  # the state is taken at the first sample
+        lam, x = eigenpair(rows.A, rows.C, rows.times(slacks))
+        z = np.linalg.solve(tables.basis, x)[None]
+        dead = table.least_seen(z, np.zeros((1, n)), at)[0] > np.sqrt(lam) * tables.longest(z, np.zeros((1, n)))[0]
+        w = np.clip(np.searchsorted(knots, slacks), 0, cells)
+        assert not dead[np.arange(k), w].any()
+        assert not dead[np.arange(k), np.maximum(w - 1, 0)].any()
+        ruled_out += dead.sum()
+    assert ruled_out > 0

@@ -13,6 +13,7 @@ u <= S - v. Between grid times the terms lie above their chords minus (h^2/8) ma
 cell's centre z0: at c = z0 + d a sample gives f (f + g) >= -g^2/4, f and g the outputs of z0 and d. (Convexity of z'Gz
 alone would give f (f + 2 g) >= -g^2: cells half as wide in n - 1 directions.) Cells lie along what the first sample
 sees: by itself it leaves a worst state a thin slab, |R z|^2 <= z'Gz = lambda |x|^2, and nothing else is looked at.
+So does every sample: times at which one alone would see more of every state of the cell are no sample's.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ MOST_STATES = 12
 """A cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried."""
 
 _STAGES = (0.25, 0.5, 0.75, 0.9, 1.0)  # of the wanted sigma: a search that is cut short has proven something
+_FLAT = 1 / 16  # part of its longest side below which a cell's side along what the first sample sees needs no corners
 _BATCH = 300_000  # numbers per batch
 _ROUND = 20_000  # cells per round
 _MOST_CELLS = 400_000  # open at once
@@ -116,7 +118,6 @@ class _SphereSearch:
         self.rows, self.best, self.rtol = rows, found, rtol
         self.tables = Tables(rows, found.slacks, rtol / 100)
         n, k = rows.n, rows.count
-        self.signs = np.array(list(product((1.0, -1.0), repeat=n - 1))).T.reshape(n - 1, 2 ** (n - 1))
         self.sides = np.array([[j for j in range(n) if j != face] for face in range(n)], dtype=int).reshape(n, n - 1)
         cells = self.tables.least_cells
         zeros = np.zeros((n, k), dtype=int)
@@ -178,12 +179,14 @@ class _SphereSearch:
     def _batches(self, cells: SphereCells) -> list[SphereCells]:
         """Groups of one grid and windows of about one width."""
         width = np.max(cells.last - cells.first, axis=1) + 1
-        order = np.lexsort((width, cells.grid))
-        grid, width = cells.grid[order], width[order]
+        kind = 2 * cells.grid + self._flat(cells)
+        order = np.lexsort((width, kind))
+        kind, width = kind[order], width[order]
         parts, low = [], 0
         while low < order.size:
-            most = max(1, _BATCH // (self.rows.count * 2 ** (self.rows.n - 1) * int(width[low])))
-            stop = min(int(np.searchsorted(grid, grid[low], side="right")), low + most)
+            sides = self.rows.n - 1 - int(kind[low] % 2) * self.tables.slab.size
+            most = max(1, _BATCH // (self.rows.count * 2**sides * int(width[low])))
+            stop = min(int(np.searchsorted(kind, kind[low], side="right")), low + most)
             stop = low + int(np.searchsorted(width[low:stop], 1.3 * width[low] + 2, side="right"))
             parts.append(cells.take(order[low:stop]))
             low = stop
@@ -211,6 +214,17 @@ class _SphereSearch:
         loss, left = cells.half * np.sqrt(work.stretch()), ~hopeless & (torn.gap == 0)
         cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
         return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
+
+    def _flat(self, cells: SphereCells) -> npt.NDArray[np.bool_]:
+        """Cells far from settled and so thin along what the first sample sees that these sides need no corners.
+
+        What such sides can take is then taken off at every corner: less work, and nearer to the end too coarse.
+        """
+        many = self.tables.slab.size
+        if not many:
+            return np.zeros(cells.face.size, dtype=bool)
+        thin, wide = cells.half[:, :many].max(axis=1), cells.half.max(axis=1)
+        return np.asarray((thin < _FLAT * wide) & (cells.face >= many) & (cells.bound < _FAR * self.wanted))
 
     def _seen_by_the_first(self, cells: SphereCells) -> SphereCells:
         """The part of each cell whose states the first sample alone does not see enough of; no cell without one."""
@@ -323,7 +337,10 @@ class _Batch:
 
     def __init__(self, search: _SphereSearch, cells: SphereCells) -> None:
         self.cells, self.count, self.sides = cells, search.rows.count, search.sides[cells.face]
-        self.signs = search.signs
+        self.flat = search.tables.slab.size if search._flat(cells).all() else 0
+        self.sides = self.sides[:, self.flat :]
+        many = self.sides.shape[1]
+        self.signs = np.array(list(product((1.0, -1.0), repeat=many))).reshape(2**many, many).T
         z = cells.centre
         self.reach = np.linalg.norm(z, axis=1) * np.linalg.norm(np.abs(z) + cells.half, axis=1)
         grid, tables = int(cells.grid[0]), search.tables
@@ -333,6 +350,9 @@ class _Batch:
         self.outside = (point < cells.first[:, :, None]) | (point > cells.last[:, :, None])
         table, blur, at = tables.at(grid, point)
         largest = self._starts(tables.starts(grid), table.eighth[at[:, -1]].max(axis=1))
+        if tables.slab.size:
+            most = np.sqrt(search.wanted) * tables.longest(z, cells.half)
+            self.outside |= table.least_seen(z, cells.half, at) > most[:, None, None]
         self._samples(table, blur, at)
         self.room = tables.room(grid, point[:, -1])
         before = np.minimum(self.room.astype(int).T, len(largest) - 1)
@@ -355,6 +375,7 @@ class _Batch:
         bend = np.einsum("bmq,bm->bq", bend, z) + np.einsum("bmq,bm->bq", np.abs(bend), half)
         self.rise = np.maximum(bend.max(axis=1) + table.beyond * self.reach, 0.0) * (table.eighth + eighth)
         base = self.own + self.rise[:, None] + table.rounding * self.reach[:, None]
+        base += self._flatly(along)
         found = self._corners(base.T, along.transpose(2, 0, 1))
         self.most = np.maximum(found[0].max(axis=1), 0.0)
         return so_far(found, np.maximum)
@@ -369,10 +390,15 @@ class _Batch:
         sink = np.maximum(bent[..., :-1], bent[..., 1:]) * table.eighth[cell] + table.beyond[cell] * reach
         self.sink = around(np.maximum(sink, 0.0))
         self.lost = blur[at] * self.most[:, None, None] + table.rounded(z, half, of_z, at)
-        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
+        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost - self._flatly(along))
         self.cost = self._corners(base.transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
         self.so_far = sums_so_far(self.cost, self.start)
         self.seen = table.seen[at]
+
+    def _flatly(self, along: Array) -> Array:
+        """How much a flat cell's thin sides can add to what is of slope `along` (B, ..., n, m), (B, ..., m)."""
+        thin = np.abs(along[..., : self.flat, :])
+        return np.asarray(np.einsum("b...fm,bf->b...m", thin, self.cells.half[:, : self.flat]))
 
     def _corners(self, centre: Array, along: Array) -> Array:
         """What is `centre` (..., B) at z0 and of slope `along` (..., B, n), at all corners: (..., B, c)."""

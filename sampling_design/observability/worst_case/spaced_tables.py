@@ -36,6 +36,8 @@ class CurveTable(NamedTuple):
         |R|; and what the rounding of R itself, a product, can take from z'Gz, |z| = 1, beyond the part `forgiven`.
     rounding : (M,) array
         Of y'Gz and of its place in a sum of k, for |y| |z| = 1.
+    step, swing, astray : (M,) arrays
+        The wider of the two cells at a knot, a proven bound on |R''| within them, and what rounding may do to |Rz|.
     """
 
     seen: Array
@@ -46,6 +48,9 @@ class CurveTable(NamedTuple):
     size: Array
     wrong: Array
     rounding: Array
+    step: Array
+    swing: Array
+    astray: Array
 
     def against(self, y: Array, at: Indices) -> tuple[Array, Array, Array]:
         """Gy and G''y, (B, k, n, W), and |Ry| (B, k, W), at the knots `at` (B, k, W), for y (B, n)."""
@@ -55,6 +60,16 @@ class CurveTable(NamedTuple):
         second = np.einsum("bkwpn,bkwp->bknw", seen, bent) + np.einsum("bkwpn,bkwp->bknw", bending, of_y)
         second += 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
         return value, second, np.linalg.norm(of_y, axis=3)
+
+    def least_seen(self, centre: Array, half: Array, at: Indices) -> Array:
+        """At most |R(t)z| for all z in the boxes centre +- half and t in the cells next to the knots `at` (B, k, W)."""
+        seen, turning = self.seen[at], self.turning[at]
+        value, slope = (np.abs(np.einsum("bkwpn,bn->bkwp", part, centre)) for part in (seen, turning))
+        wide, steep = (np.einsum("bkwpn,bn->bkwp", np.abs(part), half) for part in (seen, turning))
+        away = np.linalg.norm(np.abs(centre) + half, axis=1)[:, None, None, None]
+        step = self.step[at][..., None]
+        least = value - wide - step * (slope + steep) - (step**2 / 2 * self.swing[at][..., None]) * away
+        return np.asarray(least.max(axis=3) - self.astray[at] * away[..., 0])
 
     def rounded(self, y: Array, half: Array, of_y: Array, at: Indices) -> Array:
         """What rounding can take from y'Gc at the corners c of the cell y +- half, (B, k, W), where |Ry| is `of_y`.
@@ -156,12 +171,17 @@ class Tables:
         A worst state z has |R z|^2 <= z'Gz = lambda |x|^2, R the first sample's rows and x the state at the window's
         start: along R's axes it is no longer than sqrt(wanted) |x|/(what R sees of them), or lambda is `wanted`.
         """
+        longest = self.longest(centre, half)
+        away = np.linalg.norm(np.abs(centre) + half, axis=1)
+        lost = 4 * self.rows.n * _EPS * float(np.linalg.norm(self.rows.C) * np.linalg.norm(self.basis)) * away
+        return np.asarray((np.sqrt(wanted) * longest + lost)[:, None] / self.slab)
+
+    def longest(self, centre: Array, half: Array) -> Array:
+        """At least the length |x| at the window's start of all states in the boxes centre +- half, (B,)."""
         at = np.linalg.norm(np.einsum("unm,bm->bun", self._states, centre), axis=2)
         wide = np.linalg.norm(self._states, axis=1)
         away = np.linalg.norm(np.abs(centre) + half, axis=1)
-        longest = (at + half @ wide.T).max(axis=1) + self._astray * away
-        lost = 4 * self.rows.n * _EPS * float(np.linalg.norm(self.rows.C) * np.linalg.norm(self.basis)) * away
-        return np.asarray((np.sqrt(wanted) * longest + lost)[:, None] / self.slab)
+        return np.asarray((at + half @ wide.T).max(axis=1) + self._astray * away)
 
     def first_cells(self) -> int:
         """A power of two of cells on which the plant turns by no more than half a radian."""
@@ -207,8 +227,9 @@ class Tables:
         slack = self.knot(cells, point)
         times = np.minimum(slack + self.rows.offsets[sample], self.rows.window)
         step = self.knot(cells, np.minimum(point + 1, cells)) - slack
+        widest = np.maximum(step, slack - self.knot(cells, np.maximum(point - 1, 0)))
         blur = 2 * self.rows.blur(times) ** 2 / self.forgiven / (1 - self.forgiven)
-        return self._curve(self.rows.at(times), step, self.rows.A), blur
+        return self._curve(self.rows.at(times), step, self.rows.A, widest, self.rows.blur(times)), blur
 
     def starts(self, cells: int) -> StartTable:
         """The starts that go with a grid of `cells` cells; one alone where the state is not carried back."""
@@ -227,7 +248,8 @@ class Tables:
         knots = rows.slack * np.arange(cells + 1) / max(cells, 1)
         flow = rows.plant.transition(-knots)
         step = rows.slack / cells if cells else 0.0
-        curve = self._curve(flow, np.full(cells + 1, step), -rows.A)
+        even = np.full(cells + 1, step)
+        curve = self._curve(flow, even, -rows.A, even, 0 * even)
         seen, turning, bending = curve.seen, curve.turning, curve.bending
         across = np.swapaxes(seen, 1, 2) @ bending
         second = 2 * np.swapaxes(turning, 1, 2) @ turning + across + np.swapaxes(across, 1, 2)
@@ -238,11 +260,12 @@ class Tables:
         beyond = float(np.max(curve.beyond)) / eighth if cells else 0.0
         return StartTable(seen, np.swapaxes(seen, 1, 2) @ seen, -second, eighth, beyond, curve.rounding + lost)
 
-    def _curve(self, values: Array, step: Array, A: Array) -> CurveTable:
-        """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots and the widths of their cells."""
+    def _curve(self, values: Array, step: Array, A: Array, widest: Array, blur: Array) -> CurveTable:
+        """The table of M e^{At} L, given M e^{At} (M, p, n) at the knots, the widths of their cells, and its blur."""
         p, n = values.shape[-2:]
         derivative = [values @ self.basis]
         wrong = 2 * (n * _EPS * np.linalg.norm(values, axis=(1, 2)) * np.linalg.norm(self.basis)) ** 2
+        astray = (blur + n * _EPS * np.linalg.norm(values, axis=(1, 2))) * np.linalg.norm(self.basis)
         wrong /= self.forgiven * (1 - self.forgiven)
         for _ in range(4):
             values = values @ A
@@ -252,4 +275,13 @@ class Tables:
         fourth = 2 * a[0] * a[4] + 8 * a[1] * a[3] + 6 * a[2] ** 2
         rounding = 8 * (self.rows.count + n + p) ** 1.5 * _EPS * size[0] ** 2
         seen, turning, bending, eighth = *derivative[:3], step**2 / 8
-        return CurveTable(seen, turning, bending, eighth, fourth * eighth**2, size[0], wrong, rounding)
+        return CurveTable(
+            *(seen, turning, bending, eighth),
+            beyond=fourth * eighth**2,
+            size=size[0],
+            wrong=wrong,
+            rounding=rounding,
+            step=widest,
+            swing=size[2] * np.exp(self.growth * widest),
+            astray=astray,
+        )

@@ -246,7 +246,7 @@ def worst_case_sigma(
     A worst state z is an eigenvector, so that y'Gz = lambda y'Nz for every y: linear in z. A cell of directions
     is closed by its corners, where the least y'Gz over all schedules is a least path and each sample's term lies
     above its chords minus (h^2/8) max of its second derivative. Cell, grid and the windows in which each
-    sample can still matter shrink together. The state is taken at the first sample.
+    sample can still matter shrink together. The state is taken at the first sample, which alone leaves it a thin slab.
     *Numerical aspects.* The coordinates are those in which a survey of the window and the worst schedule
     found see all directions alike. Remainders are suprema over the grid cells (fourth derivatives,
     bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by

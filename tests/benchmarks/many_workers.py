@@ -1,6 +1,6 @@
-"""How much a second worker saves, measured, and how much many would, simulated: writes docs/many_workers.md.
+"""How much a second worker saves, measured, and how much many would, simulated.
 
-python -m tests.benchmarks.many_workers [--quick]
+python -m tests.benchmarks.many_workers [--quick] [QUESTION ...] writes docs/many_workers.md, or those rows in it
 
 One process works alone, and an executor that does each job where it is handed out notes how long each takes. The
 simulation hands the same jobs, in the same order, to m workers, each job to whoever is free first, with what starting
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import heapq
 import os
+import pickle
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
@@ -36,22 +37,27 @@ ASKED = sd.Requirement(window=4.0, spacing=0.2, samples=5)
 NOTE = """Seconds by the clock, medians of {rounds} rounds that take turns; {cores} cores, one BLAS thread. *Alone* is
 without `workers`; *two* has processes that run already (starting two takes {start:.1f} s, once). *Simulated* says how
 many times as fast m workers are: the same jobs in the same order, each to whoever is free first, {handing:.1f} ms to
-hand one over. What limits them is the longest job, and what is done before and after the jobs: the last two columns, as
-shares of the time alone. Answers of one and of two workers were compared, and are the same to the last bit."""
+hand one over and what packing it takes; that the cores of one processor slow each other down is not in it. What limits
+them is the longest job, and what is done before and after the jobs: the last two columns, as shares of the time alone.
+Answers of one and of two workers were compared, and are the same to the last bit."""
 HEADS = ("what is asked", "jobs", "alone", "two", "times as fast", "simulated for two", *map(str, SIMULATED[1:]))
 
 
 class Noting(Executor):
-    """Does each job at once, here, and notes its seconds."""
+    """Does each job at once, here, and notes its seconds, and those of packing it for another process."""
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
+        self.packing = 0.0
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         began = time.perf_counter()
+        pickle.loads(pickle.dumps((function, args, kwargs)))
+        packed = time.perf_counter()
         future.set_result(function(*args, **kwargs))
-        self.seconds.append(time.perf_counter() - began)
+        self.seconds.append(time.perf_counter() - packed)
+        self.packing += packed - began
         return future
 
 
@@ -74,24 +80,26 @@ class Measured:
     two: list[float] = field(default_factory=list)
     jobs: list[float] = field(default_factory=list)
     around: float = 0.0
+    packing: float = 0.0
 
     def expected(self, workers: int, handing: float) -> float:
         """Simulated seconds."""
-        return self.around + simulated(self.jobs, workers, handing)
+        return self.around + simulated(self.jobs, workers, handing + self.packing)
 
     def row(self, name: str, handing: float) -> str:
         """One line of the table."""
         alone, two = median(self.alone), median(self.two)
-        faster = [alone / self.expected(m, handing) for m in SIMULATED]
+        whole = self.around + sum(self.jobs)
+        faster = [whole / self.expected(m, handing) for m in SIMULATED]
         cells = [name, str(len(self.jobs)), f"{alone:.1f} s", f"{two:.1f} s", f"{alone / two:.2f}"]
         cells += [f"{each:.2f}" for each in faster[:1]] + [f"{each:.1f}" for each in faster[1:]]
-        cells += [f"{100 * max(self.jobs) / alone:.0f} %", f"{100 * self.around / alone:.0f} %"]
+        cells += [f"{100 * max(self.jobs) / whole:.0f} %", f"{100 * self.around / whole:.0f} %"]
         return f"| {' | '.join(cells)} |"
 
 
 def questions(quick: bool) -> dict[str, Callable[[Any], Any]]:
     """What is asked, as functions of `workers`."""
-    few, some = (3, 2) if quick else (24, 16)
+    few, some = (3, 2) if quick else (16, 8)
     schedules = {f"{k}": sd.PeriodicSchedule([0.3 + 0.02 * k, 0.5, 0.9], time_unit="s") for k in range(few)}
     asked = {f"{k}": ASKED.replace(spacing=0.1 + 0.02 * k) for k in range(some)}
     gaps = {f"{k}": sd.GapRange(0.2, 0.3 + 0.02 * k, time_unit="s") for k in range(few)}
@@ -131,7 +139,8 @@ def measured(question: Callable[[Any], Any], rounds: int) -> Measured:
         assert other == one, "the number of workers changed the answer"
     noting = Noting()
     whole, _ = timed(question, noting)
-    found.jobs, found.around = noting.seconds, whole - sum(noting.seconds)
+    found.jobs, found.packing = noting.seconds, noting.packing / len(noting.seconds)
+    found.around = whole - sum(noting.seconds) - noting.packing
     return found
 
 
@@ -149,20 +158,25 @@ def overheads() -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure and write the page."""
+    """Measure all questions, or those that are named, and write the page; rows of others stay as they are."""
     parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*")
     parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+    given = parser.parse_args()
     start, handing = overheads()
     heads = [*HEADS, "longest job", "around the jobs"]
-    rows = []
-    for name, question in questions(quick).items():
-        rows.append(measured(question, 1 if quick else ROUNDS).row(name, handing))
-        print(rows[-1], flush=True)
+    lines = PAGE.read_text().splitlines() if PAGE.exists() and not given.quick else []
+    rows = {line.split("|")[1].strip(): line for line in lines if line.startswith("| `")}
+    asked = questions(given.quick)
+    for name, question in asked.items():
+        if given.names and not any(each in name for each in given.names):
+            continue
+        rows[name] = measured(question, 1 if given.quick else ROUNDS).row(name, handing)
+        print(rows[name], flush=True)
     note = NOTE.format(rounds=ROUNDS, cores=os.cpu_count(), start=start, handing=1e3 * handing)
-    made = f"Made by `python -m tests.benchmarks.many_workers` on {date.today()}."
-    table = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *rows]
-    if not quick:
+    made = f"Made by `python -m tests.benchmarks.many_workers`, last on {date.today()}."
+    table = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(rows[name] for name in asked if name in rows)]
+    if not given.quick:
         PAGE.write_text("\n".join(["# What more workers save", "", made, note, "", *table]) + "\n")
 
 

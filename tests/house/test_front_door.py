@@ -18,6 +18,7 @@ import pytest
 import sampling_design
 from sampling_design._door import hints_of
 from sampling_design._renamed import NAMES
+from sampling_design.schedules.schedule import Details
 from tests.house.front_door import STUB, stub
 
 ROOT = Path(__file__).parents[2]
@@ -201,6 +202,42 @@ def test_an_editor_knows_our_types(tmp_path):
     assert examples.count("def example") > 80
     for line, (code, message) in enumerate(WRONG.items(), start=2):
         assert re.search(rf"wrong\.py:{line}: error: {message}", told), f"{code}:\n{told}"
+
+
+def typed_constructors():
+    """Every class that tells an editor more than its fields do: its place, and that constructor."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for kind in ast.walk(ast.parse(path.read_text())):
+            for part in kind.body if isinstance(kind, ast.ClassDef) else ():
+                if isinstance(part, ast.If) and ast.unparse(part.test) == "TYPE_CHECKING":
+                    place = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+                    yield from ((place, kind.name, each) for each in part.body if each.name == "__init__")
+
+
+CONSTRUCTORS = {f"{kind}": (place, kind, told) for place, kind, told in typed_constructors()}
+
+
+@pytest.mark.parametrize("name", CONSTRUCTORS)
+def test_what_an_editor_is_told_is_what_is_taken(name):
+    """The same parameters in the same order, the same ones by name alone, the same defaults."""
+    place, kind, told = CONSTRUCTORS[name]
+    taken = inspect.signature(getattr(importlib.import_module(place), kind)).parameters
+    given, named = told.args.args[1:], told.args.kwonlyargs
+    defaults = dict(zip([a.arg for a in given[::-1]], told.args.defaults[::-1], strict=False))
+    defaults |= {a.arg: value for a, value in zip(named, told.args.kw_defaults, strict=True) if value is not None}
+    if told.args.kwarg is not None:  # details, which are a table of their own
+        taken = {key: one for key, one in taken.items() if key not in Details.__annotations__}
+    by_place = [key for key, one in taken.items() if one.kind is not one.KEYWORD_ONLY]
+    assert [a.arg for a in given] == by_place
+    assert {a.arg for a in named} == {key for key, one in taken.items() if one.kind is one.KEYWORD_ONLY}
+    for key, one in taken.items():
+        assert (one.default is not one.empty) == (key in defaults), key
+        said = ast.unparse(defaults[key]) if key in defaults else "..."
+        assert said in ("...", repr(one.default).replace("'", '"'), repr(one.default)), key
+
+
+def test_every_constructor_that_is_told_is_found():
+    assert {"Plant", "Schedule", "PeriodicSchedule", "Requirement", "PlanRequirement"} <= CONSTRUCTORS.keys()
 
 
 FUNCTIONS = [n for n in sampling_design.__all__ if inspect.isfunction(getattr(sampling_design, n))]

@@ -83,13 +83,16 @@ class Server(ThreadingHTTPServer):
 
     def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
         """End a connection once its peer has: closed with bytes unread it is reset, and the last answer is lost."""
-        line = request if isinstance(request, socket.socket) else request[1]
+        assert isinstance(request, socket.socket)  # a pair is what servers of datagrams are given
         until, unread = time.monotonic() + _LINGER, _UNREAD
         with suppress(OSError):  # gone, or silent for too long
-            line.shutdown(socket.SHUT_WR)
+            request.shutdown(socket.SHUT_WR)
             while unread > 0 and (left := until - time.monotonic()) > 0:
-                line.settimeout(left)
-                unread -= len(line.recv(_BLOCK)) or unread
+                request.settimeout(left)
+                thrown = len(request.recv(_BLOCK))
+                if not thrown:
+                    break
+                unread -= thrown
         self.close_request(request)
 
     @property

@@ -231,9 +231,9 @@ def records_of(room: str) -> dict[str, object]:
         file = ".".join(path.relative_to(package).with_suffix("").parts)
         module = importlib.import_module(f"sampling_design.{file}")
         for name, thing in vars(module).items():
-            own = isinstance(thing, type) and issubclass(thing, Record) and thing.__module__ == module.__name__
-            moved = name in sampling_design._MOVED.get(file, ())
-            if (own or moved) and not name.startswith("_") and name not in sampling_design.__all__:
+            public = issubclass(thing, Record) if isinstance(thing, type) else "door" in getattr(thing, "__dict__", {})
+            own = public and thing.__module__ == module.__name__
+            if own and not name.startswith("_") and name not in sampling_design.__all__:
                 found[f"{file}.{name}"] = thing
     return found
 

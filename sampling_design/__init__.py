@@ -91,43 +91,6 @@ _FRONT_DOOR = {
     "design.losses": ("sample_losses",),
     "design.pareto": ("pareto",),
 }
-# Left the front door in 0.1; each says where it went until 0.2.
-_MOVED = {
-    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
-    "plants.modes": ("ModalSplit",),
-    "observability.count.zero_count": ("ZeroCountBound",),
-    "observability.count.pbh": ("UnseenModes", "require_observable"),
-    "observability.windows.window_sigma": ("WindowSigma", "WindowWitness", "WindowProfile"),
-    "observability.worst_case.worst_case_sigma": ("WorstCaseSigma", "WorstCaseProfile"),
-    "certificates.form.verdict": ("Verification",),
-    "certificates.compare.robustness": ("Robustness",),
-    "certificates.existence.counterexample": ("Counterexample",),
-    "certificates.compare.four_horizons": ("FourHorizons",),
-    "certificates.exact.information": ("InformationCurve",),
-    "certificates.form.horizon": ("Horizon",),
-    "certificates.compare.tradeoff": ("TradeoffCurve",),
-    "certificates.compare.contraction": ("spectral_radius", "least_contracting"),
-    "nonlinear.detectability": ("DetectabilityEvidence",),
-    "nonlinear.report": ("ThyroidReport",),
-    "estimators.baselines": ("standard_mhe", "periodic_at_equal_cost"),
-    "estimators.online.estimator": ("Estimator",),
-    "validation.report": ("Finding", "ValidationReport"),
-    "validation.scenario": ("SimulatedRecord",),
-    "validation.schedule_log": ("ScheduleLog",),
-    "observability.count.default_window": ("default_window",),
-    "schedules.family": ("SamplingFamily",),
-    "schedules.files": ("schedule_to_dict", "schedule_from_dict"),
-    "schedules.family_files": ("family_to_dict", "family_from_dict"),
-    "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv"),
-    "certificates.form.constants": ("Constant", "ConstantList"),
-    "certificates.paper.restarts": ("restart_times", "output_predictor"),
-    "certificates.paper.proof_constants": ("ProofConstants",),
-    "design.problem.requirement_file": ("requirement_from_dict",),
-    "design.bounds.evidence": ("UpperBound", "BoundPart"),
-    "design.losses": ("SampleLosses",),
-    "design.schedule_design": ("ScheduleDesign",),
-    "design.pareto": ("ParetoFront", "ParetoPoint"),
-}
 _ROOMS = (
     "certificates",
     "checkers",
@@ -168,25 +131,14 @@ def __dir__() -> list[str]:
 
 
 def _absent(name: str) -> AttributeError | ImportError:
-    """Return the error for a name that is not here: where it went, or what was probably meant."""
+    """Return the error for a name that is not here, with the one that was probably meant."""
     message = f"module 'sampling_design' has no attribute {name!r}"
     if name.startswith("_"):
         return AttributeError(message)
-    from sampling_design._renamed import NAMES
+    from difflib import get_close_matches
 
-    now = NAMES.get(name, name)
-    home = next((room for room, names in _MOVED.items() if now in names), None)
-    if name in NAMES and home is None:
-        hint = f": it is now {now!r}"
-    elif name in NAMES:
-        hint = f": it is now `from sampling_design.{home} import {now}`"
-    elif home is not None:
-        hint = f": it moved; write `from sampling_design.{home} import {name}`"
-    else:
-        from difflib import get_close_matches
-
-        close = get_close_matches(name, __dir__(), n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+    close = get_close_matches(name, __dir__(), n=1)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
     # `from sampling_design import NAME` swallows an AttributeError with its words, and says only "cannot import name"
     importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"
     return (ImportError if importing else AttributeError)(message + hint)

@@ -22,7 +22,6 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union
 import numpy as np
 
 from sampling_design._checks import described
-from sampling_design._renamed import ARGUMENTS, MOVED_ARGUMENTS
 from sampling_design.errors import ArgumentError, SolverError
 
 P = ParamSpec("P")
@@ -59,13 +58,10 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     """
     checks: dict[str, Check] = {}
     places: list[tuple[int, Check]] = []
-    former: dict[str, str] = {}
     ready: list[bool] = []
 
     def prepare() -> None:
         hints = hints_of(function)
-        former.update({old: new for old, new in ARGUMENTS.items() if new.split("=")[0] in hints and old not in hints})
-        former.update({old: new for (of, old), new in MOVED_ARGUMENTS.items() if of == function.__qualname__})
         for place, parameter in enumerate(inspect.signature(function).parameters.values()):
             if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
                 check = _check(parameter, hints.get(parameter.name, Any))
@@ -79,8 +75,6 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
         if not ready:
             prepare()
         given, named, foreign, count = list(arguments), options, False, len(arguments)
-        for old in former.keys() & options.keys() if options else ():
-            raise ArgumentError(f"`{old}` is now `{former[old]}`.")
         for place, check in places:
             if place >= count:
                 break

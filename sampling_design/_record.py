@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._door import doors
-from sampling_design._renamed import ATTRIBUTES
 from sampling_design.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -34,17 +33,6 @@ class Record:
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         doors(cls)
-
-    if not TYPE_CHECKING:  # a checker would take every name for one that is there
-
-        def __getattr__(self, name: str) -> object:
-            """Say what an attribute of an earlier name is now."""
-            now = ATTRIBUTES.get((type(self).__name__, name))
-            raise AttributeError(
-                f"{type(self).__name__!r} object has no attribute {name!r}" + (f": it is now `{now}`" if now else ""),
-                name=name,
-                obj=self,
-            )
 
     def _rows(self) -> list[tuple[str, str]]:
         """Label and value of each line of the table, in order."""

@@ -30,15 +30,63 @@ import numpy as np
 import sampling_design as sd
 from sampling_design.errors import SamplingDesignError
 
+BESIDE = {
+    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
+    "plants.modes": ("ModalSplit",),
+    "observability.count.zero_count": ("ZeroCountBound",),
+    "observability.count.pbh": ("UnseenModes", "require_observable"),
+    "observability.windows.window_sigma": ("WindowSigma", "WindowWitness", "WindowProfile"),
+    "observability.worst_case.worst_case_sigma": ("WorstCaseSigma", "WorstCaseProfile"),
+    "certificates.form.verdict": ("Verification",),
+    "certificates.compare.robustness": ("Robustness",),
+    "certificates.existence.counterexample": ("Counterexample",),
+    "certificates.compare.four_horizons": ("FourHorizons",),
+    "certificates.exact.information": ("InformationCurve",),
+    "certificates.form.horizon": ("Horizon",),
+    "certificates.compare.tradeoff": ("TradeoffCurve",),
+    "certificates.compare.contraction": ("spectral_radius", "least_contracting"),
+    "nonlinear.detectability": ("DetectabilityEvidence",),
+    "nonlinear.report": ("ThyroidReport",),
+    "estimators.online.estimator": ("Estimator",),
+    "validation.report": ("Finding", "ValidationReport"),
+    "validation.scenario": ("SimulatedRecord",),
+    "validation.schedule_log": ("ScheduleLog",),
+    "observability.count.default_window": ("default_window",),
+    "schedules.family": ("SamplingFamily",),
+    "schedules.files": ("schedule_to_dict", "schedule_from_dict"),
+    "schedules.family_files": ("family_to_dict", "family_from_dict"),
+    "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv"),
+    "certificates.form.constants": ("Constant", "ConstantList"),
+    "certificates.paper.restarts": ("restart_times", "output_predictor"),
+    "certificates.paper.proof_constants": ("ProofConstants",),
+    "design.problem.requirement_file": ("requirement_from_dict",),
+    "design.bounds.evidence": ("UpperBound", "BoundPart"),
+    "design.losses": ("SampleLosses",),
+    "design.schedule_design": ("ScheduleDesign",),
+    "design.pareto": ("ParetoFront", "ParetoPoint"),
+}
+"""What verbs of the front door return and take, in their rooms."""
+
 
 @functools.cache
 def public() -> dict[str, Any]:
     """Everything that is public: the front door, and what its verbs return and take, in their rooms."""
-    homes = [*sd._FRONT_DOOR.items(), *sd._MOVED.items()]
+    homes = [*sd._FRONT_DOOR.items(), *BESIDE.items()]
     found = {name: getattr(import_module(f"sampling_design.{room}"), name) for room, names in homes for name in names}
     return found
 
 
+def doors() -> Iterator[tuple[str, Any]]:
+    """Every function of the front door, every `__init__` and every method there, by its qualified name."""
+    for name in sd.__all__:
+        thing = getattr(sd, name)
+        for member in vars(thing).values() if inspect.isclass(thing) else [thing]:
+            inner = getattr(member, "__func__", member)
+            if inspect.isfunction(inner) and "door" in vars(inner):
+                yield inner.__qualname__, inner
+
+
+DOORS = dict(doors())
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SECONDS = 20
 """A call of this small plant that takes longer hangs."""
@@ -257,7 +305,6 @@ def special() -> dict[str, dict[str, Any]]:
         "robustness": {"longest": 2},
         "thyroid_experiment": {"runs": 1, "path": None, "workers": 1, "days": 0.1},
         "ThyroidReport": {"lines": ()},
-        "standard_mhe": {"period": 1.0, "horizon": 4.0},
         "NonlinearPlant.f": {"u": (), "w": None},
         "NonlinearPlant.h": {"u": (), "v": None},
         "NonlinearPlant.equilibrium": {"u": ()},

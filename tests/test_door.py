@@ -18,11 +18,10 @@ import scipy.signal
 import sampling_design as sd
 from sampling_design._door import _Foreign, _kinds, door, doors, hints_of
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.baselines import standard_mhe
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
-from tests.house.test_renames import DOORS
+from tests.front_door import DOORS
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 GAPS = sd.PeriodicSchedule([0.7, 1.6, 0.9])
@@ -282,41 +281,3 @@ def test_a_gap_beyond_all_count_is_one_sentence():
     made = sd.MovingHorizonEstimator(OSCILLATOR, certificate, w_bound=0.1, v_bound=0.1, initial_error=2.0)
     with pytest.raises(SolverError, match="a gap is too long to be counted in the plant's fastest units"):
         made.update(1e308, [0.3])
-
-
-FILTERED = r'cost=CostFunction\(arrival="filtered"\)'
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=3.0, carried_weight=True), FILTERED),
-        (lambda: standard_mhe(OSCILLATOR, 1.0, horizon=3.0, carried_weight=True), FILTERED),
-        (lambda: sd.validate(OSCILLATOR, GAPS, None, horizon=3.0, feedthrough="left"), "input_side"),
-        (lambda: sd.KalmanFilter(OSCILLATOR, feedthrough="left"), "input_side"),
-        (lambda: sd.sample_losses(None, every_lap=True), "every_period"),
-        (lambda: sd.KalmanFilter(OSCILLATOR, lateness=2.0), "maximum_delay"),
-        (
-            lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, x_set=(-1, 1)),
-            r"constraints=Constraints\(x=...\)",
-        ),
-        (lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, eta=0.1), r"cost=CostFunction\(eta=...\)"),
-        (lambda: sd.KalmanFilter(OSCILLATOR, R=[[1.0]]), r"cost=CostFunction\(R=...\)"),
-        (
-            lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, engine="conic"),
-            r"constraints=Constraints\(engine=...\)",
-        ),
-        (
-            lambda: sd.NonlinearMovingHorizonEstimator(sd.from_linear(OSCILLATOR), horizon=5.0, w_step=0.1),
-            r"collocation=Collocation\(w_step=...\)",
-        ),
-    ],
-)
-def test_an_argument_of_an_earlier_name_says_the_new_one(make, words):
-    with pytest.raises(ArgumentError, match=f"` is now `{words}`.$"):
-        make()
-
-
-def test_an_earlier_name_means_nothing_to_other_verbs():
-    with pytest.raises(TypeError, match="unexpected keyword argument 'lateness'"):
-        verb(1.0, lateness=2.0)

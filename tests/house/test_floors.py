@@ -28,7 +28,6 @@ FLOORS = {
 GROUND = {
     "errors",
     "_door",
-    "_renamed",
     "evidence",
     "_checks",
     "_balance",

@@ -17,7 +17,6 @@ import pytest
 
 import sampling_design
 from sampling_design._door import hints_of
-from sampling_design._renamed import NAMES
 from sampling_design.schedules.schedule import Details
 from tests.house.front_door import STUB, stub
 
@@ -45,7 +44,6 @@ PROMISED = [
     "validate",
 ]
 MOST_NAMES = 96
-MOVED = [(name, room) for room, names in sampling_design._MOVED.items() for name in names]
 
 
 @pytest.mark.parametrize("name", sampling_design.__all__)
@@ -82,40 +80,8 @@ def test_a_mistyped_name_suggests_the_right_one(typed, meant):
         exec(f"from sampling_design import {typed}")
 
 
-@pytest.mark.parametrize(("name", "room"), MOVED)
-def test_a_name_that_moved_says_where_it_went(name, room):
-    line = f"from sampling_design.{room} import {name}"
-    with pytest.raises(AttributeError, match=re.escape(f"it moved; write `{line}`")):
-        getattr(sampling_design, name)
-    with pytest.raises(ImportError, match=re.escape(line)):
-        exec(f"from sampling_design import {name}")
-    found = {}
-    exec(line, found)
-    assert (inspect.getdoc(found[name]) or "").strip()
-
-
-@pytest.mark.parametrize(
-    ("earlier", "hint"),
-    [
-        ("survival", "it is now 'robustness'"),
-        ("Survival", "it is now `from sampling_design.certificates.compare.robustness import Robustness`"),
-    ],
-)
-def test_a_name_that_changed_says_the_new_one(earlier, hint):
-    with pytest.raises(AttributeError, match=re.escape(f"has no attribute '{earlier}': {hint}")):
-        getattr(sampling_design, earlier)
-    with pytest.raises(ImportError, match=re.escape(hint)):
-        exec(f"from sampling_design import {earlier}")
-
-
-def test_every_changed_name_leads_somewhere():
-    left, moved = set(NAMES), {name for names in sampling_design._MOVED.values() for name in names}
-    assert left.isdisjoint({*sampling_design.__all__, *moved})
-    assert set(NAMES.values()) <= {*sampling_design.__all__, *moved}
-
-
 def test_no_name_has_two_places():
-    names = [n for table in (sampling_design._FRONT_DOOR, sampling_design._MOVED) for ns in table.values() for n in ns]
+    names = [name for names in sampling_design._FRONT_DOOR.values() for name in names]
     assert sorted(names) == sorted(set(names))
     assert set(names).isdisjoint(sampling_design._ROOMS)
 

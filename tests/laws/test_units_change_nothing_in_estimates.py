@@ -22,9 +22,9 @@ from sampling_design import (
     simulate_record,
     validate,
 )
-from sampling_design.estimators.baselines import standard_mhe
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from tests.benchmarks.baselines import standard_mhe
 from tests.rescale import Units
 
 GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(6)

@@ -42,7 +42,7 @@ class CostFunction(Record):
     eta : float, optional
         Discount rate [1/time] of the squared errors.
     form : "certificate" or "paper", optional
-        Default "certificate"; for nonlinear plants and `standard_mhe` it is "paper", whose window is closed.
+        Default "certificate"; for nonlinear plants it is "paper", whose window is closed.
     arrival : "fixed" or "filtered"
         What the error at the window's start weighs: always P2, or its own information Pi(s), which gives the full rate
         for every horizon.

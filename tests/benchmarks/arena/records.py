@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import sampling_design as sd
-from sampling_design.estimators.baselines import periodic_at_equal_cost
+from tests.benchmarks.baselines import periodic_at_equal_cost
 
 from .rivals import Problem, steps
 from .sets import constrained_zonotope, zonotope_observer

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 import sampling_design as sd
-from sampling_design.estimators.baselines import periodic_at_equal_cost
+from tests.benchmarks.baselines import periodic_at_equal_cost
 
 from .budgeted import Budgeted, evolve, homology
 from .table import Table, duration, named

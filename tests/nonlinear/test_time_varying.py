@@ -1,9 +1,7 @@
-"""Plants that vary in time: transitions against closed forms, accuracy against sums, designs against all choices."""
+"""Plants that vary in time: transitions against closed forms."""
 
-from itertools import combinations
 from types import SimpleNamespace
 
-import casadi
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -13,7 +11,6 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.time_varying import plant_along
-from sampling_design.nonlinear.trajectory_design import design_along
 from sampling_design.plants.time_varying import TimeVaryingPlant
 
 A, C, G = np.array([[0.1, 1.0], [-2.0, -0.3]]), np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])
@@ -54,78 +51,7 @@ def test_along_a_linear_plant_it_is_the_plant_itself():
     assert "horizon" in str(along)
 
 
-def expected(chosen, prior, v):
-    """Root of the trace at the end, by adding information at the start."""
-    information = np.diag(1 / np.square(prior))
-    for t in chosen:
-        row = C @ expm(A * t)
-        information += row.T @ row / v**2
-    F = expm(A * 3.0)
-    return np.sqrt(np.trace(F @ np.linalg.inv(information) @ F.T))
-
-
-def test_a_design_is_the_best_of_all_choices_where_they_can_be_counted():
-    grid = np.linspace(0.0, 3.0, 9)
-    found = design_along(FIXED, 3, prior=[1.0, 2.0], v=[0.3], candidates=grid)
-    values = {chosen: expected(chosen, [1.0, 2.0], 0.3) for chosen in combinations(grid.tolist(), 3)}
-    assert found.accuracy == pytest.approx(min(values.values()), rel=1e-7)
-    assert found.accuracy == pytest.approx(values[tuple(found.times.tolist())], rel=1e-7)
-    assert found.even_accuracy == pytest.approx(values[tuple(found.even_times.tolist())], rel=1e-7)
-    rows = np.vstack([C @ expm(A * t) for t in found.times])
-    assert found.sigma[0] == pytest.approx(np.linalg.svd(rows)[1][-1], rel=1e-6)
-    assert found.closed
-    assert found.gain > 0
-    # a sample less at the same times cannot be better, noise on w neither
-    assert design_along(FIXED, 2, prior=[1.0, 2.0], v=[0.3], candidates=grid).accuracy > found.accuracy
-    loud = design_along(FIXED, 3, prior=[1.0, 2.0], v=[0.3], w=[0.2], candidates=grid)
-    assert loud.accuracy > found.accuracy
-
-
-def orbit(eccentricity):
-    def pull(x, u, w):
-        cube = (x[0] ** 2 + x[1] ** 2) ** 1.5
-        return [x[2], x[3], -x[0] / cube, -x[1] / cube]
-
-    sizes = {"states": 4, "outputs": 1}
-    plant = NonlinearPlant(pull, lambda x, u, v: [casadi.atan2(x[1], x[0]) + v[0]], sizes, name="orbit")
-    e = eccentricity
-    return plant_along(plant, [1 - e, 0.0, 0.0, np.sqrt((1 + e) / (1 - e))], 2 * np.pi)
-
-
-def test_bearings_of_an_orbit_are_taken_near_its_ends():
-    found = design_along(orbit(0.6), 5, prior=[0.1] * 4, v=[0.01], candidates=25)
-    assert found.even_accuracy == pytest.approx(0.0229, rel=0.02)
-    assert found.gain > 0.3
-    assert "% less" in found.explain()
-    coarse = design_along(orbit(0.6), 5, prior=[0.1] * 4, v=[0.07], candidates=25)
-    assert (coarse.accuracy, coarse.even_accuracy) == pytest.approx((0.0948, 0.1240), rel=1e-3)
-    assert coarse.sigma[0] < coarse.even_sigma[0] / 5  # along one trajectory sigma is another question
-    ensemble = [orbit(e) for e in (0.5, 0.7)]
-    for criterion in ("mean", "worst"):
-        many = design_along(ensemble, 5, prior=[0.1] * 4, v=[0.01], candidates=9, criterion=criterion)
-        assert many.accuracy <= many.even_accuracy
-        assert many.accuracies.shape == many.sigma.shape == (2,)
-        whole = many.accuracies.mean() if criterion == "mean" else many.accuracies.max()
-        assert many.accuracy == pytest.approx(whole)
-    assert "even spacing" in str(many)
-
-
-def test_where_even_spacing_is_as_good_it_says_so():
-    flat = TimeVaryingPlant(lambda t: [[0.0]], lambda t: [[1.0]], horizon=1.0)
-    found = design_along(flat, 2, prior=[1.0], v=[1.0], candidates=5)
-    assert found.gain == 0.0
-    assert "Even spacing is as good" in found.explain()
-
-
 def test_bad_arguments_are_refused():
-    with pytest.raises(ArgumentError, match="`plants` must be one or more plants with one horizon"):
-        design_along([], 2, prior=[1.0], v=[1.0])
-    with pytest.raises(ArgumentError, match="`criterion` must be one of 'mean', 'worst'"):
-        design_along(FIXED, 2, prior=[1.0, 1.0], v=[1.0], criterion="best")
-    with pytest.raises(ArgumentError, match="`count` must be at most the 3 candidates"):
-        design_along(FIXED, 4, prior=[1.0, 1.0], v=[1.0], candidates=3)
-    with pytest.raises(ArgumentError, match="`prior` and `v` must hold positive standard deviations"):
-        design_along(FIXED, 2, prior=[1.0, 0.0], v=[1.0])
     with pytest.raises(ArgumentError, match="`times` must begin at 0 and go on"):
         TimeVaryingPlant.from_table([1.0, 2.0], [[[0.0]], [[2.0]]], [[[1.0]], [[3.0]]])
     with pytest.raises(ArgumentError, match="`A` must hold one finite matrix for each of the 2 times"):

@@ -81,6 +81,31 @@ def test_rows_and_flows_between_nodes_are_exponentials(name):
         np.testing.assert_allclose(rows.rows(r), rows.C @ flows, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("growth", [0.0, 1e-4])
+def test_rows_and_flows_are_exponentials_however_often_the_plant_turns(growth):
+    """A window of 1e4 s holds 1600 turns, one to 1.3 nodes: nothing lies on a cubic between them."""
+    rows = ScaledRows(Plant([[0.0, 1.0], [-1.0, growth]], [[1.0, 0.0]]), 1e4)
+    r = np.random.default_rng(1).uniform(0.0, rows.window, (3, 4))
+    flows = rows.R @ rows.plant.transition(r.ravel()) @ rows.S
+    np.testing.assert_allclose(rows.flows(r).reshape(flows.shape), flows, rtol=0, atol=1e-9 * np.abs(flows).max())
+    np.testing.assert_allclose(rows.rows(r).reshape(-1, 1, 2), rows.C @ flows, rtol=0, atol=1e-9)
+
+
+def test_a_window_of_many_turns_is_designed_within_its_budget():
+    design = sd.design_schedule(
+        sd.named_plant("oscillator"), sd.Requirement(window=1e5, samples=4, spacing=1.0), budget=3.0, branches=0
+    )
+    assert design.gap < 0.02
+    assert design.upper_bound <= np.sqrt(2)  # four readings of one coordinate show each of two at most twice
+
+
+def test_a_schedule_that_sees_more_than_was_said_is_refined():
+    """The worst window is looked at whatever sigma was handed on: of other routes, by rounding, it may be less."""
+    case = problem()
+    times = np.array([0.0, 0.8, 1.7, 2.7, 3.3, 4.2, 5.1])
+    assert refined(case, times, 0.0)[1] > float(worst_sigma2(case, times[None])[0])
+
+
 def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
     tried = []
 

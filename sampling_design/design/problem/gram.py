@@ -20,7 +20,8 @@ from sampling_design.plants.plant import Plant
 Array = npt.NDArray[np.float64]
 
 _NODES = 2049
-_LOOKED_AT = 257  # nodes at which rounding is judged
+_LOOKED_AT = 257  # nodes at which rounding is judged, and steps in whose middle what lies between nodes is
+_CLOSE = 1e-5  # of the rows: what lies between nodes may be off by so much and still lead a search
 ROUNDING = 1e-9
 """Relative allowance for rounding in a bound, at least."""
 
@@ -114,8 +115,22 @@ class ScaledRows:
         rows = np.asarray(np.linalg.solve(self.R.T, self._raw.T).T, dtype=np.float64)
         return self._side_by_side(rows, rows @ self.A)
 
+    @cached_property
+    def _is_close(self) -> bool:
+        """Whether interpolation is: not where the plant turns many times between two nodes."""
+        middles = (self._nodes[:-1] + self._nodes[1:])[:: (_NODES - 1) // (_LOOKED_AT - 1)] / 2
+        there = self._exact(middles).reshape(middles.size, -1)
+        off = np.abs(self._between(self._table, middles).reshape(there.shape) - there)
+        return bool(np.max(off) <= _CLOSE * np.max(np.abs(there)))
+
+    def _exact(self, r: Array) -> Array:
+        raw = observability_matrix(self.plant, r.ravel())
+        return np.asarray(np.linalg.solve(self.R.T, raw.T).T.reshape(*r.shape, *self.plant.C.shape))
+
     def rows(self, r: Array) -> Array:
-        """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation (search only, never proof)."""
+        """Return c(r), shape (*r.shape, p, n), by cubic Hermite interpolation where that is close (search only)."""
+        if not self._is_close:
+            return self._exact(r)
         return self._between(self._table, r).reshape(*r.shape, self.plant.n_outputs, self.plant.n_states)
 
     @cached_property
@@ -125,6 +140,9 @@ class ScaledRows:
 
     def flows(self, r: Array) -> Array:
         """Return e^{Ar} in the scaled basis, shape (*r.shape, n, n), 0 <= r <= window, likewise."""
+        if not self._is_close:
+            flow = self.plant.transition(r.ravel())
+            return np.asarray((self.R @ flow @ self.S).reshape(*r.shape, *self.A.shape))
         return self._between(self._flow_table, r).reshape(*r.shape, *self.A.shape)
 
     def _side_by_side(self, values: Array, slopes: Array) -> Array:

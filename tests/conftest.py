@@ -39,8 +39,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Tell the processes of a distributed run whether somebody named tests: they cannot see it."""
-    node.workerinput["everything"] = everything(node.config)
+    """Tell the processes of a distributed run which files somebody named: they cannot see it."""
+    node.workerinput["named"] = named(node.config)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -51,11 +51,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave long tests out of a run of everything; whoever names a test gets it."""
-    long = config.getoption("--long")
-    if not long and not everything(config):
-        return
-    items[:] = [item for item in items if (item.get_closest_marker("long") is not None) == long]
+    """Leave long tests out of a run of everything or of a folder; whoever names a file or a test gets it."""
+    long, asked = config.getoption("--long"), named(config)
+    items[:] = [
+        item
+        for item in items
+        if (item.get_closest_marker("long") is not None) == long or (not long and str(item.path) in asked)
+    ]
 
 
 def pytest_collection_finish() -> None:
@@ -64,7 +66,10 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def everything(config: pytest.Config) -> bool:
-    """Whether nobody named a test."""
-    told = getattr(config, "workerinput", {})
-    return bool(told.get("everything", config.args_source == config.ArgsSource.TESTPATHS))
+def named(config: pytest.Config) -> list[str]:
+    """The files that the command names, alone or with a test in them."""
+    told = getattr(config, "workerinput", None)
+    if told is not None:
+        return list(told["named"])
+    paths = [config.invocation_params.dir / argument.split("::")[0] for argument in config.args]
+    return sorted({str(path.resolve()) for path in paths if path.is_file()})

@@ -7,8 +7,6 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 import sampling_design
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +25,6 @@ NUMBERED = {
     *(f"E{n}" for n in range(1, 38)),
 }
 KEYS = {"id", "kind", "label", "title", "theory", "functions", "no_function", "tests", "printed", "no_test"}
-each_item = pytest.mark.parametrize("item", ITEMS, ids=lambda item: item["id"])
 
 
 @cache
@@ -56,32 +53,32 @@ def test_every_numbered_item_and_every_correction_is_listed_once():
     assert sorted(NUMBERED - set(names)) == []
 
 
-@each_item
-def test_the_entry_has_its_theory(item):
-    assert set(item) <= KEYS
-    assert item["theory"] in anchors(), f"no page has ({item['theory']})="
+def test_every_entry_has_its_theory():
+    for item in ITEMS:
+        assert set(item) <= KEYS, item["id"]
+        assert item["theory"] in anchors(), f"no page has ({item['theory']})="
 
 
-@each_item
-def test_the_entry_has_functions_or_says_why_not(item):
-    assert bool(item.get("functions")) != bool(item.get("no_function"))
-    for name in item.get("functions", ()):
-        assert callable(opened(name))
+def test_every_entry_has_functions_or_says_why_not():
+    for item in ITEMS:
+        assert bool(item.get("functions")) != bool(item.get("no_function")), item["id"]
+        for name in item.get("functions", ()):
+            assert callable(opened(name)), (item["id"], name)
 
 
-@each_item
-def test_the_entry_has_tests_or_says_why_not(item):
-    named = [*item.get("tests", ()), *item.get("printed", ())]
-    assert named or item.get("no_test")
-    for name in named:
-        path, function = name.split("::")
-        assert function in functions_in(path), f"{path} has no {function}"
+def test_every_entry_has_tests_or_says_why_not():
+    for item in ITEMS:
+        named = [*item.get("tests", ()), *item.get("printed", ())]
+        assert named or item.get("no_test"), item["id"]
+        for name in named:
+            path, function = name.split("::")
+            assert function in functions_in(path), f"{path} has no {function}"
 
 
-@pytest.mark.parametrize("item", [i for i in ITEMS if i["kind"] == "erratum"], ids=lambda item: item["id"])
-def test_a_correction_has_a_test_of_the_printed_formula_or_there_is_none_to_evaluate(item):
-    assert item["theory"] == f"errata-{item['id'].lower()}"
-    assert bool(item.get("printed")) != bool(item.get("no_test"))
+def test_a_correction_has_a_test_of_the_printed_formula_or_there_is_none_to_evaluate():
+    for item in [item for item in ITEMS if item["kind"] == "erratum"]:
+        assert item["theory"] == f"errata-{item['id'].lower()}"
+        assert bool(item.get("printed")) != bool(item.get("no_test")), item["id"]
 
 
 def test_few_corrections_are_left_to_reasons():

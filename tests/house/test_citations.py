@@ -3,8 +3,6 @@
 import ast
 import re
 
-import pytest
-
 from tests.house.sources import ROOT, SOURCES, nodes
 
 BIBLIOGRAPHY = (ROOT / "docs" / "references.bib").read_text()
@@ -21,9 +19,10 @@ def citations():
                     yield f"{path.stem}.{getattr(node, 'name', '')}", re.split(r"\n\n", body)[0]
 
 
-@pytest.mark.parametrize(("place", "text"), list(citations()), ids=lambda v: v if "\n" not in v and len(v) < 60 else "")
-def test_every_citation_can_be_found(place, text):
-    for part in re.split(r";\s+", " ".join(text.split())):
+def test_every_citation_can_be_found():
+    found = list(citations())
+    assert len(found) > 40
+    for place, part in [(place, part) for place, text in found for part in re.split(r";\s+", " ".join(text.split()))]:
         if part.lower().startswith(("the paper", "theorem", "theory", "section")):
             assert PAPER_ITEMS.search(part) or "theory" in part.lower(), f"{place}: which item of the paper? {part}"
             continue

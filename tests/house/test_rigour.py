@@ -181,7 +181,9 @@ def test_lying(monkeypatch):
 """
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "1")], ids=["alone", "on a worker"])
+@pytest.mark.parametrize(
+    "workers", [pytest.param((), marks=pytest.mark.long), ("-n", "1")], ids=["alone", "on a worker"]
+)
 def test_a_run_whose_maker_lies_fails(workers, tmp_path):
     (tmp_path / "test_lie.py").write_text(LIE)
     command = [

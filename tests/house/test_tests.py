@@ -3,24 +3,22 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 from tests.house.sources import nodes, parsed
 
 TESTS = Path(__file__).parents[1]
 FILES = sorted((*TESTS.rglob("test_*.py"), *TESTS.rglob("bench_*.py")))
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(TESTS)))
-def test_every_test_asserts_and_none_is_skipped(path):
-    for node in nodes(path):
+def test_every_test_asserts_and_none_is_skipped():
+    for path, node in [(file, node) for file in FILES for node in nodes(file)]:
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             inside = list(ast.walk(node))
             used = {getattr(n, "attr", getattr(n, "id", "")) for n in inside}
             claims = any(isinstance(n, ast.Assert) for n in inside) or used & {"raises", "warns"}
             claims = claims or any(name.startswith(("assert_", "check_")) for name in used)
-            assert claims, f"{node.name} asserts nothing"
-            assert not used & {"skip", "skipif", "xfail", "importorskip"}, f"{node.name} is skipped or expected to fail"
+            assert claims, f"{path}: {node.name} asserts nothing"
+            skipped = used & {"skip", "skipif", "xfail", "importorskip"}
+            assert not skipped, f"{path}: {node.name} is skipped or expected to fail"
 
 
 def test_what_takes_long_is_marked_in_the_words_by_which_it_is_found():

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._door import doors
-from sampling_design.errors import MissingExtraError
+from sampling_design.errors import MissingExtraError, UndecidedError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -64,6 +64,28 @@ class Record:
             for label, value in self._rows()
         )
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+class YesOrNo(Record):
+    """Base of the records that answer yes or no: `bool()` is the answer, and an undecided one refuses to be either.
+
+    `_asked` names the attribute that tells the three apart.
+    """
+
+    _asked: ClassVar[str]
+
+    def _answer(self) -> bool | None:
+        """The answer; None where the question stayed undecided."""
+        raise NotImplementedError
+
+    def __bool__(self) -> bool:
+        answer = self._answer()
+        if answer is None:
+            raise UndecidedError(
+                f"An undecided {type(self).__name__} is neither true nor false: ask `.{self._asked}`, and `.explain()` "
+                "for what is open."
+            )
+        return answer
 
 
 class Table(Record):

@@ -66,6 +66,11 @@ class Verdict:
         """Whether the certificate is proven."""
         return self.verdict == PROVEN
 
+    def __bool__(self) -> bool:
+        if self.verdict == UNDECIDED:
+            raise Undecided(self.inequality, "an undecided verdict is neither true nor false: ask `.verdict`")
+        return self.passed
+
     @property
     def exit_code(self) -> int:
         """0 proven, 1 the mathematics says no, 2 bad file, 3 undecided."""

@@ -209,7 +209,7 @@ def verify(
     if folder is not None:
         settings.write_json(folder / "verdict.json", verdict.to_dict())
     settings.show(verdict.to_dict(), record_table(verdict), verdict.explain())
-    if getattr(verdict, "verdict", "") == "undecided":
+    if verdict.verdict == "undecided":
         raise typer.Exit(3)
     if not verdict.passed:
         raise typer.Exit(1)

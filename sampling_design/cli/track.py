@@ -294,7 +294,7 @@ def validate(
     if journal is not None:
         journal.unlink(missing_ok=True)
     if not report.passed:
-        raise typer.Exit(1)
+        raise typer.Exit(1 if report.broken else 3)
 
 
 def _report(settings: Settings, report: ValidationReport) -> None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._door import door
-from sampling_design._record import Record, short
+from sampling_design._record import YesOrNo, short
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
@@ -50,8 +50,10 @@ class PairWitness(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DetectabilityEvidence(Record):
+class DetectabilityEvidence(YesOrNo):
     """Inequality (16) along random pairs, and for all small differences from trajectories of some of them.
+
+    True if it held along every pair, which is evidence and no proof; false if it failed along one, which refutes it.
 
         ratio = min over pairs and times of  (right side of (16)) / |dx(t)|^2_P1
 
@@ -93,6 +95,9 @@ class DetectabilityEvidence(Record):
     def holds(self) -> bool:
         """Whether (16) held at every time that was looked at."""
         return self.ratio >= 1.0
+
+    def _answer(self) -> bool:
+        return self.holds
 
     def least_horizon(self) -> float:
         """Return 2 ln(2 least_lambda)/eta: with these weights Theorem 9 asks for more than this, whatever P1 is."""

@@ -48,8 +48,9 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
     ax.set_yscale("log")
     if top > 0:
         ax.set_ylim(bottom=FLOOR * top, top=3 * top)
-    broken = sum(not f.passed for f in report.findings)
-    verdict = "all promises held" if report.passed else f"{broken} promise{'s' * (broken != 1)} broken"
+    broken = len(report.broken)
+    verdict = f"{broken} promise{'s' * (broken != 1)} broken" if broken else "not all promises were checked"
+    verdict = "all promises held" if report.passed else verdict
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(f"error: {report.norm}".replace(", ", ",\n"), fontsize="small")

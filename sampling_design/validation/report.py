@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, YesOrNo, short
 from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
 
@@ -19,8 +20,8 @@ ROUNDING = 1e-8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Finding(Record):
-    """One promise and what became of it.
+class Finding(YesOrNo):
+    """One promise and what became of it: true if it held, false if it was broken, neither where it was not checked.
 
     Attributes
     ----------
@@ -61,6 +62,11 @@ class Finding(Record):
     def passed(self) -> bool:
         """Whether the promise was judged and held, up to rounding."""
         return self.checked and bool(self.margin >= -ROUNDING)
+
+    _asked: ClassVar[str] = "verdict"
+
+    def _answer(self) -> bool | None:
+        return self.passed if self.checked else None
 
     @property
     def verdict(self) -> str:
@@ -116,8 +122,10 @@ class Example:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationReport(Record):
+class ValidationReport(YesOrNo):
     """What a plant's schedule and certificate promised, and whether it came true.
+
+    True if every promise held, false if one was broken; neither where none was, and not all were checked.
 
     Attributes
     ----------
@@ -149,11 +157,18 @@ class ValidationReport(Record):
 
     @property
     def passed(self) -> bool:
-        """Whether every promise held."""
-        return all(finding.passed for finding in self.findings)
+        """Whether every promise was checked and held, of one at least."""
+        return bool(self.findings) and all(finding.passed for finding in self.findings)
 
-    def __bool__(self) -> bool:
-        return self.passed
+    @property
+    def broken(self) -> tuple[Finding, ...]:
+        """The promises that did not hold."""
+        return tuple(finding for finding in self.findings if finding.checked and not finding.passed)
+
+    _asked: ClassVar[str] = "findings"
+
+    def _answer(self) -> bool | None:
+        return self.passed if self.broken or self.passed else None
 
     def cells(self) -> list[list[str]]:
         """Rows of the table of findings: claim, scenario, predicted, observed, margin, verdict."""
@@ -216,7 +231,7 @@ class ValidationReport(Record):
     def explain(self) -> str:
         """Say the verdict in words."""
         missing = [f for f in self.findings if not f.checked]
-        broken = [f for f in self.findings if f.checked and not f.passed]
+        broken = self.broken
         if not broken and not missing:
             return f"All {len(self.findings)} promises held."
         if not broken:

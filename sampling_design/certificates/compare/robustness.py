@@ -50,6 +50,9 @@ class TimingTrial:
     lam: float
     survives: bool
 
+    def __bool__(self) -> bool:
+        return self.survives
+
 
 @dataclass(frozen=True)
 class Losses:
@@ -59,6 +62,9 @@ class Losses:
     of: int
     lam: float
     survives: bool
+
+    def __bool__(self) -> bool:
+        return self.survives
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,9 @@ class FamilyTrial:
     def survives(self) -> bool:
         """Whether the certificate survives on every schedule of the family."""
         return self.certificate is not None
+
+    def __bool__(self) -> bool:
+        return self.survives
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy import optimize
 
 from sampling_design._linalg import positive_or_one
-from sampling_design._record import Record, short
+from sampling_design._record import YesOrNo, short
 from sampling_design.errors import UndecidedError
 from sampling_design.observability.box.branching import halved
 from sampling_design.observability.box.expansion import UP, BoxCells, expanded
@@ -36,8 +36,8 @@ LOOKS = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExistenceOverBox(Record):
-    """Whether some certificate with rate eta exists on a schedule, for each plant of a box its own.
+class ExistenceOverBox(YesOrNo):
+    """Whether some certificate with rate eta exists on a schedule, for each plant of a box its own: true if so.
 
     Attributes
     ----------
@@ -58,6 +58,9 @@ class ExistenceOverBox(Record):
     reason: str
     cells: int
     plant: UncertainPlant
+
+    def _answer(self) -> bool:
+        return self.exists
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

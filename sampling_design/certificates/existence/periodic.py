@@ -12,7 +12,7 @@ from sampling_design import _checks
 from sampling_design._balance import balance, balanced, balanced_rows
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
-from sampling_design._record import Record, short
+from sampling_design._record import YesOrNo, short
 from sampling_design.certificates.existence.existence_over_box import ExistenceOverBox, Margin, existence_over_box
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.observability.count.period_modes import PeriodModes, Sight, period_modes
@@ -45,8 +45,8 @@ REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Existence(Record):
-    """Whether some certificate with rate eta exists on a schedule.
+class Existence(YesOrNo):
+    """Whether some certificate with rate eta exists on a schedule: true if one does.
 
     Attributes
     ----------
@@ -71,6 +71,9 @@ class Existence(Record):
     partners: tuple[complex, ...] = ()
     period: float = 0.0
     reason: str = "every mode that does not fade by itself is seen within a period"
+
+    def _answer(self) -> bool:
+        return self.exists
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

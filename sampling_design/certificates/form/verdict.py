@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from sampling_design._record import Plain, Record, short
+from sampling_design._record import Plain, YesOrNo, short
 from sampling_design.checkers import verdict
 from sampling_design.checkers.claims import certificate
-from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.outcome import UNDECIDED, Refused
 from sampling_design.checkers.sampled import replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Verification(Record):
-    """The verdict of `verify` on a certificate.
+class Verification(YesOrNo):
+    """The verdict of `verify` on a certificate; true if it is proven, false if not, and neither where it is undecided.
 
     Attributes
     ----------
@@ -49,8 +50,10 @@ class Verification(Record):
     direction: list[float] | None = None
     verdict: str = "undecided"
 
-    def __bool__(self) -> bool:
-        return self.passed
+    _asked: ClassVar[str] = "verdict"
+
+    def _answer(self) -> bool | None:
+        return None if self.verdict == UNDECIDED else self.passed
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""

@@ -160,8 +160,7 @@ def _now(result: Plan, text: str | None) -> float | None:
         if calendar is None:
             raise ArgumentError(f"`--now` must be a number of {result.plant.time_unit}, got {text!r}.") from None
     date = parse_date("--now", text, calendar.zone)
-    minutes = (date - calendar.instant(0.0)).total_seconds() / 60
-    return calendar.clock(minutes) * 60 / SECONDS[result.plant.time_unit]
+    return calendar.clock(calendar.elapsed_at(date)) * 60 / SECONDS[result.plant.time_unit]
 
 
 def _times(result: Plan) -> Table:

@@ -7,7 +7,7 @@ where that breaks a tolerance, others are added on open days near it. Each such 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -184,7 +184,7 @@ class _Dating:
         entries = [
             PlannedDate(
                 self.calendar.instant(t * self.unit),
-                self.calendar.elapsed(t * self.unit) / self.unit,
+                float(self.plan.clock.elapsed(t)),
                 tuple(n for n, m in zip(names, s, strict=True) if m),
                 new,
             )
@@ -194,7 +194,7 @@ class _Dating:
 
     def is_open(self, t: float) -> bool:
         """Whether a clock time is no holiday."""
-        return self.calendar.is_open(round(t * self.unit, 6), holidays=True)
+        return self.calendar.is_open(t * self.unit, holidays=True)
 
     def judged(self, sequence: SampleSequence) -> tuple[float, bool]:
         """What is known of a sequence, and whether it is proven."""
@@ -271,10 +271,10 @@ class _Dating:
         """What is proven across a change of the clocks: all that follows comes `shift` later."""
         mean = self.plan.schedule.period / len(self.plan.schedule)
         span = settles(self.plan) * mean + self.plan.schedule.period
-        before = planned(self.plan, clock - span, clock)
-        after = planned(self.plan, clock, clock + span)
-        times = np.concatenate([before[0], after[0] + shift])
-        sequence = SampleSequence(times, np.concatenate([before[1], after[1]]), before[0].size, shift)
+        at = float(self.plan.clock.elapsed(clock))
+        once = replace(self.plan.clock, until=at + max(-shift, 0.0) + self.plan.problem.step)
+        times, seen = planned(self.plan, at - span, at + span, once)
+        sequence = SampleSequence(times, seen, int(np.searchsorted(times, at)), once)
         ratio, proven = self.judged(sequence)
         word = "back" if shift > 0 else "forward"
         day = self.calendar.local(clock * self.unit).date().isoformat()

@@ -13,6 +13,7 @@ from sampling_design._units import SECONDS
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.motion import motion_of
+from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
@@ -63,6 +64,11 @@ class PlanFigures(Record):
         oracle = Oracle(self.problem, motion_of(self.problem))
         oracle.judge(self.chosen)
         return oracle
+
+    @property
+    def clock(self) -> PlanClock:
+        """What the clocks show beside the real time."""
+        return PlanClock(self.requirement.calendar, self.minutes(1.0))
 
     @property
     def samples(self) -> int:

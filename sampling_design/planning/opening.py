@@ -9,9 +9,14 @@ from datetime import UTC, date, datetime, timedelta
 from itertools import pairwise
 from typing import TypeAlias
 
+import numpy as np
+import numpy.typing as npt
+
 from sampling_design._record import Plain, Record
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.time_stamps import parse_date, time_zone
+from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
+
+Array = npt.NDArray[np.float64]
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
@@ -30,18 +35,25 @@ def minutes(clock: str) -> int:
 def week_hours(name: str, value: Mapping[str, object]) -> WeekHours:
     """Return opening hours by weekday; days that are not named are closed.
 
-    Keys are weekdays, or several of them: "Mon-Fri".
+    Keys are weekdays, or several of them: "Mon-Fri". Hours that end no later than they begin end on the next day:
+    ("22:00", "06:00") on Sun is until Mon 06:00.
 
     Raises
     ------
     ArgumentError
         If a day or a clock time is not understood, or an interval is empty.
     """
-    found: WeekHours = {}
+    own: WeekHours = {}
     for key, spans in value.items():
         for day in _days(name, str(key)):
-            found[day] = _spans(f"{name}.{key}", spans)
-    return {day: found[day] for day in DAYS if day in found}
+            own[day] = _spans(f"{name}.{key}", spans)
+    found = {day: [(a, b if minutes(a) < minutes(b) else "24:00") for a, b in spans] for day, spans in own.items()}
+    for day, spans in own.items():
+        following = DAYS[(DAYS.index(day) + 1) % WEEK]
+        for a, b in spans:
+            if 0 < minutes(b) < minutes(a):
+                found.setdefault(following, []).append(("00:00", b))
+    return {day: tuple(sorted(found[day])) for day in DAYS if day in found}
 
 
 def _days(name: str, key: str) -> tuple[str, ...]:
@@ -57,8 +69,11 @@ def _spans(name: str, spans: object) -> tuple[tuple[str, str], ...]:
     for span in spans if isinstance(spans, Sequence) and not isinstance(spans, str) else [spans]:
         pair = list(span) if isinstance(span, Sequence) and not isinstance(span, str) else []
         right = len(pair) == 2 and all(isinstance(c, str) and _CLOCK.fullmatch(c) for c in pair)
-        if not right or minutes(pair[0]) >= minutes(pair[1]):
-            raise ArgumentError(f'`{name}` must hold spans like ["08:00", "17:00"], got {span!r:.60}.')
+        if not right or pair[0] == pair[1] or pair[0] == "24:00":
+            raise ArgumentError(
+                f'`{name}` must hold spans like ["08:00", "17:00"] or, past midnight, ["22:00", "06:00"], '
+                f"got {span!r:.60}."
+            )
         found.append((pair[0], pair[1]))
     return tuple(found)
 
@@ -76,19 +91,20 @@ class OpeningCalendar(Record):
     Parameters
     ----------
     start : str
-        Local date at which the first period begins (ISO 8601), at midnight unless it has a time.
+        Local date at which the first period begins (ISO 8601), at midnight unless it has a time; an offset must be the
+        zone's then.
     zone : str
         IANA name of the time zone, as Europe/Berlin.
     hours : dict of str to list of (str, str), optional
-        Opening hours by weekday, "Mon-Fri": [("08:00", "17:00")], half-open; days not named are closed. Default:
-        always open.
+        Opening hours by weekday, "Mon-Fri": [("08:00", "17:00")], half-open; ("22:00", "06:00") ends on the next day.
+        Days not named are closed. Default: always open.
     holidays : sequence of str
         Closed dates.
 
     Raises
     ------
     ArgumentError
-        If a date, zone, day or clock time is not understood.
+        If a date, zone, day or clock time is not understood, or the zone's clocks never show the start with its offset.
 
     Examples
     --------
@@ -103,9 +119,7 @@ class OpeningCalendar(Record):
     holidays: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        time_zone(self.zone)
-        first = parse_date("start", self.start).replace(tzinfo=None)
-        object.__setattr__(self, "start", first.isoformat(timespec="minutes"))
+        object.__setattr__(self, "start", _local_start(self.start, self.zone).isoformat(timespec="minutes"))
         if self.hours is not None:
             object.__setattr__(self, "hours", week_hours("hours", self.hours))
         object.__setattr__(self, "holidays", tuple(sorted(_day(day).isoformat() for day in self.holidays)))
@@ -134,18 +148,34 @@ class OpeningCalendar(Record):
 
     def elapsed(self, clock: float) -> float:
         """Real minutes from the start to a clock time."""
-        return (self.instant(clock).astimezone(UTC) - self.instant(0.0).astimezone(UTC)) / timedelta(minutes=1)
+        there = self.local(clock).replace(tzinfo=time_zone(self.zone))
+        return clock - _ahead(there, self.instant(0.0))
+
+    def elapsed_at(self, date: datetime) -> float:
+        """Real minutes from the start to a date that has an offset."""
+        return passed(self.instant(0.0), date) / timedelta(minutes=1)
+
+    def date(self, elapsed: float) -> datetime:
+        """The local date, with its offset, so many real minutes after the start."""
+        real = self.instant(0.0).astimezone(UTC) + timedelta(minutes=elapsed)
+        return real.astimezone(time_zone(self.zone))
 
     def clock(self, elapsed: float) -> float:
         """Minutes of clock since the start at which so many real minutes have passed."""
-        real = self.instant(0.0).astimezone(UTC) + timedelta(minutes=elapsed)
-        return (real.astimezone(time_zone(self.zone)).replace(tzinfo=None) - self.first) / timedelta(minutes=1)
+        return elapsed + _ahead(self.date(elapsed), self.instant(0.0))
+
+    def is_skipped(self, clock: float) -> bool:
+        """Whether the clocks are put forward over a clock time, so that it names no time of its day."""
+        return self.instant(clock).replace(tzinfo=None) != self.local(clock)
 
     def is_open(self, clock: float, own: WeekHours | None = None, *, holidays: bool = False) -> bool:
-        """Whether the place (and a sensor with hours of its own) is open at a clock time; holidays if asked."""
-        there = self.local(clock)
+        """Whether the place (and a sensor with hours of its own) is open at a clock time of an ordinary week.
+
+        `holidays`: of its very day, which may be a holiday, and whose clocks may skip it.
+        """
+        there = self.local(round(clock, 6))
         minute = there.hour * 60 + there.minute + there.second / 60
-        if holidays and there.date().isoformat() in self.holidays:
+        if holidays and (there.date().isoformat() in self.holidays or self.is_skipped(round(clock, 6))):
             return False
         weekday = there.weekday()
         return is_open(self.open_hours(), weekday, minute) and (own is None or is_open(own, weekday, minute))
@@ -183,6 +213,80 @@ class OpeningCalendar(Record):
         if self.hours is not None:
             data["hours"] = {day: [list(span) for span in spans] for day, spans in self.open_hours().items()}
         return {**data, "holidays": list(self.holidays)} if self.holidays else data
+
+
+@dataclass(frozen=True)
+class PlanClock:
+    """What the clocks of a plan show beside the real time: both since its start [the plant's time unit].
+
+    Without a calendar, and before the start, they are the same.
+
+    Attributes
+    ----------
+    calendar : OpeningCalendar or None
+    minutes : float
+        Of the plant's time unit.
+    until : float
+        Real time from which on the clocks are changed no more.
+    """
+
+    calendar: OpeningCalendar | None = None
+    minutes: float = 1.0
+    until: float = np.inf
+
+    def elapsed(self, clock: npt.ArrayLike) -> Array:
+        """Real times at which the clocks show so much for the first time."""
+        given = np.asarray(clock, dtype=float)
+        if self.calendar is None:
+            return np.array(given)
+        last, later = self._last()
+        real = [self.calendar.elapsed(c * self.minutes) / self.minutes if 0 < c < last else c for c in given.flat]
+        return np.where(given < last, np.reshape(real, given.shape), given - later)
+
+    def shown(self, elapsed: npt.ArrayLike) -> Array:
+        """What the clocks show at real times."""
+        given = np.asarray(elapsed, dtype=float)
+        if self.calendar is None:
+            return np.array(given)
+        later = self._last()[1]
+        clock = [self.calendar.clock(t * self.minutes) / self.minutes if 0 < t < self.until else t for t in given.flat]
+        return np.where(given < self.until, np.reshape(clock, given.shape), given + later)
+
+    def _last(self) -> tuple[float, float]:
+        """What the clocks show when they are changed for the last time, and by how much they are ahead from then on."""
+        if self.calendar is None or not np.isfinite(self.until):
+            return np.inf, 0.0
+        shown = self.calendar.clock(max(self.until, 0.0) * self.minutes) / self.minutes
+        return shown, shown - max(self.until, 0.0)
+
+
+def _ahead(date: datetime, zero: datetime) -> float:
+    """Minutes by which the clocks are put forward between two dates of a zone."""
+    return ((date.utcoffset() or timedelta(0)) - (zero.utcoffset() or timedelta(0))) / timedelta(minutes=1)
+
+
+def _local_start(start: str, zone: str) -> datetime:
+    """The local clock time (naive) of a start, with an offset or without.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no date, or not one that the clocks of the zone show once, with that offset.
+    """
+    parse_date("start", start)
+    given = datetime.fromisoformat(str(start))
+    early, late = (given.replace(tzinfo=time_zone(zone), fold=fold).utcoffset() for fold in (0, 1))
+    if early != late:
+        raise ArgumentError(
+            f"`start` = {start} is skipped or repeated by the clocks of {zone}: begin at a time that they show once."
+        )
+    local = given.replace(tzinfo=None)
+    if given.tzinfo is not None and given.utcoffset() != early:
+        raise ArgumentError(
+            f"`start` = {start} has another offset than the clocks of {zone}, which show "
+            f"{local.replace(tzinfo=time_zone(zone)).isoformat()}. Leave the offset out: the date is local."
+        )
+    return local
 
 
 def _day(value: object) -> date:

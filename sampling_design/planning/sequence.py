@@ -162,7 +162,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
             return worst
     wider, room = 1.0, 1 / usual if 0 < usual < 1 else np.inf
     for k in range(settled, settled + memory):
-        phase = phase_of(schedule, float(times[k]) - sequence.shift)
+        phase = phase_of(schedule, float(sequence.shown[k]))
         wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
     return max(worst, float(usual) * wider)
 
@@ -206,7 +206,7 @@ def _settling(
         return settled + back, np.zeros(0)
     while begins > sequence.first and _is_the_plan(search, own, begins - 1):
         begins -= 1
-    phases = [phase_of(plan.schedule, float(t) - sequence.shift) for t in sequence.times[begins : settled + back]]
+    phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[begins : settled + back]]
     reach = [search.atoms[begins + k].reach for k in range(len(phases))]
     return begins, settled_factors(plan, phases, reach)
 

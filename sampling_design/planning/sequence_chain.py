@@ -98,7 +98,7 @@ def sequence_chain(plan: PlanFigures, own: SampleChain, sequence: SampleSequence
             made.append(own.gaps[phase])
         else:
             made.append(make_gap(own.A, own.G, h, L[k], L[k + 1], flows[k][0], lengths))
-    before = [own.reach[phase_of(plan.schedule, float(t))] for t in times[: sequence.first]]
+    before = [own.reach[phase_of(plan.schedule, float(t))] for t in sequence.shown[: sequence.first]]
     start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
     chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
     return chain, finite_atoms(chain, before)
@@ -106,7 +106,7 @@ def sequence_chain(plan: PlanFigures, own: SampleChain, sequence: SampleSequence
 
 def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int) -> int | None:
     """Which sample of the plan a sequence's sample is; None if it is another one."""
-    schedule, t = plan.schedule, float(sequence.times[k]) - (sequence.shift if k >= sequence.first else 0.0)
+    schedule, t = plan.schedule, float(sequence.shown[k])
     phase = phase_of(schedule, t)
     off = (t - float(schedule.times[phase])) / schedule.period
     told = np.flatnonzero(sequence.seen[k] & np.isfinite(plan.problem.v_bound))

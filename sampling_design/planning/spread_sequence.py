@@ -16,12 +16,16 @@ import numpy.typing as npt
 
 from sampling_design._linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import Goal
 from sampling_design.planning.spread import PERIODS, SETTLED, WIDE, own
 from sampling_design.planning.work import SEQUENCE
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+DAY = 1440.0
+"""Minutes by which clocks are never put forward or back."""
 
 LOOKS = 24
 """Offsets of a gap at which a standard deviation is worked out, its end among them."""
@@ -35,6 +39,9 @@ GRAIN = 1e-9
 FORGOTTEN = 1e-4
 """A filter has forgotten what it was started with where that changes it by no more than this share."""
 
+ORDINARY = PlanClock()
+"""Clocks that are never changed."""
+
 
 @dataclass(frozen=True, eq=False)
 class SampleSequence:
@@ -43,26 +50,38 @@ class SampleSequence:
     Attributes
     ----------
     times : (K,) array
+        Real times: what lies between two of them has passed, whatever the clocks showed.
     seen : (K, p) array of bool
     first : int
-        Index of the first sample that the plan does not have, or has otherwise.
+        Index of the first sample that the plan does not have, or has otherwise, or after another gap.
+    clock : PlanClock
+        What the plan's clocks show at these times.
     """
 
     times: Array
     seen: Mask
     first: int
-    shift: float = 0.0
-    """How much later than in the plan the samples at the end are, since the clocks were changed."""
+    clock: PlanClock = ORDINARY
+
+    @cached_property
+    def shown(self) -> Array:
+        """The times on the plan's clocks (K,)."""
+        return self.clock.shown(self.times)
 
 
-def planned(plan: PlanFigures, start: float, stop: float) -> tuple[Array, Mask]:
-    """The plan's samples in [start, stop)."""
+def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORDINARY) -> tuple[Array, Mask]:
+    """The plan's samples in [start, stop): real times by a clock, without those that it skips."""
     schedule, period = plan.schedule, plan.schedule.period
-    periods = np.arange(np.floor(start / period), np.ceil(stop / period) + 1) * period
+    more = 0.0 if clock.calendar is None else DAY / clock.minutes
+    periods = np.arange(np.floor((start - more) / period), np.ceil((stop + more) / period) + 1) * period
     times = (periods[:, None] + schedule.times[None, :]).ravel()
     seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
-    keep = (times >= start - 1e-9 * period) & (times < stop - 1e-9 * period)
-    return times[keep], seen[keep]
+    near = (times >= start - more - GRAIN * period) & (times < stop + more)
+    times, seen = times[near], seen[near]
+    real = clock.elapsed(times)
+    keep = (real >= start - GRAIN * period) & (real < stop - GRAIN * period)
+    keep &= np.abs(clock.shown(real) - times) < GRAIN * period
+    return real[keep], seen[keep]
 
 
 def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
@@ -70,10 +89,10 @@ def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: Goal) -> li
     if goal.at != "given times":
         return []
     problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
-    late = sequence.shift if k >= sequence.first else 0.0
-    phases = np.round(goal.steps) * problem.step + late
-    periods = np.arange(np.floor((start - late) / problem.period), np.ceil(stop / problem.period) + 1) * problem.period
-    offsets = np.sort((periods[:, None] + phases[None, :]).ravel()) - start
+    shown = sequence.shown[k : k + 2]
+    phases = np.round(goal.steps) * problem.step
+    periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 1) * problem.period
+    offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start
     tiny = 1e-9 * problem.period
     inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
     return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
@@ -151,7 +170,7 @@ class SpreadSequence:
         wider = np.inf
         for k, P in self._filtered(sequence, until):
             if k >= sequence.first + len(self.plan.schedule):
-                usual = self.limits[self._phase(float(sequence.times[k]) - sequence.shift)]
+                usual = self.limits[self._phase(float(sequence.shown[k]))]
                 wider = min(wider, self._beyond(P, usual))
         return worst, float(np.sqrt(max(wider, 1.0)))
 
@@ -175,7 +194,7 @@ class SpreadSequence:
             times = sequence.times
             self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
             start = max(sequence.first - 1, 0)
-            found = [(start, self.limits[self._phase(float(times[start]))])]
+            found = [(start, self.limits[self._phase(float(sequence.shown[start]))])]
             for k in range(start, len(times) - 1):
                 if times[k] >= until:
                     break

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -110,6 +110,11 @@ def parse_date(name: str, value: str | datetime, zone: str | None = None) -> dat
     return date.replace(tzinfo=place)
 
 
+def passed(since: datetime, date: datetime) -> timedelta:
+    """The real time between two dates with offsets; of two in one zone, Python subtracts what the clocks show."""
+    return date.astimezone(UTC) - since.astimezone(UTC)
+
+
 def time_zone(zone: str) -> ZoneInfo:
     """Return a time zone by its IANA name.
 
@@ -159,7 +164,7 @@ def _value(cell: str, zero: datetime | None, unit: str, is_date: bool, where: st
     except ArgumentError as error:
         raise in_file(error, where) from None
     zero = date if zero is None else zero
-    apart = date - zero
+    apart = passed(zero, date)
     micro = (apart.days * 86400 + apart.seconds) * MICROSECONDS + apart.microseconds
     if micro < 0:
         raise FileFormatError(f"{where}: {cell} comes before the origin {zero.isoformat()}.", where)

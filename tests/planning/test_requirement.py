@@ -1,13 +1,15 @@
 """Requirements of plans: what is refused, what comes back from a file, and which times are allowed."""
 
 import itertools
+from datetime import UTC, timedelta
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
-from sampling_design.planning.opening import OpeningCalendar, week_hours
+from sampling_design.planning.opening import OpeningCalendar, PlanClock, week_hours
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, duration
 from sampling_design.planning.requirement_file import requirement_and_plant, write_plan_requirement
@@ -34,7 +36,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
             {"calendar": {**WEEK, "hours": {"Mo": [["08:00", "17:00"]]}}},
             "must name weekdays like Mon or Mon-Fri",
         ),
-        ({"calendar": {**WEEK, "hours": {"Mon": [["17:00", "08:00"]]}}}, "must hold spans like "),
+        ({"calendar": {**WEEK, "hours": {"Mon": [["17:00", "17:00"]]}}}, "must hold spans like "),
         ({"calendar": {**WEEK, "holidays": ["1 May"]}}, "`holidays` must be dates like 2026-05-01"),
         ({"calendar": {**WEEK, "zone": "Mars"}}, "`zone` must be the name of a time zone"),
     ],
@@ -94,6 +96,52 @@ def test_a_local_hour_keeps_its_hour_across_a_change_of_the_clocks():
     assert place.instant(480).isoformat() == "2026-03-23T08:00:00+01:00"
     assert place.instant(week + 480).isoformat() == "2026-03-30T08:00:00+02:00"
     assert place.elapsed(week + 480) - place.elapsed(480) == week - 60
+
+
+def test_hours_past_midnight_end_on_the_next_day():
+    place = OpeningCalendar("2026-03-23", hours={"Mon-Fri": [("22:00", "06:00")], "Sat": [("12:00", "00:00")]})
+    week = np.arange(0.0, 10080.0, 15.0)
+    nights = [(day * 1440 + 1320.0, day * 1440 + 1800.0) for day in range(5)] + [(5 * 1440 + 720.0, 6 * 1440.0)]
+    assert [place.is_open(t) for t in week.tolist()] == [any(a <= t < b for a, b in nights) for t in week.tolist()]
+    assert OpeningCalendar(**place.to_dict()).to_dict() == place.to_dict()
+    sunday = OpeningCalendar("2026-03-23", hours={"Sun": [("23:00", "01:30")]})
+    assert (sunday.is_open(0.0), sunday.is_open(89.0), sunday.is_open(90.0)) == (True, True, False)
+    for span in (["08:00", "08:00"], ["24:00", "06:00"]):
+        with pytest.raises(ArgumentError, match=r"spans like .* or, past midnight, \[\"22:00\", \"06:00\"\], got"):
+            OpeningCalendar("2026-03-23", hours={"Mon": [span]})
+
+
+def test_a_start_is_what_the_clocks_of_its_zone_show_once():
+    for start in ("2026-03-23T08:00+01:00", "2026-03-23T08:00"):
+        assert OpeningCalendar(start, "Europe/Berlin").instant(0.0).isoformat() == "2026-03-23T08:00:00+01:00"
+    with pytest.raises(ArgumentError, match=r"has another offset than the clocks of Europe/Berlin, which show 2026-03"):
+        OpeningCalendar("2026-03-23T08:00+05:00", "Europe/Berlin")
+    for start in ("2026-03-29T02:30", "2026-10-25T02:30+01:00"):
+        with pytest.raises(ArgumentError, match="skipped or repeated by the clocks of Europe/Berlin: begin at a time"):
+            OpeningCalendar(start, "Europe/Berlin")
+
+
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "Australia/Lord_Howe", "America/St_Johns"])
+@pytest.mark.parametrize("minutes", [1e-3 / 60, 1.0, 60.0, 1440.0])
+def test_time_that_passed_and_what_clocks_show_name_each_other(zone, minutes):
+    """In any unit: real times give back themselves, and clock times the first real time that shows them."""
+    place = OpeningCalendar("2026-01-01", zone)
+    clock, day = PlanClock(place, minutes), 1440 / minutes
+    real = np.arange(0.0, 366.0, 1 / 96) * day
+    shown = clock.shown(real)
+    zero = place.instant(0.0).astimezone(UTC)
+    for t, c in list(zip(real.tolist(), shown.tolist(), strict=True))[:: 96 * 5]:
+        there = (zero + timedelta(minutes=t * minutes)).astimezone(ZoneInfo(zone))
+        assert abs((there.replace(tzinfo=None) - place.first) / timedelta(minutes=minutes) - c) <= 1e-9 * day
+    back = clock.elapsed(shown)
+    again = np.abs(back - real) > 1e-9 * day  # the clocks had shown it before
+    assert np.all(back[again] < real[again])
+    assert again.sum() in (2, 4)
+    np.testing.assert_allclose(clock.shown(back), shown, rtol=1e-12)
+    still = PlanClock(place, minutes, until=100 * day)
+    np.testing.assert_array_equal(still.shown(real[:9600]), shown[:9600])
+    assert np.ptp(still.shown(real[9600:]) - real[9600:]) <= 1e-9 * day
+    np.testing.assert_allclose(still.elapsed(still.shown(real[9600:])), real[9600:], rtol=1e-12)
 
 
 def test_durations_have_units():

@@ -62,9 +62,11 @@ def test_what_is_proven_of_a_change_is_above_what_another_program_attains(week, 
 def test_samples_of_other_clocks_are_the_plans(week):
     period = week.schedule.period
     times, seen = planned(week, 0.0, 3 * period)
+    real, same = planned(week, 0.0, 3 * period - 1.0, week.clock)
     first = week.samples
-    shifted = SampleSequence(np.append(times[:first], times[first:] + 1.0), seen, first, shift=1.0)
-    chain, _ = sequence_chain(week, plan_chain(week), shifted)
+    np.testing.assert_allclose(real, np.append(times[:first], times[first:] - 1.0), rtol=1e-12)
+    np.testing.assert_array_equal(same, seen)
+    chain, _ = sequence_chain(week, plan_chain(week), SampleSequence(real, seen, first, week.clock))
     own = plan_chain(week)
     assert all(a is own.samples[phase_of(week.schedule, t)] for a, t in zip(chain.samples, times, strict=True))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -45,17 +44,15 @@ def followed(
     settings: Settings,
     estimator: sd.MovingHorizonEstimator,
     record: sd.Measurements,
-    start: float,
-    origin: str,
     radii: str | None,
     guarantee: str,
 ) -> Tally:
-    """Estimate at every row of `record`, whose times count from `start`; write and show what was asked for."""
+    """Estimate at every row of `record`; write and show what was asked for."""
     kind, plant, folder = check_radii(radii or _usual(settings, estimator, record)), estimator.plant, settings.folder()
-    picture = None if folder is None else _picture(estimator, record, start, kind == "centred")
+    picture = None if folder is None else _picture(estimator, record, kind == "centred")
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
-        rows = EstimateTable(plant, folder / "estimates.csv", origin=origin, radii=kind) if folder else None
+        rows = EstimateTable(plant, folder / "estimates.csv", origin=record.origin, radii=kind) if folder else None
         columns = EstimateColumns(plant, kind) if folder or settings.as_json else None
         for each in (rows, columns):
             if each is not None:
@@ -64,17 +61,17 @@ def followed(
         with settings.progress("estimate") as progress:
             told = _told(_each(estimator, record, picture, kind), len(record), progress)
             while some := list(islice(told, TOGETHER)):
-                last, times = some[-1], [estimate.t + start for estimate in some]
+                last = some[-1]
                 if rows is not None or columns is not None:  # always where there is a picture
-                    block = EstimateBlock.of(some, kind, times)
+                    block = EstimateBlock.of(some, kind)
                     for each in (rows, columns):
                         if each is not None:
                             each.put(block)
                     if isinstance(picture, _Extremes):
                         picture.take(block)
                 if columns is None:
-                    for t, estimate in zip(times, some, strict=True):
-                        tally.add(t, estimate)
+                    for estimate in some:
+                        tally.add(estimate.t, estimate)
         if columns is not None and folder is not None:
             with Growing(folder / "estimates.json") as file:
                 columns.write(file, settings.named({}), after)
@@ -83,14 +80,13 @@ def followed(
     if folder is not None and picture is not None:
         settings.wrote(folder / "estimates.csv")
         settings.wrote(folder / "estimates.json")
-        seen = replace(record, times=record.times + start, origin=origin)
         if isinstance(picture, _Extremes):
-            settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=seen))
+            settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=record))
         else:
-            settings.wrote(save_picture(picture.curve(seen, start), folder / "estimates.png"))
+            settings.wrote(save_picture(picture.curve(record), folder / "estimates.png"))
     assert last is not None
     shown = rows_table("EstimateRecord", tally.rows())
-    settings.show_tables(shown, _last(plant, last, start, kind), f"{guarantee} {tally.explain()}")
+    settings.show_tables(shown, _last(plant, last, kind), f"{guarantee} {tally.explain()}")
     return tally
 
 
@@ -131,12 +127,10 @@ class _Extremes:
         """Nothing: radii are taken where they are written."""
 
 
-def _picture(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, start: float, centred: bool
-) -> Following | _Extremes:
+def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, centred: bool) -> Following | _Extremes:
     if _closely(record, estimator.plant.n_states):
-        return Following(estimator, centred=centred)
-    first, last = float(record.times.min()) + start, float(record.times.max()) + start
+        return Following(estimator, centred=centred, start=estimator.state.last.t)
+    first, last = float(record.times.min()), float(record.times.max())
     return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))
 
 
@@ -168,8 +162,8 @@ def _own_radii(estimate: Estimate, kind: str) -> Array:
     return estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii
 
 
-def _last(plant: sd.Plant, estimate: Estimate, start: float, kind: str) -> RichTable:
+def _last(plant: sd.Plant, estimate: Estimate, kind: str) -> RichTable:
     radii, labels = _own_radii(estimate, kind), plant.states.labels()
     rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
-    when = f"{short(estimate.t + start, 9)} {plant.time_unit}"
+    when = f"{short(estimate.t, 9)} {plant.time_unit}"
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

@@ -140,12 +140,9 @@ def _record(result: Plan, path: Path) -> list[tuple[float, npt.ArrayLike | None,
     rows = reading.measurements(path, result.plant, result.schedule.origin)
     calendar, unit = result.requirement.calendar, result.plant.time_unit
     found: list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] = []
-    for t, values, told in zip(rows.times.tolist(), rows.y, rows.told, strict=True):
-        y = np.array(values)
-        for each in told:  # "<0.5" and the like: measured, whatever was read
-            y[each.output] = 0.0
+    for t, taken in zip(*rows.samples(), strict=True):
         clock = t if calendar is None else calendar.clock(t * SECONDS[unit] / 60) * 60 / SECONDS[unit]
-        found.append((clock, y, None))
+        found.append((float(clock), np.where(taken, 0.0, np.nan), None))  # whatever was read
     return found
 
 

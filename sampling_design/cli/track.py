@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypedDict
 
@@ -102,14 +101,13 @@ def estimate(
         _check_origins(record, schedule)
     if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
-    start = float(record.times.min()) if certificate_file is None and schedule is None else 0.0
-    inside = replace(record, times=record.times - start)
-    certificate, words = _guarantee(settings, plant, inside, certificate_file, schedule, eta, bounds)
+    start = record.start if certificate_file is None and schedule is None else 0.0
+    certificate, words = _guarantee(settings, plant, record, certificate_file, schedule, eta, bounds)
     settings.notice(words)
     first = numbers("--prior", prior, plant.states.names)
     known = None if first is None else np.atleast_1d(first)
-    estimator = _estimator(settings, plant, certificate, inside, horizon, known, bounds)
-    tally = followed(settings, estimator, inside, start, record.origin, radii, words)
+    estimator = _estimator(settings, plant, certificate, record, start, horizon, known, bounds)
+    tally = followed(settings, estimator, record, radii, words)
     if any(status == "bounds disproved" for status in tally.status):
         raise typer.Exit(1)
 
@@ -195,18 +193,22 @@ def _from_gaps(
     bounds: NoiseBounds,
     progress: Progress,
 ) -> tuple[SampledCertificate | None, str]:
-    """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it."""
-    measured = np.asarray(np.isfinite(record.y).any(axis=1))
-    times = np.unique(record.times[measured])
+    """A certificate for every schedule with the file's gaps, else for its own times, else none; and words for it.
+
+    The time 0 of both is the start of the record.
+    """
+    times, taken = record.samples(numbers=True)
+    times = times - record.start
     if times.size < 2:
         return None, "No guarantee: one sample is no schedule that could be certified."
     gaps = np.diff(times)
     shortest, longest = float(gaps.min()), float(gaps.max())
     seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
+    seen += " between numbers, limits and means left out" if any(record.told) else ""
     rate = _rate(settings, plant, eta, longest)
     chosen: Tree = {"eta": rate, "progress": progress, **_weights(plant, rate, bounds)}
     asked = plant.n_states <= FAMILY_STATES
-    if asked and np.isfinite(record.y[measured]).all():
+    if asked and taken.all():
         family = sd.GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
             return sd.certify(plant, family, **chosen), f"Guarantee for all schedules with {seen}."
@@ -215,11 +217,8 @@ def _from_gaps(
     if times.size > OWN_SAMPLES:
         words = f"No guarantee beyond the ellipsoid: the file's own {times.size} times ({seen}) are more than the "
         return None, words + f"{OWN_SAMPLES} that are certified in passing. Give a certificate or a schedule."
-    order = np.unique(record.times, return_index=True)[1]
-    kept = order[measured[order]]
-    mask = np.isfinite(record.y[kept])
     try:
-        own = sd.Schedule(record.times[kept], mask, time_unit=plant.time_unit)
+        own = sd.Schedule(times, taken, time_unit=plant.time_unit)
         certificate = sd.certify(plant, own, **chosen)
     except (MathematicsError, SolverError) as error:
         return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
@@ -234,6 +233,7 @@ def _estimator(
     plant: sd.Plant,
     certificate: SampledCertificate | None,
     record: sd.Measurements,
+    start: float,
     horizon: float | None,
     prior: npt.ArrayLike | None,
     bounds: NoiseBounds,
@@ -244,7 +244,9 @@ def _estimator(
         settings.notice(f"--horizon not given: {short(horizon)} {plant.time_unit} is used.")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", sd.GuaranteeWarning)
-        estimator = sd.MovingHorizonEstimator(plant, certificate, horizon=horizon, prior=prior, **bounds)
+        estimator = sd.MovingHorizonEstimator(
+            plant, certificate, horizon=horizon, prior=prior, prior_time=start, schedule_zero=start, **bounds
+        )
     for warning in caught:
         settings.notice(str(warning.message))
     return estimator
@@ -342,7 +344,9 @@ def log(
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
-    times, taken = _samples(record)
+    times, taken = record.samples()
+    if any(record.told):
+        settings.notice("Limits and means count as taken, and sigma counts them like numbers.")
     del record  # its numbers are not held beside those of the comparison
     with settings.progress("sigma") as progress:
         result = sd.compare_schedule(
@@ -360,17 +364,6 @@ def log(
         settings.write_json(folder / "log.json", result.contents())
         settings.wrote(save_picture(result, folder / "log.png"))
     settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())
-
-
-def _samples(record: sd.Measurements) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Times at which something was measured, in order, and which outputs were."""
-    taken = np.isfinite(record.y)
-    measured = taken.any(axis=1)
-    times, taken = record.times[measured], taken[measured]
-    if np.all(times[1:] > times[:-1]):
-        return times, taken
-    times, rows = np.unique(times, return_index=True)
-    return times, taken[rows]
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

@@ -9,7 +9,6 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -21,12 +20,10 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._files import Growing
-from sampling_design._units import SECONDS
-from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.tally import Tally
-from sampling_design.estimators.records.measurement_table import date_of
+from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import cell_of
 from sampling_design.plants.plant import Plant
 
@@ -106,7 +103,7 @@ class EstimateTable:
     def put(self, block: EstimateBlock) -> None:
         """Add the rows of a block."""
         zero, unit = self._zero, self.plant.time_unit
-        columns = [[_dated(zero, t, unit) for t in block.times.tolist()]] if zero else []
+        columns = [[dated(zero, t, unit) for t in block.times.tolist()]] if zero else []
         columns += [block.time, [e.status for e in block.estimates]]
         columns += [["1" if e.certified else "0" for e in block.estimates], block.cost]
         for pair in zip(block.state, block.radii, strict=True):
@@ -287,10 +284,3 @@ def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, ori
             rows = slice(k, k + TOGETHER)
             table.put(EstimateBlock.of(list(record.estimates[rows]), table.radii, record.times[rows]))
     return Path(path)
-
-
-def _dated(zero: datetime, t: float, unit: str) -> str:
-    try:
-        return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
-    except OverflowError:
-        raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None

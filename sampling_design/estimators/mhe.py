@@ -74,6 +74,8 @@ class MovingHorizonEstimator(WindowedEstimator):
         How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
         what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
         what `robustness` says of such deviations.
+    schedule_zero : float
+        What the clock of the samples [time] shows at time 0 of the certificate's schedule. Default 0.
     input_side : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
 
@@ -134,6 +136,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         v_bound: npt.ArrayLike | None = None,
         initial_error: npt.ArrayLike | None = None,
         timing_tolerance: float = 0.0,
+        schedule_zero: float = 0.0,
         input_side: str = "right",
     ):
         cost = CostFunction() if cost is None else cost
@@ -143,7 +146,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         given = Constraints() if constraints is None else constraints
         constant = given.w_model == "constant" and given.w is not None
         schedule = None if certificate is None else certificate.covers
-        self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance)
+        self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance, schedule_zero)
         self.constraints = WindowConstraints(self.table, given)
         self.engine = _engine(given.engine, self.constraints)
         self.check_spacing = given.check_spacing

@@ -18,6 +18,7 @@ from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import looks_back, proven_ratio, settles, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, planned
+from sampling_design.recovery.readings import told
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -243,8 +244,12 @@ def _taken(
     for item in record:
         if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
             raise ArgumentError(f"`record` must hold rows (t, y, u), got {_checks.described(item)}.")
-        y = None if item[1] is None else np.isfinite(_checks.floats("y", item[1]).reshape(-1))
-        if y is None or not y.any():
+        plain, limits = told(item[1], plan.plant.n_outputs)
+        y = None if plain is None else np.isfinite(_checks.floats("y", plain).reshape(-1))
+        if y is None:
+            continue
+        y[[each.output for each in limits]] = True
+        if not y.any():
             continue
         t = _checks.number("t", item[0])
         if y.size != plan.plant.n_outputs or (times and t <= times[-1]):

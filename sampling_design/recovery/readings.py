@@ -116,6 +116,10 @@ class Told(NamedTuple):
     upper: float
     since: float | None = None
 
+    def shifted(self, by: float) -> Told:
+        """Return the same of a clock that shows `by` more."""
+        return self if self.since is None else self._replace(since=self.since + by)
+
 
 def told(y: object, p: int) -> tuple[object, tuple[Told, ...]]:
     """Return measurements with NaN in place of limits and means, and those.

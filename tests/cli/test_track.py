@@ -195,6 +195,18 @@ def test_log_says_what_deviations_cost(shell, tmp_path):
     assert "3 of 25 planned samples were missed" in result.out.replace("\n", " ")
 
 
+def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
+    """What was read is another question than whether somebody was there: three of six counted as missed."""
+    cells = ["1.0,0.5,", "2.2,<0.9,", "3.2,-0.9,", "4.4,-0.6,3.3", "5.4,>0.1,", "6.6,0.9,"]
+    (tmp_path / "y.csv").write_text(
+        "time,position,position_since,force_per_mass\n" + "".join(f"{each},0\n" for each in cells)
+    )
+    found = shell("log", OSCILLATOR, schedule, tmp_path / "y.csv", "--window", "3", "--json")
+    assert json.loads(found.out)["missed"] == []
+    assert json.loads(found.out)["lacking"] == []
+    assert "Limits and means count as taken" in found.err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -14,6 +14,7 @@ from sampling_design import (
     certify,
 )
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
+from sampling_design.recovery.readings import Below
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 TIMES = [0.0, 0.9, 2.0, 3.1]
@@ -119,3 +120,35 @@ def test_rounded_stamps_far_from_zero_keep_a_range_of_gaps():
     watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
     assert all(watch.sample_fits(times[: k + 1], np.ones(1), False) for k in range(1, 400))
     assert not watch.sample_fits([*times, times[-1] + 1.2001], np.ones(1), False)
+
+
+def test_a_family_plans_every_output():
+    watch = ScheduleWatch(GapRange(0.3, 1.2), "s")
+    assert watch.sample_fits([1.0, 2.0], np.ones(2), False)
+    assert not watch.sample_fits([1.0, 2.0], np.array([1.0, 0.0]), False)
+
+
+def test_a_limit_is_no_sample_of_the_schedule_and_disturbs_none():
+    """The claim is about numbers: a limit between them takes nothing of it away, one in place of a number does."""
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
+    plain, between, instead = (
+        MovingHorizonEstimator(PLANT, certify(PLANT, PeriodicSchedule([1.0])), **bounds) for _ in range(3)
+    )
+    for t in (1.0, 2.0, 3.0):
+        assert plain.update(t, [0.0]).on_schedule
+        assert between.update(t, [0.0]).on_schedule
+        assert between.update(t + 0.4, [Below(5.0)]).on_schedule
+        found = instead.update(t, [Below(5.0)] if t == 2.0 else [0.0])
+    assert not found.on_schedule
+
+
+@pytest.mark.parametrize("schedule", [PeriodicSchedule([1.0, 0.7]), Schedule([1.0, 1.7, 2.7]), GapRange(0.6, 1.1)])
+def test_the_clock_of_the_schedule_may_show_anything_at_its_zero(schedule):
+    for zero in (0.0, 64.0, -8.0, 1.7e9):
+        watch = ScheduleWatch(schedule, "s", zero=zero)
+        times = [zero, zero + 1.0, zero + 1.7, zero + 2.7]
+        fits = [watch.sample_fits(times[: k + 1], np.ones(1), k == 1) for k in (1, 2, 3)]
+        assert fits == [True] * 3
+        assert not watch.sample_fits([zero + 1.0, zero + 1.45], np.ones(1), False)
+        assert watch.nothing_missed(zero + 1.0, zero + 1.6, False)
+        assert not watch.nothing_missed(zero + 1.0, zero + 2.2, False)

@@ -87,8 +87,7 @@ def test_blocks_are_read_as_single_rows_are(tmp_path, monkeypatch, seed):
 def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypatch, capsys, radii):
     monkeypatch.setattr(following, "CLOSELY", 5)
     path = drawn_file(np.random.default_rng(3), tmp_path / "y.csv", rows=12, awkward=False)
-    record = sd.read_measurements(path, PLANT)
-    start = 0.125
+    record = replace(sd.read_measurements(path, PLANT), origin="2026-03-01")
 
     def estimator():
         return sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
@@ -97,12 +96,11 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     if radii == "centred":
         whole = whole.centred()
     moved = sd.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
-    object.__setattr__(moved, "times", whole.times + start)
     if radii == "ellipsoids":
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
         moved.__dict__["estimates"] = tuple(with_proof(each, None) for each in whole.estimates)
     settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
-    tally = following.followed(settings, estimator(), record, start, "2026-03-01", radii, "words")
+    tally = following.followed(settings, estimator(), record, radii, "words")
     printed = capsys.readouterr().out
     expected = {**moved.to_dict(), "radii_of": radii, "guarantee": "words", "horizon": 3.0}
     assert printed == to_json(settings.named(expected)) == (tmp_path / "out/estimates.json").read_text()
@@ -117,12 +115,10 @@ def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
     record = sd.Measurements(PLANT, [1.0, 50.0, 2.0], [[1.0, 0.0]] * 3, [[0.0]] * 3)
     settings = Settings("estimate", output=tmp_path / "out", quiet=True)
     with pytest.raises(ArgumentError, match="goes back beyond the window"):
-        following.followed(
-            settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipsoids", "words"
-        )
+        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, "ellipsoids", "words")
     assert list((tmp_path / "out").iterdir()) == []
     with pytest.raises(ArgumentError, match="`radii` must be one of intervals, centred, ellipsoids, got 'ellipses'"):
-        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, 0.0, "", "ellipses", "")
+        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, "ellipses", "")
 
 
 def test_memory_does_not_grow_with_the_record():
@@ -134,7 +130,7 @@ def test_memory_does_not_grow_with_the_record():
         settings = Settings("estimate", quiet=True)
         tracemalloc.start()
         estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
-        following.followed(settings, estimator, record, 0.0, "", "ellipsoids", "words")
+        following.followed(settings, estimator, record, "ellipsoids", "words")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak

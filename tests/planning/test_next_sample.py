@@ -72,6 +72,12 @@ def test_a_week_without_samples_breaks_the_tolerance(week):
     assert proven_ratio(week, late) > 1
 
 
+def test_a_limit_is_a_sample_that_was_taken(week):
+    due = float(planned(week, 0.5, week.schedule.period)[0][0])
+    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, sd.Below(1.0)))
+    assert one.to_dict() == other.to_dict()
+
+
 def test_wrong_arguments_are_refused(week):
     with pytest.raises(ArgumentError, match="must not lie before the last sample"):
         sd.next_sample(week, [(9.0, [1.0, 2.0], None)], now=3.0)

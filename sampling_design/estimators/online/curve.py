@@ -53,12 +53,13 @@ class EstimateCurve(Record):
 class Following:
     """Collects a curve while an estimator goes along a record: `before` each sample, then `after` its estimate.
 
-    `centred`: the curve is the middle of the tube, which goes with estimates that are in the middle of their intervals.
+    `start` is when the prior is. `centred`: the curve is the middle of the tube, which goes with estimates that are in
+    the middle of their intervals.
     """
 
-    def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP, centred: bool = False):
+    def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP, centred: bool = False, start: float = 0.0):
         self.estimator, self.count, self.centred = estimator, points, centred
-        self.points, self.tubes, self.last = [estimator.predict(0.0)], list[Tube](), 0.0
+        self.points, self.tubes, self.last = [estimator.predict(start)], list[Tube](), start
 
     def before(self, t: float) -> None:
         """Draw on to t, with what is known before the sample there."""
@@ -78,14 +79,10 @@ class Following:
             self.points.append(estimate)
             self.last = t
 
-    def curve(self, measurements: Measurements, start: float = 0.0) -> EstimateCurve:
-        """Return what was collected, `start` later than the estimator's own time."""
+    def curve(self, measurements: Measurements) -> EstimateCurve:
+        """Return what was collected."""
         found = EstimateRecord.collect(self.estimator.plant, self.points)
-        tube = joined(self.tubes)
-        if start:
-            found = replace(found, times=freeze(found.times + start))
-            tube = None if tube is None else replace(tube, times=tube.times + start)
-        return EstimateCurve(found, tube, measurements)
+        return EstimateCurve(found, joined(self.tubes), measurements)
 
 
 def _moved(estimate: Estimate, x: Array) -> Estimate:
@@ -94,7 +91,9 @@ def _moved(estimate: Estimate, x: Array) -> Estimate:
 
 
 @door
-def estimate_curve(estimator: Estimator, measurements: Measurements, points: int = POINTS_PER_GAP) -> EstimateCurve:
+def estimate_curve(
+    estimator: Estimator, measurements: Measurements, points: int = POINTS_PER_GAP, *, start: float = 0.0
+) -> EstimateCurve:
     """Run an estimator along a record and return its estimates between the samples, too, with the tube around them.
 
     Parameters
@@ -102,9 +101,10 @@ def estimate_curve(estimator: Estimator, measurements: Measurements, points: int
     estimator : Estimator
         Fresh, or reset; it takes in the whole record.
     measurements : Measurements
-        Their times count from the estimator's prior.
     points : int
         Of the open loop between two samples, >= 1.
+    start : float
+        Time of the estimator's prior, where the curve begins.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def estimate_curve(estimator: Estimator, measurements: Measurements, points: int
     >>> print(estimate_curve(estimator, record.measurements).explain())
     Estimates between and at 4 samples; the tube holds every state at all times, if the bounds do.
     """
-    following = Following(estimator, _checks.whole("points", points, 1))
+    following = Following(estimator, _checks.whole("points", points, 1), start=_checks.number("start", start))
     for t, y, u in measurements:
         following.before(t)
         following.after(t, estimator.update(t, y, u))

@@ -107,6 +107,7 @@ class OpenLoopEstimator(OnlineEstimator):
         input_side: str,
         constant_w: bool = False,
         timing_tolerance: float = 0.0,
+        schedule_zero: float = 0.0,
     ) -> None:
         if plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
@@ -119,8 +120,9 @@ class OpenLoopEstimator(OnlineEstimator):
         self._nothing, self._everything = freeze(np.zeros(plant.n_outputs)), freeze(np.ones(plant.n_outputs))
         self._watch = None
         tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
+        zero = _checks.number("schedule_zero", schedule_zero)
         if schedule is not None:
-            self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance)
+            self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance, zero)
 
     def _set_bounds(
         self, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None, initial_error: npt.ArrayLike | None
@@ -312,7 +314,7 @@ class OpenLoopEstimator(OnlineEstimator):
             self._refuse_overflow(flow, np.array([np.inf]), t)
         size, condition = in_units_of(Y, passed(node, flow, drift, x))
         beta = beta * (1 + FLOWN * condition + self.weights.loose) + moved(beta, size)
-        scheduled = node.scheduled and self._nothing_missed(node, t)
+        scheduled = node.scheduled and self._nothing_missed(state.nodes[: at + 1], t)
         told = node.estimate.contradiction
         found = self._estimate(
             t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, contradiction=told
@@ -368,17 +370,27 @@ class OpenLoopEstimator(OnlineEstimator):
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(self._undiscounted_flow.over([gap])[2][0])
 
-    def _nothing_missed(self, node: Node, t: float) -> bool:
-        return self._watch is None or self._watch.nothing_missed(node.t, t, first=node.sample.y is None)
+    def _nothing_missed(self, nodes: tuple[Node, ...], t: float) -> bool:
+        if self._watch is None:
+            return True
+        last = next((node for node in reversed(nodes) if _counts(node)), None)
+        return last is not None and self._watch.nothing_missed(last.t, t, first=last.sample.y is None)
 
     def _fits_schedule(self, state: State, t: float, mask: Array) -> bool:
-        """Whether everything up to and with a sample at t is on schedule."""
-        last = state.last
-        if not last.scheduled or self._watch is None:
-            return last.scheduled
-        times = [node.t for node in state.nodes]
+        """Whether everything up to and with a sample at t is on schedule.
+
+        A sample without a number, of limits and means alone, is none for the schedule: the claim is about numbers.
+        """
+        if not state.last.scheduled or self._watch is None:
+            return state.last.scheduled
+        if not mask.any():
+            return self._nothing_missed(state.nodes, t)
+        before = [node for node in state.nodes if _counts(node)]
+        if not before:
+            return False
+        times = [node.t for node in before]
         times.append(t)
-        return self._watch.sample_fits(times, mask, first=last.sample.y is None)
+        return self._watch.sample_fits(times, mask, first=before[-1].sample.y is None)
 
     def _measured(self, state: State, sample: Taken) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
@@ -422,6 +434,11 @@ class OpenLoopEstimator(OnlineEstimator):
             return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
         rest = (ROUNDING + self.weights.loose) * terms + moved(terms, last.held)
         return Verdict(max(beta, 0.0) + rest, "ok", last.sound, last.estimate.contradiction)
+
+
+def _counts(node: Node) -> bool:
+    """Whether a node is the prior or holds a number: what a certificate's schedule is about."""
+    return not node.sample.told or bool(node.mask.any())
 
 
 @lru_cache(maxsize=8)

@@ -23,10 +23,17 @@ class ScheduleWatch:
     """Answers for a finite or periodic schedule, or a family of schedules, in the plant's time unit.
 
     A sample is on schedule within `tolerance` of its planned time (beyond the family's own leeway), and within what
-    rounding can do to the times given: differences count, whatever the clock's zero is.
+    rounding can do to the times given: differences count, whatever the clock's zero is. `zero` is what the clock shows
+    at time 0 of the schedule.
     """
 
-    def __init__(self, schedule: AnySchedule | SamplingFamily | None, time_unit: str, tolerance: float = 0.0):
+    def __init__(
+        self,
+        schedule: AnySchedule | SamplingFamily | None,
+        time_unit: str,
+        tolerance: float = 0.0,
+        zero: float = 0.0,
+    ):
         if isinstance(schedule, (Schedule, PeriodicSchedule)) and schedule.time_unit not in (None, time_unit):
             schedule = schedule.in_unit(time_unit)
         if schedule is None or isinstance(schedule, SamplingFamily):
@@ -35,6 +42,7 @@ class ScheduleWatch:
             family, plan = None, Leeway(schedule)
         self.family = family if plan is None else None
         self.nominal: AnySchedule | None = None
+        self.zero = zero
         self.tolerance, self.losses, gap = tolerance, (0, 1), 0.0
         if plan is not None:
             self.nominal = plan.schedule
@@ -47,10 +55,12 @@ class ScheduleWatch:
     def sample_fits(self, times: Sequence[float], mask: Array, first: bool) -> bool:
         """Whether the last of `times` (those kept so far) is as planned; `first` if only the prior lies before it.
 
-        `mask` says which outputs it measured; more than planned is as good.
+        `mask` says which outputs it measured; more than planned is as good. A family plans all of them.
         """
         if self.nominal is None:
-            return self._family_fits(times, first)
+            return self._family_fits(times, first) and (self.family is None or bool(np.all(mask > 0)))
+        if self.zero:
+            times = [t - self.zero for t in times]
         before, t = float(times[-2]), float(times[-1])
         k = self._nearest(t)
         if k is None or abs(self._planned(k) - t) > self._room(t):
@@ -66,6 +76,7 @@ class ScheduleWatch:
         if self.nominal is None:
             longest = np.inf if self.family is None else self.family.d_max
             return t - before <= longest + self._room(t)
+        before, t = before - self.zero, t - self.zero
         last = self._due(before, first) + self.losses[0]
         if isinstance(self.nominal, Schedule) and last >= len(self.nominal):
             return False
@@ -73,7 +84,7 @@ class ScheduleWatch:
 
     def _room(self, t: float) -> float:
         """How far from its planned time a sample at t may lie."""
-        return self.tolerance + self._grain + ROUNDINGS * float(np.spacing(abs(t)))
+        return self.tolerance + self._grain + ROUNDINGS * float(np.spacing(abs(t) + abs(self.zero)))
 
     def _planned(self, k: int) -> float:
         """Planned time of sample k, counted from 0."""

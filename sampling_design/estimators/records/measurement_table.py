@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import islice
 from typing import Protocol, runtime_checkable
 
@@ -156,8 +156,7 @@ class MeasurementTable:
         u = _beside(inputs, times.size)
         if y is None or u is None or (not inputs and np.isnan(y).all(axis=1).any()):
             return None
-        for i in range(u.shape[1]):
-            u[:, i] = _held_on(u[:, i], float(self._held[i]))
+        u = held_on(u, self._held)
         return None if np.isnan(u).any() else (times, y, u)
 
     def _stamps(self, cells: tuple[str, ...]) -> Array | None:
@@ -282,11 +281,12 @@ def _beside(columns: list[Array | None], rows: int) -> Array | None:
     return np.stack(found, axis=1) if found else np.zeros((rows, 0))
 
 
-def _held_on(column: Array, before: float) -> Array:
-    """A column of inputs whose blanks are what held before."""
-    known = np.isfinite(column)
-    last = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
-    return np.where(last < 0, before, column[last])
+def held_on(inputs: Array, before: Array | None = None) -> Array:
+    """Inputs (N, m) whose blanks are what held before; NaN where that is not known."""
+    known, rows = np.isfinite(inputs), np.arange(len(inputs))[:, None]
+    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
+    first = np.full(inputs.shape[1], np.nan) if before is None else before
+    return np.where(last < 0, first, np.take_along_axis(inputs, last, axis=0)) if len(inputs) else inputs
 
 
 def _counts(line: str) -> bool:
@@ -326,7 +326,7 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
     value = _files.decimal(cell)
     if value is None:
         hint = " Leave the cell empty if nothing was measured." if blank else ""
-        if name == "time" and _dated(cell):
+        if name == "time" and _is_date(cell):
             hint = " Dates stand in a column named date."
         raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
     return value
@@ -342,7 +342,21 @@ def date_of(where: str, line: int, cell: str) -> datetime:
     return date.replace(tzinfo=UTC) if date.tzinfo is None else date
 
 
-def _dated(cell: str) -> bool:
+def dated(zero: datetime, t: float, unit: str) -> str:
+    """Return the date (ISO 8601, to the microsecond) of a time counted from `zero`.
+
+    Raises
+    ------
+    ArgumentError
+        If it lies outside the years 1 to 9999.
+    """
+    try:
+        return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
+    except OverflowError:
+        raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None
+
+
+def _is_date(cell: str) -> bool:
     """Whether a cell is a date."""
     try:
         datetime.fromisoformat(cell)

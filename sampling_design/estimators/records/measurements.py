@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -17,8 +17,16 @@ import numpy.typing as npt
 from sampling_design import _checks, _files
 from sampling_design._door import door
 from sampling_design._record import Record, counted, short
+from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.records.measurement_table import SINCE, Measured, read_table
+from sampling_design.estimators.records.measurement_table import (
+    SINCE,
+    Measured,
+    date_of,
+    dated,
+    held_on,
+    read_table,
+)
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.readings import Told, as_typed
 
@@ -60,7 +68,8 @@ class Measurements(Record):
     Notes
     -----
     Iterating yields (t, y, u) as an estimator's `run` and `stream` take them; y is None in a row that only
-    reports an input, u is None where nothing changes.
+    reports an input, u is None where nothing changes. `shifted`, `rebased`, `between`, `in_order` and `merged` move
+    everything that a row says of time, the beginnings of its means too.
     """
 
     plant: Measured
@@ -109,6 +118,117 @@ class Measurements(Record):
             if row:
                 found[k, [each.output for each in row]] = True
         return found
+
+    def samples(self, numbers: bool = False) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Times (K,) at which something was measured, in order, and (K, p) which outputs were.
+
+        With `numbers` limits and means do not count: of them no certificate of a schedule speaks.
+        """
+        taken = np.isfinite(self.y) if numbers else self.measured
+        rows = np.flatnonzero(taken.any(axis=1))
+        times, at = np.unique(self.times[rows], return_inverse=True)
+        found = np.zeros((times.size, taken.shape[1]), dtype=bool)
+        np.logical_or.at(found, at, taken[rows])
+        return times, found
+
+    @property
+    def start(self) -> float:
+        """The earliest time that a row tells of: its own, or the beginning of its mean; 0 without rows."""
+        begun = [each.since for row in self.told for each in row if each.since is not None]
+        return min([*begun, float(self.times.min())]) if len(self) else 0.0
+
+    def shifted(self, by: float) -> Measurements:
+        """Return the same rows on a clock that shows `by` [time] more; of dated ones the origin is as much earlier.
+
+        Raises
+        ------
+        ArgumentError
+            If `by` is no number, or the origin would leave the years 1 to 9999.
+        """
+        by = _checks.number("by", by)
+        told = tuple(tuple(each.shifted(by) for each in row) for row in self.told)
+        zero = dated(date_of("`origin`", 0, self.origin), -by, self.plant.time_unit) if self.origin else ""
+        return replace(self, times=self.times + by, told=told, origin=zero)
+
+    def rebased(self, origin: str) -> Measurements:
+        """Return the same rows with another date as time 0.
+
+        Raises
+        ------
+        ArgumentError
+            If they have no dates.
+        FileFormatError
+            If `origin` is no date.
+        """
+        if not self.origin:
+            raise ArgumentError("`origin` can be another one only of measurements with dates: these have none.")
+        here, there = date_of("`origin`", 0, self.origin), date_of("`origin`", 0, origin)
+        moved = self.shifted((here - there).total_seconds() / SECONDS[self.plant.time_unit])
+        return replace(moved, origin=there.isoformat())
+
+    def between(self, start: float, stop: float) -> Measurements:
+        """Return the rows from `start` to `stop`, both included; the first one says which inputs hold.
+
+        A mean that began before `start` tells of a time outside, and is left out.
+        """
+        start, stop = _checks.number("start", start), _checks.number("stop", stop)
+        ordered = self.in_order()
+        within = np.flatnonzero((ordered.times >= start) & (ordered.times <= stop))
+        told = tuple(
+            tuple(each for each in ordered.told[k] if each.since is None or each.since >= start) for k in within
+        )
+        u = held_on(ordered.u)[within]
+        says = np.isfinite(ordered.y[within]).any(axis=1) | np.isfinite(ordered.u[within]).any(axis=1)
+        says |= np.array([bool(row) for row in told], dtype=bool)
+        some = tuple(row for row, kept in zip(told, says, strict=True) if kept)
+        rows = within[says]
+        return replace(ordered, times=ordered.times[rows], y=ordered.y[rows], u=u[says], told=some)
+
+    def in_order(self) -> Measurements:
+        """Return the rows in order of time; those of one time in the order in which they came."""
+        if np.all(self.times[1:] >= self.times[:-1]):
+            return self
+        order = np.argsort(self.times, kind="stable")
+        told = tuple(self.told[k] for k in order.tolist())
+        return replace(self, times=self.times[order], y=self.y[order], u=self.u[order], told=told)
+
+    def merged(self, other: Measurements) -> Measurements:
+        """Return the rows of both in order of time; what both say at one time must agree.
+
+        Raises
+        ------
+        ArgumentError
+            If `other` is of another plant, only one of the two has dates, or they contradict each other.
+        """
+        if not isinstance(other, Measurements) or _signals(other.plant) != _signals(self.plant):
+            raise ArgumentError(f"`other` must be Measurements of the same plant, got {_checks.described(other)}.")
+        if bool(self.origin) != bool(other.origin):
+            raise ArgumentError("`other` must have dates where these measurements do, and none where they have none.")
+        if self.origin and other.origin != self.origin:
+            other = other.rebased(self.origin)
+        both = replace(
+            self,
+            times=np.concatenate([self.times, other.times]),
+            y=np.concatenate([self.y, other.y]),
+            u=np.concatenate([self.u, other.u]),
+            told=(*self.told, *other.told),
+        ).in_order()
+        y, u, told = np.array(both.y), np.array(both.u), list(both.told)
+        kept = np.concatenate([[True], np.diff(both.times) > 0])[: len(both)]
+        for k in np.flatnonzero(~kept):
+            at = int(np.flatnonzero(kept[:k])[-1])
+            told[at] = tuple(dict.fromkeys((*told[at], *told[k])))
+            for table in (y, u):
+                known = np.isfinite(table[at]) & np.isfinite(table[k])
+                if np.any(table[at, known] != table[k, known]):
+                    raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
+                table[at] = np.where(known, table[at], np.fmax(table[at], table[k]))
+            outputs = [each.output for each in told[at]]
+            if len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any():
+                raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
+        rows = np.flatnonzero(kept)
+        some = tuple(told[k] for k in rows.tolist())
+        return replace(both, times=both.times[rows], y=y[rows], u=u[rows], told=some)
 
     def __iter__(self) -> Iterator[tuple[float, object, Array | None]]:
         measured, applied = (np.asarray(np.isfinite(each).any(axis=1)) for each in (self.y, self.u))
@@ -204,6 +324,10 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
                 begun[each.output] = cell_of(each.since)
         body.append([repr(float(t)), *cells, *begun.values(), *(cell_of(v) for v in u)])
     return write_csv(path, header, body)
+
+
+def _signals(plant: Measured) -> tuple[object, ...]:
+    return plant.time_unit, tuple(plant.outputs.names), tuple(plant.inputs.names)
 
 
 def cell_of(value: float) -> str:

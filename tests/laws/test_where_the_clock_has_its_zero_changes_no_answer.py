@@ -1,0 +1,188 @@
+"""A record and its shift, means and limits and inputs with it, get the same answer of every verb."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.curve import estimate_curve
+from sampling_design.recovery.readings import Told
+from sampling_design.recovery.record_bounds import bounds_from_record
+
+PLANT = sd.Plant(
+    [[0.0, 1.0], [-1.0, 0.0]],
+    [[1.0, 0.0], [0.0, 1.0]],
+    [[0.0], [1.0]],
+    states=["level", "rate"],
+    outputs=["gauge", "flow"],
+    inputs=["pump"],
+)
+STILL = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), states=["level", "rate"], outputs=["gauge", "flow"])
+BOUNDS = {"w_bound": 0.05, "v_bound": 0.05, "initial_error": 2.0}
+SHIFTS = [64.0, -8.0, 2.0**30]
+TIMES = np.array([0.5, 1.25, 2.0, 3.5, 5.0, 5.75])
+
+
+def record(told=()):
+    """Numbers without noise, of which some rows are limits or means; the pump is still."""
+    y = np.stack([np.cos(TIMES), -np.sin(TIMES)], axis=1)
+    rows = [[] for _ in TIMES]
+    for k, each in told:
+        y[k, each.output] = np.nan
+        rows[k].append(each)
+    return sd.Measurements(PLANT, TIMES, y, np.zeros((TIMES.size, 1)), told=tuple(tuple(row) for row in rows))
+
+
+def mean(k, since):
+    """What a noise-free mean of the gauge until row k says."""
+    value = (np.sin(TIMES[k]) - np.sin(since)) / (TIMES[k] - since)
+    return k, Told(0, value, value, since)
+
+
+def limit(k, upper):
+    return k, Told(1, -np.inf, upper)
+
+
+RECORDS = {
+    "numbers": record(),
+    "limits": record([limit(1, 0.0), limit(4, 1.5)]),
+    "means": record([mean(2, 0.75), mean(4, 3.75), mean(5, 5.125)]),
+}
+
+
+def mhe(start):
+    certificate = sd.certify(PLANT, sd.GapRange(0.5, 1.5), eta=0.5)
+    return sd.MovingHorizonEstimator(PLANT, certificate, prior_time=start, **BOUNDS)
+
+
+def filter_of(start):
+    return sd.KalmanFilter(PLANT, cost=sd.CostFunction(eta=0.2), prior_time=start, **BOUNDS)
+
+
+def in_set(start):
+    return sd.SetMembershipEstimator(PLANT, prior_time=start, **BOUNDS)
+
+
+def told_by_run(maker):
+    def answer(rows, start):
+        found = maker(start).run(rows)
+        return found.times - start, found.x, found.radii, found.certified, found.on_schedule, found.status
+
+    return answer
+
+
+def told_by_smooth(rows, start):
+    found = filter_of(start).smooth(rows)
+    return found.times - start, found.x, found.ellipsoid_radii
+
+
+def told_by_curve(rows, start):
+    found = estimate_curve(filter_of(start), rows, 3, start=start)
+    return (
+        found.estimates.times - start,
+        found.estimates.x,
+        found.tube.times - start,
+        found.tube.lower,
+        found.tube.upper,
+    )
+
+
+def told_by_interval(rows, start):
+    found = sd.interval(PLANT, rows, prior_time=start, **BOUNDS)
+    return found.t - start, found.lower, found.upper
+
+
+def told_by_bounds(rows, start):
+    found = bounds_from_record(PLANT, rows, prior_time=start, **{**BOUNDS, "initial_error": 0.1})
+    return (found.factor,)
+
+
+VERBS = {
+    "mhe": told_by_run(mhe),
+    "filter": told_by_run(filter_of),
+    "set": told_by_run(in_set),
+    "smooth": told_by_smooth,
+    "curve": told_by_curve,
+    "interval": told_by_interval,
+    "bounds": told_by_bounds,
+}
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_record_and_its_shift_get_the_same_answer(verb, kind):
+    answer, rows = VERBS[verb], RECORDS[kind]
+    here = answer(rows, 0.0)
+    for by in SHIFTS:
+        there = answer(rows.shifted(by), by)
+        for one, other in zip(here, there, strict=True):
+            if isinstance(one, tuple):
+                assert one == other
+            else:
+                assert other == pytest.approx(one, rel=1e-6, abs=1e-6, nan_ok=True)
+
+
+def test_a_log_shifted_by_whole_periods_is_the_same():
+    plan, rows = sd.PeriodicSchedule([0.75, 0.75, 1.5]), RECORDS["limits"].between(0.0, 5.0)
+    logs = []
+    for by in (0.0, 66.0):
+        times, outputs = rows.shifted(by).samples()
+        log = sd.compare_schedule(PLANT, plan, times, 3.0, outputs=outputs)
+        logs.append((log.deviations[-4:], log.match[-4:] - log.match[-1], log.largest_deviation, len(log.actual)))
+    assert logs[1][0] == pytest.approx(logs[0][0], nan_ok=True)
+    assert logs[1][1].tolist() == logs[0][1].tolist()
+    assert logs[1][2:] == logs[0][2:]
+
+
+def same(one, other):
+    assert one.times == pytest.approx(other.times, abs=1e-12)
+    assert np.array_equal(one.y, other.y, equal_nan=True)
+    assert np.array_equal(one.u, other.u, equal_nan=True)
+    assert one.told == other.told
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_a_record_is_shifted_cut_and_joined_as_a_whole(kind):
+    rows = RECORDS[kind]
+    same(rows.shifted(64.0).shifted(-64.0), rows)
+    same(rows.between(-1.0, 2.0).merged(rows.between(2.5, 9.0)), rows)
+    same(rows.merged(rows), rows)
+    late = rows.between(2.0, 9.0)
+    assert all(each.since is None or each.since >= 2.0 for row in late.told for each in row)
+    reversed_ = sd.Measurements(PLANT, TIMES[::-1], rows.y[::-1], rows.u[::-1], told=rows.told[::-1])
+    same(reversed_.in_order(), rows)
+    times, taken = rows.samples()
+    assert times.tolist() == TIMES.tolist()
+    assert taken.all()
+    assert rows.samples(numbers=True)[1].sum() == np.isfinite(rows.y).sum()
+
+
+def test_a_cut_record_says_which_input_holds():
+    rows = sd.Measurements(PLANT, [0.0, 1.0, 2.0], [[1.0, np.nan]] * 3, [[0.5], [np.nan], [np.nan]])
+    assert rows.between(1.0, 2.0).u.tolist() == [[0.5], [0.5]]
+    assert len(sd.Measurements(PLANT, [], np.zeros((0, 2))).between(0.0, 1.0)) == 0
+
+
+def test_dates_stay_where_they_are():
+    rows = sd.Measurements(STILL, TIMES, RECORDS["numbers"].y, origin="2026-03-01T00:00:00+00:00")
+    moved = rows.shifted(3600.0)
+    assert moved.origin == "2026-02-28T23:00:00+00:00"
+    back = moved.rebased("2026-03-01T01:00:00+01:00")
+    same(back, rows)
+    assert back.origin == "2026-03-01T01:00:00+01:00"
+    same(rows.between(0.0, 2.0).merged(moved.between(3602.5, 3700.0)), rows)
+
+
+def test_records_that_do_not_belong_together_are_not_joined():
+    rows = RECORDS["numbers"]
+    with pytest.raises(ArgumentError, match="`origin` can be another one only of measurements with dates"):
+        rows.rebased("2026-03-01")
+    with pytest.raises(ArgumentError, match="`other` must be Measurements of the same plant, got"):
+        rows.merged(sd.Measurements(STILL, TIMES, rows.y))
+    dated = sd.Measurements(PLANT, TIMES, rows.y, rows.u, origin="2026-03-01T00:00:00+00:00")
+    with pytest.raises(ArgumentError, match="`other` must have dates where these measurements do"):
+        rows.merged(dated)
+    with pytest.raises(ArgumentError, match=r"`other` contradicts these measurements at 0\.5"):
+        rows.merged(sd.Measurements(PLANT, TIMES, rows.y + 1.0, rows.u))
+    with pytest.raises(ArgumentError, match=r"`other` contradicts these measurements at 1\.25"):
+        rows.merged(RECORDS["limits"])

@@ -1,14 +1,15 @@
-"""A plan on real dates: local hours, changes of the clocks, and holidays; what is out of the ordinary is proven anew.
+"""A plan on real dates: local hours, changes of the clocks, and holidays; the whole sequence of real times is proven.
 
 The plan's hours are local: 08:00 is 08:00 in summer and in winter. When the clocks change, one gap is an hour shorter
-or longer, and everything after it an hour earlier or later than the period says. A sample on a holiday is left out, and
-where that breaks a tolerance, others are added on open days near it. Each such stretch is a sequence of its own.
+or longer, and everything after it an hour earlier or later than the period says. A sample on a holiday is left out, as
+is one that the clocks skip; where that breaks a tolerance, others are added on open days near it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,24 +17,31 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import SECONDS, spoken
+from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
-from sampling_design.planning.spread_sequence import SampleSequence, planned
+from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
+from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, planned
 from sampling_design.schedules.schedule import Schedule
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+DatedSample: TypeAlias = tuple[float, Mask]
 
 MOST_ADDED = 3
 """Samples added around one closed stretch, at most."""
 
+AROUND = 3.0
+"""Days around it in which they may lie."""
+
 MOST_TRIED = 24
 """Open times tried for each of them."""
 
-NEAR = 0.998
+LEVELS = (0.998, 0.985, 0.96)
+"""Samples are added until floats say at most this share of the tolerance; where the proof says more, then the next."""
+
+HELPS = 0.1
+"""An added sample takes at least this share off what is above the tolerances, integrated over time."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,16 @@ class PlannedDate:
 
 @dataclass(frozen=True)
 class DateException:
-    """A stretch that is not as the period says, and what is proven of it (accuracy over tolerance)."""
+    """What is not as the period says, and what is proven from it to the next one (accuracy over tolerance).
+
+    Attributes
+    ----------
+    what, date : str
+    ratio : float
+        With all exceptions before it and after it as they are; where more than 1 is all that is proven, the largest
+        that a motion attains, or that the filter says.
+    proven : bool
+    """
 
     what: str
     date: str
@@ -74,7 +91,7 @@ class PlanDates(Record):
 
     @property
     def keeps(self) -> bool:
-        """Whether every exception is proven to keep the tolerances."""
+        """Whether the tolerances are proven to be kept across all exceptions."""
         return all(e.proven and e.ratio <= 1 for e in self.exceptions)
 
     def schedule(self) -> Schedule:
@@ -126,7 +143,7 @@ class PlanDates(Record):
 
 @door
 def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates:
-    """Return a plan on real dates, with every change of the clocks and every holiday judged.
+    """Return a plan on real dates, with every change of the clocks and every holiday in it judged together.
 
     Parameters
     ----------
@@ -135,7 +152,7 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     periods : int
         How many, from the calendar's start on.
     prove : bool
-        Prove the exceptions over all real times; else they are judged on the raster.
+        Prove the whole sequence over all real times; else it is judged in floats, on the raster.
 
     Returns
     -------
@@ -145,6 +162,13 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     ------
     ArgumentError
         If the plan has no calendar.
+
+    Notes
+    -----
+    *Claim.* Before `calendar.start` the plan was followed, and from the period after the last one it is again; between
+    them the samples are those of the dates, at their real times. *Method.* Up to three samples are added around those
+    that are left out, each at the open time after which least of the accuracy is above its tolerance, integrated over
+    time; none where that takes off less than a tenth.
     """
     calendar = plan.requirement.calendar
     if calendar is None:
@@ -153,132 +177,169 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     return run.dates()
 
 
+@dataclass(frozen=True, eq=False)
+class _Closed:
+    """Samples that cannot be taken, one after another: clock times, and why."""
+
+    times: Array
+    skipped: bool
+
+    def told(self, added: int) -> str:
+        """In words."""
+        why = "skipped by the clocks" if self.skipped else "closed"
+        return f"{why}, {len(self.times)} left out" + (f", {added} added" if added else "")
+
+
 class _Dating:
-    """Dates of one plan: clock times first, then what is added, then real times."""
+    """Dates of one plan: what is left out, what is added, and what is proven of the whole; times of the clock."""
 
     def __init__(self, plan: Plan, periods: int, prove: bool):
         assert plan.requirement.calendar is not None
         self.plan, self.calendar, self.prove = plan, plan.requirement.calendar, prove
-        self.end = periods * plan.schedule.period
-        self.unit = SECONDS[plan.plant.time_unit] / 60
-
-    @property
-    def oracle(self) -> Oracle:
-        """Judges in floats; made when there is something to judge."""
-        return self.plan.oracle
+        self.end, self.known = (count * plan.schedule.period for count in (periods, periods + 1))
+        self.clock = replace(plan.clock, until=float(plan.clock.elapsed(self.known)))
+        self.span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        self.times, self.seen = planned(plan, -self.span, self.known + self.span)
+        self.open = np.array([not 0 <= t < self.known or self.is_open(t) for t in self.times.tolist()], dtype=bool)
+        self.closed = [self._closed(self.times[run]) for run in _runs(~self.open)]
+        self.day = 1440 / self.clock.minutes
 
     def dates(self) -> PlanDates:
-        """Everything in order."""
-        times, seen = planned(self.plan, 0.0, self.end)
-        open_ = np.array([self.is_open(t) for t in times], dtype=bool)
-        exceptions: list[DateException] = []
-        added: list[tuple[float, Mask]] = []
-        for lost in _runs(~open_):
-            more, exception = self.replaced(times[lost])
-            added += more
-            exceptions.append(exception)
-        exceptions += [self.changed(clock, shift) for clock, shift in self.clock_changes()]
-        every = [(t, s, False) for t, s, keep in zip(times, seen, open_, strict=True) if keep]
-        every += [(t, s, True) for t, s in added]
+        """Everything in order; with a wider margin where the proof fails."""
+        found = self.judged(self.added(LEVELS[0])) if self.closed else self.judged([])
+        for level in LEVELS[1:]:
+            if found.keeps or not self.prove or not self.closed or any(e.ratio > 1 for e in found.exceptions):
+                break
+            again = self.judged(self.added(level))
+            found = again if again.keeps else found
+        return found
+
+    def is_open(self, t: float) -> bool:
+        """Whether a clock time is no holiday, and one that the clocks show."""
+        return self.calendar.is_open(t * self.clock.minutes, holidays=True)
+
+    def _closed(self, times: Array) -> _Closed:
+        return _Closed(times, all(self.calendar.is_skipped(round(t * self.clock.minutes, 6)) for t in times.tolist()))
+
+    def sequence(self, added: list[DatedSample], start: float = -np.inf, stop: float = np.inf) -> SampleSequence:
+        """The samples that are taken in [start, stop), at real times."""
+        keep = self.open & (self.times >= start) & (self.times < stop)
+        times, seen = self.times[keep], self.seen[keep]
+        if added:
+            times = np.concatenate([times, [t for t, _ in added]])
+            seen = np.concatenate([seen, np.array([s for _, s in added])])
+        real = self.clock.elapsed(times)
+        order = np.argsort(real, kind="stable")
+        whole = SampleSequence(real[order], seen[order], len(real), self.clock)
+        return replace(whole, first=departs_and_returns(self.plan, whole)[0])
+
+    def added(self, level: float) -> list[DatedSample]:
+        """Samples for those that are left out: none where the plan can do without, else as few as keep the level."""
+        level, found = max(level, self.plan.ratio), list[DatedSample]()
+        for closed in self.closed:
+            above = self.above(closed, found, level)
+            for _ in range(MOST_ADDED if above else 0):
+                tried = [(self.above(closed, [*found, one], level), one) for one in self.options(closed, found)]
+                best, one = min(tried, key=lambda pair: pair[0], default=(np.inf, None))
+                if one is None or best > (1 - HELPS) * above:
+                    break
+                found, above = [*found, one], best
+                if not above:
+                    break
+        far = AROUND * self.day
+        for one in found:  # what a later one makes needless
+            others = [other for other in found if other is not one]
+            near = [closed for closed in self.closed if abs(np.clip(one[0], *closed.times[[0, -1]]) - one[0]) <= far]
+            if all(self.above(closed, others, level) <= self.above(closed, found, level) for closed in near):
+                found = others
+        return found
+
+    def above(self, closed: _Closed, added: list[DatedSample], level: float) -> float:
+        """How far accuracies are above a share of their tolerances around samples that are left out, over time."""
+        since, until = (float(t) for t in closed.times[[0, -1]])
+        since, until = since - AROUND * self.day, until + self.plan.schedule.period
+        near = [one for one in added if since - self.span <= one[0] < until + self.span]
+        sequence = self.sequence(near, since - self.span, until + self.span)
+        real = self.clock.elapsed([since, until]).tolist()
+        ratios = gap_ratios(self.plan, sequence, *real)
+        length = np.diff(sequence.times)
+        return float(sum(length[k] * max(ratio - level, 0.0) for k, ratio in ratios.items()))
+
+    def options(self, closed: _Closed, added: list[DatedSample]) -> list[DatedSample]:
+        """Open times near samples that are left out, spread out and spaced, with every sensor of the plan."""
+        problem, step = self.plan.problem, self.plan.problem.step
+        first, last = float(closed.times[0]) - AROUND * self.day, float(closed.times[-1]) + AROUND * self.day
+        taken = self.sequence(added).times
+        found = []
+        for i in range(max(0, int(first / step)), int(min(last, self.known) / step) + 1):
+            mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
+            if mask.any() and self.is_open(i * step):
+                apart = np.min(np.abs(taken - self.clock.elapsed(i * step)), initial=np.inf)
+                found += [(i * step, mask)] if apart >= (problem.spacing - 1e-6) * step else []
+        few = np.unique(np.round(np.linspace(0, len(found) - 1, MOST_TRIED)).astype(int)) if found else np.zeros(0, int)
+        return [found[k] for k in few.tolist()]
+
+    def judged(self, added: list[DatedSample]) -> PlanDates:
+        """The dates, and what is proven of them."""
+        whole = self.sequence(added)
+        about = [(t, float(self.clock.elapsed(t)), what) for t, what in self.exceptions(added)]
+        ratios = self.ratios(whole, [real for _, real, _ in about])
+        exceptions, ends = [], np.append(whole.times, np.inf)
+        for k, (t, real, what) in enumerate(about):
+            later = min((other for _, other, _ in about[k + 1 :] if other > real), default=np.inf)
+            gaps = [g for g in ratios if ends[g + 1] >= real and ends[g] < later]
+            ratio, proven = max((ratios[g][0] for g in gaps), default=0.0), all(ratios[g][1] for g in gaps)
+            if t < self.end:
+                day = self.calendar.local(t * self.clock.minutes).date().isoformat()
+                exceptions.append(DateException(what, day, ratio, proven and self.prove))
+        return PlanDates(self.plan, self.entries(added), tuple(exceptions))
+
+    def ratios(self, whole: SampleSequence, about: list[float]) -> dict[int, tuple[float, bool]]:
+        """Of each gap that exceptions at real times can touch: accuracy over tolerance, and whether it is proven."""
+        if not about:
+            return {}
+        if not self.prove:
+            period, found = self.plan.schedule.period, dict[int, float]()
+            for real in about:
+                found |= gap_ratios(self.plan, whole, real - AROUND * self.day, real + period)
+            return {k: (ratio, False) for k, ratio in found.items()}
+        proven = dict[int, float]()
+        proven_ratio(self.plan, whole, proven)
+        ratios = {k: (ratio, ratio <= 1) for k, ratio in proven.items()}
+        for k in [k for k, ratio in proven.items() if ratio > 1 and k + 1 < len(whole.times)]:
+            attained = gap_ratios(self.plan, whole, float(whole.times[k]), float(whole.times[k + 1]))
+            ratios[k] = min(attained.get(k, np.inf), proven[k]), False
+        return ratios
+
+    def exceptions(self, added: list[DatedSample]) -> list[tuple[float, str]]:
+        """Clock times of what is not as the period says, in order, and what it is."""
+        shares = [0] * len(self.closed)
+        for t, _ in added:
+            shares[int(np.argmin([np.abs(closed.times - t).min() for closed in self.closed]))] += 1
+        found = [(float(c.times[0]), c.told(n)) for c, n in zip(self.closed, shares, strict=True)]
+        hours = np.arange(0.0, float(self.clock.elapsed(self.known)) * self.clock.minutes, 60.0) / self.clock.minutes
+        shown = self.clock.shown(hours)
+        jumps = np.diff(shown - hours)
+        for k in np.flatnonzero(np.abs(jumps) > 1e-6 / self.clock.minutes).tolist():
+            word = "back" if jumps[k] < 0 else "forward"
+            found.append((float(shown[k]), f"clocks {word} by {spoken(abs(jumps[k]) * self.clock.minutes, 'min')}"))
+        return sorted(found)
+
+    def entries(self, added: list[DatedSample]) -> tuple[PlannedDate, ...]:
+        """The samples that are taken, as dates."""
         names = self.plan.plant.outputs.names
-        entries = [
+        every = [(t, s, False) for t, s in zip(self.times[self.open].tolist(), self.seen[self.open], strict=True)]
+        every += [(t, s, True) for t, s in added]
+        return tuple(
             PlannedDate(
-                self.calendar.instant(t * self.unit),
-                float(self.plan.clock.elapsed(t)),
+                self.calendar.instant(t * self.clock.minutes),
+                float(self.clock.elapsed(t)),
                 tuple(n for n, m in zip(names, s, strict=True) if m),
                 new,
             )
             for t, s, new in sorted(every, key=lambda item: item[0])
-        ]
-        return PlanDates(self.plan, tuple(entries), tuple(sorted(exceptions, key=lambda e: e.date)))
-
-    def is_open(self, t: float) -> bool:
-        """Whether a clock time is no holiday."""
-        return self.calendar.is_open(t * self.unit, holidays=True)
-
-    def judged(self, sequence: SampleSequence) -> tuple[float, bool]:
-        """What is known of a sequence, and whether it is proven."""
-        if self.prove:
-            ratio = proven_ratio(self.plan, sequence)
-            if ratio <= 1:
-                return ratio, True
-        return worst_ratio(self.plan, sequence, until=float(sequence.times[-1]) - self.plan.schedule.period), False
-
-    def around(self, lost: Array, added: list[tuple[float, Mask]]) -> SampleSequence:
-        """The plan without the lost samples, with those added."""
-        mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = settles(self.plan) * mean + self.plan.schedule.period
-        first = min([float(lost[0]), *(t for t, _ in added)])
-        times, seen = planned(self.plan, first - span, float(lost[-1]) + span)
-        keep = np.min(np.abs(times[:, None] - lost[None, :]), axis=1) > 1e-9 * mean
-        keep &= np.array([t <= lost[0] or self.is_open(t) or t > lost[-1] for t in times])
-        times, seen = times[keep], seen[keep]
-        if added:
-            times = np.concatenate([times, [t for t, _ in added]])
-            seen = np.concatenate([seen, np.array([s for _, s in added])])
-            order = np.argsort(times, kind="stable")
-            times, seen = times[order], seen[order]
-        return SampleSequence(times, seen, int(np.searchsorted(times, first - 1e-9 * mean)))
-
-    def replaced(self, lost: Array) -> tuple[list[tuple[float, Mask]], DateException]:
-        """Samples in place of lost ones: none if the plan can do without, else as few as keep the tolerances."""
-        added: list[tuple[float, Mask]] = []
-        day = self.calendar.local(float(lost[0]) * self.unit).date().isoformat()
-        for _ in range(MOST_ADDED + 1):
-            ratio, proven = self.judged(self.around(lost, added))
-            if ratio <= 1 and (proven or not self.prove):
-                break
-            options = self.options(lost, added)
-            if not options or len(added) == MOST_ADDED:
-                break
-            added = [*added, min(options, key=lambda option: self.value(lost, [*added, option]))]
-        what = f"closed, {len(lost)} left out" + (f", {len(added)} added" if added else "")
-        return added, DateException(what, day, ratio, proven)
-
-    def value(self, lost: Array, added: list[tuple[float, Mask]]) -> float:
-        """Accuracy over tolerance in floats."""
-        sequence = self.around(lost, added)
-        return worst_ratio(self.plan, sequence, until=float(lost[-1]) + self.plan.schedule.period)
-
-    def options(self, lost: Array, added: list[tuple[float, Mask]]) -> list[tuple[float, Mask]]:
-        """Open times near the lost samples, spread out and spaced, with every sensor of the plan."""
-        problem, step = self.plan.problem, self.plan.problem.step
-        around = self.around(lost, added).times
-        day = 1440 / self.unit
-        first, last = float(lost[0]) - 3 * day, float(lost[-1]) + 3 * day
-        found = []
-        for i in range(max(0, int(first / step)), int(last / step) + 1):
-            mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
-            apart = np.min(np.abs(around - i * step)) >= (problem.spacing - 1e-6) * step
-            if mask.any() and apart and self.is_open(i * step):
-                found.append((i * step, mask))
-        return (
-            [found[k] for k in np.unique(np.round(np.linspace(0, len(found) - 1, MOST_TRIED)).astype(int))]
-            if found
-            else []
+            if 0 <= t < self.end
         )
-
-    def clock_changes(self) -> list[tuple[float, float]]:
-        """Clock time and shift of each change of the clocks [the plant's time unit]."""
-        marks = np.arange(0.0, self.end * self.unit + 1, 60.0)
-        real = np.array([self.calendar.elapsed(float(m)) for m in marks])
-        jumps = np.diff(real) - 60.0
-        return [
-            (float(marks[k]) / self.unit, float(jumps[k]) / self.unit) for k in np.flatnonzero(np.abs(jumps) > 1e-6)
-        ]
-
-    def changed(self, clock: float, shift: float) -> DateException:
-        """What is proven across a change of the clocks: all that follows comes `shift` later."""
-        mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = settles(self.plan) * mean + self.plan.schedule.period
-        at = float(self.plan.clock.elapsed(clock))
-        once = replace(self.plan.clock, until=at + max(-shift, 0.0) + self.plan.problem.step)
-        times, seen = planned(self.plan, at - span, at + span, once)
-        sequence = SampleSequence(times, seen, int(np.searchsorted(times, at)), once)
-        ratio, proven = self.judged(sequence)
-        word = "back" if shift > 0 else "forward"
-        day = self.calendar.local(clock * self.unit).date().isoformat()
-        return DateException(f"clocks {word} by {spoken(abs(shift) * self.unit, 'min')}", day, ratio, proven)
 
 
 def _runs(mask: Mask) -> list[npt.NDArray[np.intp]]:

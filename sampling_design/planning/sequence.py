@@ -109,7 +109,7 @@ def window_after(oracle: Oracle, sequence: SampleSequence, k: int) -> tuple[Rast
 
     It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
     """
-    knots = np.round(sequence.times[: k + 2] / oracle.problem.step).astype(np.intp)
+    knots = np.floor(sequence.times[: k + 2] / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
     planned = int(np.searchsorted(knots, knots[max(sequence.first - 1, 0)] - oracle.back))
     count = max(sequence.first - 1, 0) - planned
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
@@ -117,25 +117,50 @@ def window_after(oracle: Oracle, sequence: SampleSequence, k: int) -> tuple[Rast
     return window, int(knots[k]), int(knots[k + 1] - knots[k])
 
 
-def proven_ratio(plan: PlanFigures, sequence: SampleSequence) -> float:
+def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
+    """The ratio of accuracy to tolerance in each gap that ends after a time and begins before another, in floats."""
+    oracle, times = plan.oracle, sequence.times
+    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
+    found: dict[int, float] = {}
+    if plan.deviation is not None:
+        for k, _, _, ratios in spread_of(plan).gaps(sequence, until):
+            if times[k + 1] > since:
+                found[k] = max(found.get(k, 0.0), float(ratios.max()))
+    first = max(sequence.first - 1, int(np.searchsorted(times, since, side="right")) - 1, 0)
+    for k in range(first, min(int(np.searchsorted(times, until)), times.size - 1) if goals else 0):
+        window, last, length = window_after(oracle, sequence, k)
+        looks = [value for g in goals for value in oracle.looked(window, g, last, length).values()]
+        found[k] = max(found.get(k, 0.0), *looks)
+    return found
+
+
+def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None = None) -> float:
     """The largest ratio of accuracy to tolerance of a sequence over all real times, proven by gains; stops beyond 1.
 
-    Of standard deviations, by the filter run through the sequence, by as much more as it ends with.
+    Of standard deviations, by the filter run through the sequence, by as much more as it ends with. `gaps` is told the
+    ratio in each gap, and of all that follows the sequence as that of its last sample; then nothing stops it.
     """
     spread = 0.0
     if plan.deviation is not None:
         spread, wider = spread_of(plan).worst(sequence)
         spread = max(spread, wider * spread_of(plan).usual)
-    return spread if plan.accuracy is None or spread > 1 else max(spread, _proven_bounds(plan, sequence))
+        if gaps is not None:
+            for k, _, _, ratios in spread_of(plan).gaps(sequence):
+                gaps[k] = max(gaps.get(k, 0.0), float(ratios.max()))
+            gaps[len(sequence.times) - 1] = wider * spread_of(plan).usual
+    if plan.accuracy is None or (spread > 1 and gaps is None):
+        return spread
+    return max(spread, _proven_bounds(plan, sequence, gaps))
 
 
-def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
+def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, float] | None) -> float:
     """The same of the goals that are guaranteed; infinite where a sequence does not end with enough of the plan.
 
-    Gaps are judged one by one until `settled + back`. From the sample `settled` on the error is at most `wider` times
-    what the plan's filter bounds, R_j >= cost_j + |rest_j|'R_k with k = j - forgetting[j]: over as many samples by
-    what is found here, and so over all that follow, since wider >= 1. Gains of the plan's proof reach back no farther
-    than `settled`, and what they prove grows at most as their rest does.
+    Gaps are judged one by one until `settled + back`, but where those since a change are the plan's for long enough.
+    From the sample `settled` on the error is at most `wider` times what the plan's filter bounds,
+    R_j >= cost_j + |rest_j|'R_k with k = j - forgetting[j]: over as many samples by what is found here, and so over all
+    that follow, since wider >= 1. Gains of the plan's proof reach back no farther than `settled`, and what they prove
+    grows at most as their rest does.
     """
     problem, schedule, times = plan.problem, plan.schedule, sequence.times
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
@@ -146,24 +171,31 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence) -> float:
     memory = forgets(plan)
     worst, settled = 0.0, len(times) - 1 - max(back, memory) - count
     if settled < sequence.first or not _is_the_plan(search, filtered, settled):
+        if told is not None:
+            told.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
     goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
-    begins, factors = _settling(plan, sequence, search, filtered, settled, back)
+    factors = _settling(plan, sequence, search, filtered, settled + back)
     for k in range(max(sequence.first - 1, 0), settled + back):
-        if k >= begins and usual * factors[k - begins] <= max(worst, usual * (1 + FADED)):
-            worst = max(worst, usual * float(factors[k - begins]))
-            continue
-        for goal, known in goals:
-            work.add((BETWEEN, 0.0), 0.0)
-            opened = open_row(search.chain, k, goal.row, known=known)
-            worst = max(worst, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
-        if worst > 1:
+        here = float(usual) * factors[k]
+        if not here <= max(min(worst, 1.0), usual * (1 + FADED)):
+            here = 0.0
+            for goal, known in goals:
+                work.add((BETWEEN, 0.0), 0.0)
+                opened = open_row(search.chain, k, goal.row, known=known)
+                here = max(here, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
+        worst = max(worst, here)
+        if told is not None:
+            told[k] = max(told.get(k, 0.0), here)
+        elif worst > 1:
             return worst
     wider, room = 1.0, 1 / usual if 0 < usual < 1 else np.inf
     for k in range(settled, settled + memory):
         phase = phase_of(schedule, float(sequence.shown[k]))
         wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
+    if told is not None:
+        told[len(times) - 1] = max(told.get(len(times) - 1, 0.0), float(usual) * wider)
     return max(worst, float(usual) * wider)
 
 
@@ -198,17 +230,19 @@ def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
 
 
 def _settling(
-    plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, settled: int, back: int
-) -> tuple[int, Array]:
-    """From which sample on all is the plan's again, and how much more than its gaps those from there on are at most."""
-    begins = settled
+    plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, stop: int
+) -> list[float]:
+    """How much more than the plan's gaps those of a sequence are at most; infinite where they are not the plan's."""
+    factors = np.full(stop, np.inf)
     if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
-        return settled + back, np.zeros(0)
-    while begins > sequence.first and _is_the_plan(search, own, begins - 1):
-        begins -= 1
-    phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[begins : settled + back]]
-    reach = [search.atoms[begins + k].reach for k in range(len(phases))]
-    return begins, settled_factors(plan, phases, reach)
+        return factors.tolist()
+    gaps = {id(gap) for gap in own.gaps}
+    same = np.array([id(gap) in gaps for gap in search.chain.gaps[:stop]])
+    for k in np.flatnonzero(same & ~np.append(False, same[:-1])).tolist():
+        end = k + int(np.argmin(np.append(same[k:], False)))
+        phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[k:end]]
+        factors[k:end] = settled_factors(plan, phases, [search.atoms[i].reach for i in range(k, end)])
+    return factors.tolist()
 
 
 def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:

@@ -84,6 +84,19 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
     return real[keep], seen[keep]
 
 
+def departs_and_returns(plan: PlanFigures, sequence: SampleSequence) -> tuple[int, int]:
+    """Index of the first sample that is not the plan's after the plan's gap, and from which on all are."""
+    period, schedule = plan.schedule.period, plan.schedule
+    off = (sequence.shown[:, None] - schedule.times) / period
+    off = np.abs(off - np.round(off))
+    phase = np.argmin(off, axis=1)
+    own = (off.min(axis=1) <= GRAIN) & np.all(sequence.seen == plan.chosen[plan.chosen.any(axis=1)][phase], axis=1)
+    follows = own[1:] & own[:-1] & (phase[1:] == (phase[:-1] + 1) % len(schedule))
+    follows &= np.abs(np.diff(sequence.times) - schedule.gaps[phase[1:]]) <= GRAIN * period  # gaps[j]: before sample j
+    other = np.flatnonzero(~follows) + 1
+    return (int(other[0]), int(other[-1])) if other.size else (len(own), 0)
+
+
 def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: Goal) -> list[float]:
     """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
     if goal.at != "given times":
@@ -167,9 +180,9 @@ class SpreadSequence:
     def worst(self, sequence: SampleSequence, until: float = np.inf) -> tuple[float, float]:
         """The largest ratio from the sample before the first change on, and by how much more is unknown at the end."""
         worst = max((float(ratios.max()) for _, _, _, ratios in self.gaps(sequence, until)), default=0.0)
-        wider = np.inf
+        wider, back = np.inf, departs_and_returns(self.plan, sequence)[1]
         for k, P in self._filtered(sequence, until):
-            if k >= sequence.first + len(self.plan.schedule):
+            if k >= max(sequence.first, back):
                 usual = self.limits[self._phase(float(sequence.shown[k]))]
                 wider = min(wider, self._beyond(P, usual))
         return worst, float(np.sqrt(max(wider, 1.0)))

@@ -161,10 +161,10 @@ def _determined(free: Array, seen: list[Array]) -> Array:
         If something free has decayed so far that rounding hides whether it is seen, or where it points.
     """
     n = len(free)
-    rows = np.vstack(seen)
-    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
     if not free.shape[1]:
         return np.eye(n)
+    rows = np.vstack(seen)
+    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
     shown = np.linalg.norm(rows, axis=0)
     sizes, right = _strengths(rows)
     open_ = sizes <= UNSEEN * max(1.0, float(sizes[0]))

@@ -1,0 +1,112 @@
+"""A plan, its dates, the next sample, the log and the calendar file name the same moments, and what they claim is true.
+
+Over a leap year with both changes of the clocks, holidays, and hours that pass midnight, in three zones. The plant is a
+level that drifts by `W` an hour at most, read to `V`: after a gap of h hours it is known to V + W h, exactly.
+"""
+
+import json
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.cli.settings import Settings
+from sampling_design.cli.track import log
+from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.plan import proven_plan
+from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.sheet import write_form
+
+W, V, GAP = 0.01, 0.1, 51.5
+NIGHTS = {"Mon-Thu": [["20:00", "04:00"]], "Sat": [["22:00", "04:00"]]}
+ZONES = ("Europe/Berlin", "America/New_York", "Australia/Lord_Howe")
+HOLIDAYS = ("2028-02-29", "2028-03-01", "2028-04-14", "2028-04-17", "2028-07-05")
+MONDAY, WEDNESDAY, FRIDAY, SUNDAY = (20.0, 50.0, 99.0, 146.0)  # at 20, 2, 3 and 2 o'clock
+
+
+def watched(zone, gap, chosen, **more):
+    """A plan of a week that reads the level at some hours, and keeps it for gaps up to so many hours."""
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=("level",), outputs=("gauge",))
+    place = {"start": "2028-01-03", "zone": zone, "hours": NIGHTS, "holidays": HOLIDAYS, **more}
+    wanted = sd.PlanRequirement(
+        {"level": V + W * gap},
+        raster="30 min",
+        w_bound=W,
+        sensors={"gauge": {"noise_bound": V}},
+        calendar=place,
+    )
+    problem = pose_plan(plant, wanted)
+    mask = np.zeros_like(problem.allowed)
+    mask[np.round(np.array(chosen) / problem.step).astype(int)] = True
+    return proven_plan(problem, mask, PlanBound((), None, None), "complete")
+
+
+def is_open(local, holidays=HOLIDAYS):
+    """Whether the place is open, by the calendar on the wall."""
+    hour, day = local.hour + local.minute / 60, local.weekday()
+    late = {0: 20, 1: 20, 2: 20, 3: 20, 5: 22}.get(day, 24)
+    early = 4 if day in (1, 2, 3, 4, 6) else 0
+    return local.date().isoformat() not in holidays and (hour >= late or hour < early)
+
+
+@pytest.fixture(scope="module", params=ZONES)
+def year(request):
+    plan = watched(request.param, GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY))
+    return plan, plan_dates(plan, 52)
+
+
+def test_dates_are_moments_at_which_the_place_is_open(year):
+    plan, dates = year
+    place = ZoneInfo(plan.requirement.calendar.zone)
+    zero = datetime(2028, 1, 3, tzinfo=place).astimezone(UTC)
+    for entry in dates.entries:
+        local = (zero + timedelta(hours=entry.time)).astimezone(place)
+        assert local == entry.date
+        assert local.utcoffset() == entry.date.utcoffset()
+        assert is_open(local)
+        week = (local.replace(tzinfo=None) - datetime(2028, 1, 3)) % timedelta(days=7)
+        assert entry.added or week / timedelta(hours=1) in (MONDAY, WEDNESDAY, FRIDAY, SUNDAY)
+
+
+def test_what_is_said_of_the_year_is_true_of_its_real_gaps(year):
+    dates = year[1]
+    gaps = np.diff([entry.time for entry in dates.entries])
+    attained = (V + W * float(gaps.max())) / (V + W * GAP)
+    assert dates.keeps
+    assert attained <= max(e.ratio for e in dates.exceptions) * (1 + 1e-9)
+    told = [(e.date, e.what) for e in dates.exceptions]
+    assert sum("clocks" in what and "skipped" not in what for _, what in told) == 2
+    assert sum("skipped by the clocks, 1 left out" in what for _, what in told) == 1
+    assert [what for day, what in told if day == "2028-03-01"] == ["closed, 1 left out, 2 added"]
+    assert {day for day, what in told if what.startswith("closed")} == {*HOLIDAYS} - {"2028-02-29"}
+
+
+def test_the_calendar_file_names_the_same_moments(year, tmp_path):
+    plan, dates = year
+    zone, schedule = plan.requirement.calendar.zone, dates.schedule()
+    sd.write_ics(schedule, tmp_path / "plan.ics", span=schedule.times[-1] + 1.0, zone=zone)
+    found = []
+    for line in (tmp_path / "plan.ics").read_text().split("BEGIN:VEVENT")[1:]:
+        (begin,) = [each for each in line.splitlines() if each.startswith("DTSTART")]
+        utc = begin.endswith("Z")
+        moment = datetime.strptime(begin.partition(":")[2].removesuffix("Z"), "%Y%m%dT%H%M%S")
+        found.append(moment.replace(tzinfo=UTC if utc else ZoneInfo(zone)).astimezone(UTC))
+    assert found == [entry.date.astimezone(UTC) for entry in dates.entries]
+
+
+def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
+    plan, dates = year
+    head, *lines = write_form(dates, tmp_path / "form.csv").read_text().splitlines()
+    (tmp_path / "measured.csv").write_text("\n".join([head, *(line.replace(",", ",1.5") for line in lines)]) + "\n")
+    sd.write_plant(plan.plant, tmp_path / "plant.toml")
+    sd.write_schedule(dates.schedule(), tmp_path / "dates.csv")
+    log(
+        Settings("log", output=tmp_path, quiet=True),
+        *(tmp_path / f for f in ("plant.toml", "dates.csv", "measured.csv")),
+    )
+    told = json.loads((tmp_path / "log.json").read_text())
+    assert len(told["actual"]) == len(dates.entries)
+    assert max(map(abs, told["deviations"])) < 1e-9

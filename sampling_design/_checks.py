@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,8 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
+Seed: TypeAlias = np.random.Generator | int | None
+"""What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
 
 
 def freeze(array: object) -> Array:
@@ -186,6 +188,17 @@ def whole(name: str, value: object, least: int = 0) -> int:
     if result != int(result) or result < least:
         raise ArgumentError(f"`{name}` must be a whole number of at least {least}, got {value!r}.")
     return int(result)
+
+
+def generator(rng: Seed) -> np.random.Generator:
+    """Return the generator that was given, or the one with the seed that was.
+
+    Raises
+    ------
+    ArgumentError
+        If the seed is negative.
+    """
+    return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(whole("rng", rng or 0))
 
 
 def increasing(name: str, value: object, slip: str = "") -> Array:

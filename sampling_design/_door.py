@@ -1,8 +1,8 @@
 """The door: what every public function and method asks of its arguments before it begins, read off its annotations.
 
 An argument of another kind than the annotation says ends in one sentence (the grammar of `_checks`), not in whatever it
-breaks inside. Arrays pass: their owners check shape and content. A number that leaves double precision or memory in the
-middle of a verb ends in one sentence too.
+breaks inside; so does a call that does not fit, which names the nearest keyword. Arrays pass: their owners check shape
+and content. A number that leaves double precision or memory in the middle of a verb ends in one sentence too.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ import os
 import threading
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, ParamSpec, TypeVar, Union
 
 import numpy as np
 
 from sampling_design._checks import described
-from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError, CallError, SolverError
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -53,6 +54,8 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     ------
     ArgumentError
         If an argument is of another kind than its annotation says.
+    CallError
+        If the call does not fit: an unknown keyword, an argument missing, given twice, or one too many.
     SolverError
         If a number leaves the range of double precision, or an array does not fit into memory, inside.
     """
@@ -90,7 +93,7 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
         return given, named
 
     inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
-    too_big = _too_big
+    too_big, unfit = _too_big, misfit
 
     def entered(*arguments: Any, **options: Any) -> object:
         given, named = enter(arguments, options)
@@ -101,6 +104,10 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
             return function(*given, **named)
         except failures as error:
             raise worded(function.__name__, error) from error
+        except TypeError as error:
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                raise
+            raise unfit(function, arguments, options, error) from None
         except ValueError as error:
             if not too_big(error):
                 raise
@@ -114,6 +121,37 @@ def door(function: Callable[P, T]) -> Callable[P, T]:
     functools.update_wrapper(own, function)
     vars(own)["door"] = True
     return typing.cast(Callable[P, T], own)
+
+
+def within() -> bool:
+    """Whether a verb of the house is at work: what does not fit inside of it is a defect of ours."""
+    return bool(getattr(_inside, "door", False))
+
+
+def misfit(
+    function: Callable[..., object], given: Sequence[object], named: Mapping[str, object], error: TypeError
+) -> CallError:
+    """The sentence for a call that Python could not bind; `given` has the instance or class first for a method."""
+    taken = list(inspect.signature(function).parameters.values())
+    name = function.__qualname__.removesuffix(".__init__").rpartition("<locals>.")[2]
+    own = bool(taken) and taken[0].name in ("self", "cls")
+    order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
+    taken, given = taken[own:], given[own:]
+    known = [each.name for each in taken if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
+    placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
+    for key in named:
+        if key not in known:
+            return CallError(f"`{name}` has no argument `{key}`. {likely(key, known) if known else 'It takes none.'}")
+    if len(given) > len(placed):
+        count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
+        told = f" ({', '.join(placed)})" if placed else ""
+        return CallError(f"`{name}` takes {count} by place{told}, got {len(given)}: the others have names.{order}")
+    for key in placed[: len(given)]:
+        if key in named:
+            return CallError(f"`{name}` got `{key}` twice, by place and by name.{order}")
+    needed = [each.name for each in taken if each.name in known and each.default is each.empty]
+    missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
+    return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
 
 
 def hints_of(function: Callable[..., Any]) -> dict[str, object]:
@@ -203,8 +241,6 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
 
 def _slip(kind: object) -> str:
     """The likely slip where something that is no `kind` came for one."""
-    if kind is np.random.Generator:
-        return "Did you pass a seed? Use numpy.random.default_rng(seed)."
     return str(getattr(kind, "_slip", ""))
 
 

@@ -6,6 +6,7 @@ A record lists its rows once, in `_rows`; everything that shows it is made from 
 from __future__ import annotations
 
 import math
+from abc import ABCMeta
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._door import doors
+from sampling_design._door import doors, misfit, within
 from sampling_design.errors import MissingExtraError, UndecidedError
 
 if TYPE_CHECKING:
@@ -24,7 +25,21 @@ Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] |
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
 
-class Record:
+class _Kind(ABCMeta):
+    """The class of the classes of records: a call that does not fit their fields ends in one sentence."""
+
+    if not TYPE_CHECKING:  # a checker would take every call for one that fits
+
+        def __call__(cls, *arguments: object, **options: object) -> object:
+            try:
+                return super().__call__(*arguments, **options)
+            except TypeError as error:
+                if within() or error.__traceback__.tb_next is not None:
+                    raise
+                raise misfit(cls.__init__, (cls, *arguments), options, error) from None
+
+
+class Record(metaclass=_Kind):
     """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
 
     Every public method of a record has a door before it (see `_door`).

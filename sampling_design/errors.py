@@ -39,6 +39,10 @@ class ArgumentError(SamplingDesignError, ValueError):
     """An argument is not what the function asks for; the message names it as typed."""
 
 
+class CallError(ArgumentError, TypeError):
+    """A call does not fit the function: an unknown keyword, an argument missing, given twice, or one too many."""
+
+
 class FileFormatError(SamplingDesignError, ValueError):
     """A file cannot be read as what it claims to be; carries the path."""
 

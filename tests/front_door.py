@@ -510,8 +510,6 @@ class Call:
         except _Hang:
             return f"hangs: over {SECONDS} s\n{traceback.format_exc(limit=-3)}"
         except Exception as error:
-            if isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
-                return ""
             return f"{type(error).__name__}: {str(error)[:160]}\n{traceback.format_exc(limit=-3)}"
         return next((f"{w.category.__name__}: {w.message}\n  File {w.filename}:{w.lineno}" for w in warned), "")
 

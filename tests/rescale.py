@@ -46,9 +46,9 @@ class Units:
         return Plant(
             plant.A * x[:, None] / x / self.time,
             plant.C * y[:, None] / x,
-            plant.B * x[:, None] / u / self.time,
-            plant.D * y[:, None] / u,
-            plant.G * x[:, None] / w / self.time,
+            B=plant.B * x[:, None] / u / self.time,
+            D=plant.D * y[:, None] / u,
+            G=plant.G * x[:, None] / w / self.time,
             time_unit=plant.time_unit,
             name=plant.name,
             states=signals(plant.states, x),

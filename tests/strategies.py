@@ -16,7 +16,7 @@ seeds = st.integers(0, 2**31 - 1)
 
 def _generic(A: np.ndarray, seed: int, outputs: int) -> Plant:
     rng = np.random.default_rng(seed)
-    return Plant(A, rng.choice([-2.0, -1.0, 1.0, 2.0], (outputs, len(A))), rng.standard_normal((len(A), 1)))
+    return Plant(A, rng.choice([-2.0, -1.0, 1.0, 2.0], (outputs, len(A))), B=rng.standard_normal((len(A), 1)))
 
 
 def _rotated(A: np.ndarray, seed: int) -> np.ndarray:

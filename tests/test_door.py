@@ -17,7 +17,7 @@ import scipy.signal
 
 import sampling_design as sd
 from sampling_design._door import _Foreign, _kinds, door, doors, hints_of
-from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.errors import ArgumentError, CallError, SolverError
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
@@ -86,11 +86,65 @@ def test_a_door_leaves_name_signature_and_module():
     assert verb.__globals__ is globals()  # or doctest would not look inside
 
 
-def test_wrong_keywords_stay_type_errors():
-    with pytest.raises(TypeError, match="unexpected keyword argument 'y'"):
-        verb(1.0, y=2)
-    with pytest.raises(TypeError, match="missing 1 required positional argument"):
-        verb()
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: verb(1.0, y=2), r"`verb` has no argument `y`\. Known: 'x', 'n', 'flag'"),
+        (lambda: verb(1.0, knd="a"), r"`verb` has no argument `knd`\. Did you mean 'kind'\?"),
+        (lambda: verb(), r"`verb` needs `x`\."),
+        (lambda: verb(1.0, x=2.0), r"`verb` got `x` twice, by place and by name\."),
+        (lambda: verb(1.0, 2, True), r"`verb` takes 2 arguments by place \(x, n\), got 3: the others have names\."),
+        (
+            lambda: sd.certify(OSCILLATOR, GAPS, budgett=2.0),
+            "`certify` has no argument `budgett`. Did you mean 'budget'",
+        ),
+        (lambda: sd.Plant(OSCILLATOR.A, OSCILLATOR.C, xyzzy=3), "`Plant` has no argument `xyzzy`. Known: 'A', 'C'"),
+        (lambda: sd.Plant(OSCILLATOR.A, C=OSCILLATOR.C, state=["p", "v"]), "`state`. Did you mean 'states'"),
+        (lambda: sd.Plant(), "`Plant` needs `A`"),
+        (lambda: sd.Signals(), "`Signals` needs `names`"),
+        (
+            lambda: sd.KalmanFilter(OSCILLATOR, w_bounds=0.1),
+            "`KalmanFilter` has no argument `w_bounds`. Did you mean 'w_",
+        ),
+        (lambda: OSCILLATOR.transition(), "`Plant.transition` needs `t`"),
+        (lambda: sd.Plant.from_control(), "`Plant.from_control` needs `system`"),
+    ],
+)
+def test_a_call_that_does_not_fit_is_one_sentence(call, words):
+    with pytest.raises(TypeError, match=words) as told:  # what Python calls it, too
+        call()
+    assert isinstance(told.value, CallError)
+
+
+def test_a_type_error_of_what_the_caller_gave_stays_what_it_is():
+    def broken(x):
+        return x + "text"
+
+    @door
+    def calls(function: Callable[[float], float]) -> float:
+        """Call what is given."""
+        return function(1.0)
+
+    with pytest.raises(TypeError, match="unsupported operand") as told:
+        calls(broken)
+    assert not isinstance(told.value, CallError)
+
+
+def test_inside_the_house_a_call_that_does_not_fit_is_a_defect():
+    @door
+    def calls() -> sd.Plant:
+        """Make a plant of what no plant takes."""
+        return sd.Plant(colour=3)
+
+    @door
+    def calls_a_door() -> object:
+        """Call a door as none can be called."""
+        return verb(y=2)
+
+    for defect in (calls, calls_a_door):
+        with pytest.raises(TypeError, match="unexpected keyword argument") as told:
+            defect()
+        assert not isinstance(told.value, CallError)
 
 
 def test_numbers_that_leave_double_precision_are_one_sentence():

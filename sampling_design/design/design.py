@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._units import time_factor
 from sampling_design.checkers.strict import Tree
@@ -63,7 +64,7 @@ def design_schedule(
     plant: Plant,
     requirement: Requirement | None = None,
     *,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     starts: int = STARTS,
     branches: int | None = None,
     rtol: float = 0.001,
@@ -79,7 +80,7 @@ def design_schedule(
     plant : Plant
     requirement : Requirement, optional
         What is left out is filled in from the plant's modes and reported in `defaults_used`.
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         Draws the random starts. Default: seeded with 0.
     starts : int
         Starts that are refined, beside the even and the rounded ones.
@@ -152,7 +153,7 @@ def design_schedule(
         requirement=resolved,
         used=used,
         zero_count=count,
-        seed=int((np.random.default_rng(0) if rng is None else rng).integers(2**63)),
+        seed=int(_checks.generator(rng).integers(2**63)),
         starts=starts,
         branches=cuts,
         rtol=rtol,

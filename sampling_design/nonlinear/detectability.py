@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._record import YesOrNo, short
 from sampling_design.errors import ArgumentError, SolverError
@@ -144,7 +145,7 @@ def check_detectability(
     step: float | None = None,
     pairs: int = 100,
     u: object = None,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> DetectabilityEvidence:
     """Look at Assumption 7 along random pairs of simulated trajectories.
@@ -170,7 +171,7 @@ def check_detectability(
     pairs : int
     u : (m,) array, optional
         Constant input; default 0.
-    rng : numpy Generator, optional
+    rng : numpy.random.Generator or its seed, optional
     progress : callable, optional
 
     Returns
@@ -209,7 +210,7 @@ def check_detectability(
         raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
     study = _Study(plant, scaled_weights(plant, cost), start, duration, step, u)
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = _checks.generator(rng)
     count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
     if count > MOST_PAIRS:
         raise ArgumentError(f"`pairs` must be at most {MOST_PAIRS}: each takes milliseconds, got {pairs!r}.")

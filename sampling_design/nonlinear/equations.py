@@ -268,7 +268,7 @@ class PlantEquations(Record):
         A, B, G, C, D = (np.array(value) for value in values)
         kept = {key: self.signals[key] for key in ("states", "inputs", "disturbances", "outputs")}
         return Plant(
-            A, C, B.reshape(n, m), D.reshape(C.shape[0], m), G.reshape(n, self.sizes["disturbances"]),
+            A, C, B=B.reshape(n, m), D=D.reshape(C.shape[0], m), G=G.reshape(n, self.sizes["disturbances"]),
             time_unit=self.time_unit, name=f"{self.name} (linearised)".strip(), source=self.source, **kept,
         )  # fmt: skip
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design._door import doors
 from sampling_design._record import Plain
 from sampling_design.plants.plant import Plant
 
@@ -49,6 +50,7 @@ class Hull(NamedTuple):
     output_moves: Array
 
 
+@doors
 class LinearInclusion(ABC):
     """A plant of which certificates know a set: two trajectories with the same parameters and inputs differ by Dx with
 

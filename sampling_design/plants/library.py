@@ -53,7 +53,7 @@ def _integrators(n: int, names: tuple[str, ...], units: tuple[str, ...]) -> Plan
     return Plant(
         np.eye(n, k=1),
         np.eye(n)[:1],
-        last,
+        B=last,
         name=("double_integrator", "triple_integrator")[n - 2],
         states=Signals(names, units),
         outputs=Signals(("position",), ("m",)),
@@ -85,7 +85,7 @@ def oscillator(omega: float = 1.0) -> Plant:
     return Plant(
         [[0.0, 1.0], [-(omega**2), 0.0]],
         [[1.0, 0.0]],
-        [[0.0], [1.0]],
+        B=[[0.0], [1.0]],
         name="oscillator",
         states=Signals(("position", "velocity"), ("m", "m/s")),
         outputs=Signals(("position",), ("m",)),
@@ -139,7 +139,7 @@ def satellite(period: float = 5554.0) -> Plant:
     return Plant(
         np.block([[np.zeros((3, 3)), np.eye(3)], [stiffness, coriolis]]),
         np.eye(3, 6),
-        push,
+        B=push,
         G=push,
         name="satellite",
         states=Signals((*axes, *(f"v_{a}" for a in axes)), ("m",) * 3 + ("m/s",) * 3, [100.0] * 3 + [0.1] * 3),
@@ -226,7 +226,7 @@ def cart_pendulum() -> Plant:
     return Plant(
         A,
         np.eye(4)[::2],
-        G[:, :1],
+        B=G[:, :1],
         G=G,
         name="cart_pendulum",
         states=Signals(
@@ -277,7 +277,7 @@ def three_compartment(weight: float = 70.0) -> Plant:
     return Plant(
         [[-(k10 + k12 + k13), k21, k31], [k12, -k21, 0.0], [k13, 0.0, -k31]],
         [[1 / V1, 0.0, 0.0]],
-        [[1.0], [0.0], [0.0]],
+        B=[[1.0], [0.0], [0.0]],
         time_unit="min",
         name="three_compartment",
         states=Signals(compartments, ("mg",) * 3, [50.0, 100.0, 500.0]),
@@ -315,7 +315,7 @@ def helicopter_he1() -> Plant:
             [0.0, 0.0, 1.0, 0.0],
         ],
         [[0.0, 1.0, 0.0, 0.0]],
-        [[0.4422, 0.1761], [3.5446, -7.5922], [-5.52, 4.49], [0.0, 0.0]],
+        B=[[0.4422, 0.1761], [3.5446, -7.5922], [-5.52, 4.49], [0.0, 0.0]],
         G=[[4.678e-2, 0.0], [4.572e-2, 9.88e-3], [4.369e-2, 1.11e-3], [-2.179e-2, 0.0]],
         name="helicopter_he1",
         states=Signals(
@@ -438,7 +438,7 @@ def droop_network(nodes: int = 2000, *, meters: int = 6, seed: int = 1) -> Spars
     return SparsePlant(
         W - sparse.diags_array(np.asarray(W.sum(axis=1)).ravel()),
         sparse.csr_array((np.ones(meters), (np.arange(meters), chosen)), shape=(meters, nodes)),
-        rng.uniform(0.5, 2.0, nodes),
+        mass=rng.uniform(0.5, 2.0, nodes),
         time_unit="s",
         name="droop_network",
         outputs=Signals(tuple(f"angle_{i}" for i in chosen), ("rad",) * meters),

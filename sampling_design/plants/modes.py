@@ -311,9 +311,9 @@ def _part(plant: Plant, A: Array | None, V: Array, L: Array, what: str, D: Array
     return Plant(
         L @ plant.A @ V if A is None else A,
         plant.C @ V,
-        L @ plant.B,
-        D,
-        L @ plant.G,
+        B=L @ plant.B,
+        D=D,
+        G=L @ plant.G,
         time_unit=plant.time_unit,
         name=f"{plant.name} ({what})".strip(),
         states=plant.states if undivided else names,

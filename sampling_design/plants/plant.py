@@ -22,6 +22,8 @@ Array = npt.NDArray[np.float64]
 FORMAT = "sampling-design/plant/1"
 """Of the tree that `Plant.to_dict` returns and a plant file holds."""
 
+ORDER = "Others write (A, B, C, D); here only A and C have places, as in Plant(A, C, B=B, D=D)."
+"""What is said where a matrix too many was given by place: with square sizes B would pass for C."""
 MATRICES = ("A", "B", "C", "D", "G")
 GROUPS = ("states", "outputs", "inputs", "disturbances")
 _LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
@@ -108,7 +110,7 @@ class Plant(Record):
         names that it knows.
     C : (p, n) array
     B : (n, m) array, optional
-        Default: no inputs.
+        By name, as all that follows. Default: no inputs.
     D : (p, m) array, optional
         Default zero.
     G : (n, q) array, optional
@@ -126,6 +128,8 @@ class Plant(Record):
     ArgumentError
         If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C is missing or has no row; if a
         system is a discrete-time one, or comes with matrices beside it.
+    CallError
+        If more than A and C are given by place.
 
     Notes
     -----
@@ -148,11 +152,12 @@ class Plant(Record):
     """
 
     _reader: ClassVar[str] = "read_plant"
+    _order: ClassVar[str] = ORDER
     A: Array
     C: Array = None  # type: ignore[assignment]
-    B: Array = None  # type: ignore[assignment]
-    D: Array = None  # type: ignore[assignment]
-    G: Array = None  # type: ignore[assignment]
+    B: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
+    D: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
+    G: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
     time_unit: str = field(default="s", kw_only=True)
     name: str = field(default="", kw_only=True)
     states: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
@@ -167,10 +172,10 @@ class Plant(Record):
             self,
             A: npt.ArrayLike | StateSpace,
             C: npt.ArrayLike | None = None,
+            *,
             B: npt.ArrayLike | None = None,
             D: npt.ArrayLike | None = None,
             G: npt.ArrayLike | None = None,
-            *,
             time_unit: str = "s",
             name: str = "",
             states: Signals | Sequence[str] | None = None,
@@ -272,9 +277,9 @@ class Plant(Record):
         return Plant(
             self.A * x / x[:, None],
             self.C * x / y[:, None],
-            self.B * u / x[:, None],
-            self.D * u / y[:, None],
-            self.G * w / x[:, None],
+            B=self.B * u / x[:, None],
+            D=self.D * u / y[:, None],
+            G=self.G * w / x[:, None],
             time_unit=self.time_unit,
             name=self.name,
             source=self.source,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import KW_ONLY, dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import ORDER, Plant, Signals
 
 Array = npt.NDArray[np.float64]
 
@@ -68,8 +68,10 @@ class SparsePlant(Record):
     500
     """
 
+    _order: ClassVar[str] = ORDER.replace("Plant", "SparsePlant")
     A: sparse.csc_array
     C: sparse.csr_array
+    _: KW_ONLY
     mass: Array = None  # type: ignore[assignment]
     B: sparse.csr_array = None
     D: Array = None  # type: ignore[assignment]
@@ -87,6 +89,7 @@ class SparsePlant(Record):
             self,
             A: npt.ArrayLike | sparse.sparray,
             C: npt.ArrayLike | sparse.sparray,
+            *,
             mass: npt.ArrayLike | None = None,
             B: npt.ArrayLike | sparse.sparray | None = None,
             D: npt.ArrayLike | None = None,
@@ -120,9 +123,9 @@ class SparsePlant(Record):
         small = Plant(  # checks what a small plant checks, and holds the names
             np.zeros((0, 0)),
             np.zeros((C.shape[0], 0)),
-            np.zeros((0, B.shape[1])),
-            self.D,
-            None if G is None else np.zeros((0, G.shape[1])),
+            B=np.zeros((0, B.shape[1])),
+            D=self.D,
+            G=None if G is None else np.zeros((0, G.shape[1])),
             time_unit=self.time_unit,
             name=self.name,
             outputs=self.outputs,
@@ -422,9 +425,9 @@ def _record(
     retained = Plant(
         np.diag(values),
         np.asarray(plant.C @ basis).reshape(plant.C.shape[0], r),
-        np.asarray((plant.B.T @ basis).T).reshape(r, plant.B.shape[1]),
-        plant.D,
-        None if plant.G is None else np.asarray((plant.G.T @ basis).T).reshape(r, plant.G.shape[1]),
+        B=np.asarray((plant.B.T @ basis).T).reshape(r, plant.B.shape[1]),
+        D=plant.D,
+        G=None if plant.G is None else np.asarray((plant.G.T @ basis).T).reshape(r, plant.G.shape[1]),
         time_unit=plant.time_unit,
         name=f"{plant.name} (retained)".strip(),
         outputs=plant.outputs,

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._files import read_tree, usable, write_tree
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
@@ -208,8 +209,9 @@ class UncertainPlant(LinearInclusion, Record):
                 found = found + (value - each.nominal) * M
         return found
 
-    def draw(self, rng: np.random.Generator) -> Plant:
+    def draw(self, rng: Seed = None) -> Plant:
         """Return a random plant of the set; half of the parameters are at an end of their range."""
+        rng = _checks.generator(rng)
         if self.vertices:
             return self.at(rng.dirichlet(np.ones(len(self.vertices))))
         theta = rng.uniform(self.low, self.high)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._record import Plain, Record
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -132,9 +133,7 @@ class SamplingFamily(Record, ABC):
         """Say whether `schedule` belongs to the family."""
 
     @abstractmethod
-    def draw(
-        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
-    ) -> Schedule:
+    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
 
     @abstractmethod
@@ -279,11 +278,6 @@ def in_family_unit(schedule: object, time_unit: str | None) -> AnySchedule:
     if time_unit is None or schedule.time_unit in (None, time_unit):
         return schedule
     return schedule.in_unit(time_unit)
-
-
-def generator(rng: np.random.Generator | None) -> np.random.Generator:
-    """Return `rng`, or the default generator with seed 0."""
-    return np.random.default_rng(0) if rng is None else rng
 
 
 def extent(duration: float | None, samples: int | None, default: float, gap: float) -> tuple[float, int]:

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._record import Plain, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
@@ -17,7 +18,6 @@ from sampling_design.schedules.family import (
     Steps,
     extent,
     gap_steps,
-    generator,
     in_family_unit,
     pick,
 )
@@ -89,9 +89,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
         low, high = self.shortest - slack, self.longest + slack
         return bool(first <= high and np.all(gaps >= low) and np.all(gaps <= high))
 
-    def draw(
-        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
-    ) -> Schedule:
+    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: it covers [0, duration] (default twenty longest gaps), or has `samples` samples.
 
         Half of the gaps are the shortest or the longest one, where the family's claims are tight.
@@ -101,7 +99,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
         ArgumentError
             If both are given or one is not positive.
         """
-        rng = generator(rng)
+        rng = _checks.generator(rng)
         stop, most = extent(duration, samples, 20 * self.longest, self.longest)
         gaps = [float(rng.uniform(0.0, self.longest))]
         time = gaps[0]

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
@@ -26,7 +27,6 @@ from sampling_design.schedules.family import (
     Variation,
     Word,
     extent,
-    generator,
     in_family_unit,
     masks_of,
     period_of,
@@ -135,9 +135,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         near = np.abs(schedule.times - nominal.times) <= self.radius + slack
         return bool(np.all(near)) and same_outputs(nominal, schedule)
 
-    def draw(
-        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
-    ) -> Schedule:
+    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: half of the deviations are the largest in one direction or the other.
 
         `duration` (default twenty longest gaps) or `samples` say how far an endless nominal schedule is
@@ -148,7 +146,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         ArgumentError
             If both are given, or the nominal schedule is finite and one is.
         """
-        rng = generator(rng)
+        rng = _checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
         shifts = np.array([pick(rng, -self.radius, self.radius) for _ in range(len(part))])
         return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())

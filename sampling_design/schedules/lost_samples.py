@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import (
@@ -22,7 +23,6 @@ from sampling_design.schedules.family import (
     Step,
     Steps,
     Word,
-    generator,
     in_family_unit,
     masks_of,
     period_of,
@@ -148,9 +148,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         ahead = np.minimum(np.arange(lost.size) + self.of, lost.size)
         return bool(np.all(total[ahead] - total[:-1] <= self.most))
 
-    def draw(
-        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
-    ) -> Schedule:
+    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: each sample that may be lost is lost with probability 1/2.
 
         `duration` (default twenty longest gaps) or `samples` (nominal ones) say how far an endless nominal
@@ -161,7 +159,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         ArgumentError
             If both are given, or the nominal schedule is finite and one is.
         """
-        rng = generator(rng)
+        rng = _checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
         lost = np.zeros(len(part), dtype=bool)
         for i in range(lost.size):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._record import Plain, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
@@ -19,7 +20,6 @@ from sampling_design.schedules.family import (
     Word,
     extent,
     gap_steps,
-    generator,
     in_family_unit,
     pick,
 )
@@ -162,9 +162,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
             return False
         return bool(np.all(times[i + k] - times[i] <= T + slack[i + k]))
 
-    def draw(
-        self, rng: np.random.Generator | None = None, *, duration: float | None = None, samples: int | None = None
-    ) -> Schedule:
+    def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random member: it covers [0, duration] (default ten windows), or has `samples` samples.
 
         Half of the gaps lie on a border of what is allowed, where the family's claims are tight.
@@ -176,7 +174,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         InfeasibleRequirementError
             If no endless schedule belongs to the family.
         """
-        rng = generator(rng)
+        rng = _checks.generator(rng)
         self._need_endless()
         stop, most = extent(duration, samples, 10 * self.window, self.window / self.count)
         if stop < self.window:

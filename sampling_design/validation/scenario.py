@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, counted, short
 from sampling_design.errors import ArgumentError
@@ -236,7 +237,7 @@ def simulate_record(
     inputs: Sequence[tuple[float, npt.ArrayLike]] = (),
     w_bound: npt.ArrayLike | None = None,
     v_bound: npt.ArrayLike | None = None,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
 ) -> SimulatedRecord:
     """Simulate a plant on a schedule, exactly: w is constant over cells much shorter than the gaps.
 
@@ -253,7 +254,7 @@ def simulate_record(
         From t on u holds; before the first, zero.
     w_bound, v_bound : float or array, optional
         A number bounds the norm, a vector each entry. Default: the plant's scales.
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         Default seed 0.
 
     Returns
@@ -273,7 +274,7 @@ def simulate_record(
     >>> len(record.measurements), bool(abs(record.v).max() <= 1.0)
     (10, True)
     """
-    seed = (np.random.default_rng(0) if rng is None else rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
+    seed = _checks.generator(rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     bounds = ScenarioBounds.of(plant, w_bound, v_bound)
     line = build_timeline(plant, schedule, duration)
     drawn = draw_inputs(line, bounds, seed)

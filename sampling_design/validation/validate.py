@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__, _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._journal import Journal, digest
 from sampling_design._workers import Workers, check_workers
@@ -37,7 +38,7 @@ def validate(
     v_bound: npt.ArrayLike | None = None,
     initial_error: npt.ArrayLike | None = None,
     scenarios: Iterable[str] = SCENARIOS,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -60,7 +61,7 @@ def validate(
         A number bounds the norm, a vector each entry. Default: the plant's scales, entry by entry.
     scenarios : sequence of str
         Of "pairs", "random", "worst", "resonant", "initial", "estimator", "constraints" and "paper".
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         Default seed 0. Every run has a seed of its own, spawned from it.
     workers : Executor, Client, int or str, optional
         Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
@@ -114,10 +115,8 @@ def validate(
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {_checks.described(unknown[0])}.")
     check_workers(workers)
-    if rng is not None and not isinstance(rng, np.random.Generator):
-        raise ArgumentError(f"`rng` must be a numpy.random.Generator, got {type(rng).__name__}.")
     bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
-    source = np.random.default_rng(0) if rng is None else rng
+    source = _checks.generator(rng)
     root = source.bit_generator.seed_seq
     assert isinstance(root, np.random.SeedSequence)
     count = _checks.whole("runs", runs, 1)

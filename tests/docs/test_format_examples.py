@@ -54,7 +54,7 @@ def test_the_schedule(tmp_path):
 def test_the_measurements(tmp_path):
     path = tmp_path / "measurements.csv"
     path.write_text(example("Measurements", "text"))
-    plant = Plant([[-0.1]], [[1.0]], [[1.0]], time_unit="h", outputs=Signals(["blood"]), inputs=Signals(["dose"]))
+    plant = Plant([[-0.1]], [[1.0]], B=[[1.0]], time_unit="h", outputs=Signals(["blood"]), inputs=Signals(["dose"]))
     found = read_measurements(path, plant)
     np.testing.assert_allclose(np.diff(found.times), [10.75])  # 08:30 to 19:15, both in UTC
     np.testing.assert_array_equal(np.isnan(found.y[:, 0]), [False, True])

@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 
-PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]])
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
 GIVEN = {"w_bound": 0.01, "v_bound": 0.1, "initial_error": 1.0}
 MAKERS = {
     "moving horizon": lambda: sd.MovingHorizonEstimator(PLANT, horizon=1e3, cost=sd.CostFunction(eta=0.7), **GIVEN),

@@ -12,7 +12,7 @@ from sampling_design.recovery.interval import interval, prove
 from sampling_design.recovery.readings import Push, Row, StartError, gathered
 from sampling_design.recovery.record_program import RecordProgram
 
-PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
 RECORD = [(t, [np.sin(t)], None) for t in TIMES]
 GIVEN = {"w_bound": 0.02, "v_bound": 0.2}

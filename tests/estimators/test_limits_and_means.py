@@ -9,7 +9,7 @@ from sampling_design.recovery.interval import interval
 from sampling_design.recovery.readings import Above, Below, Mean, Told
 
 TANK = sd.Plant(
-    [[-0.05]], [[1.0], [1.0]], [[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
+    [[-0.05]], [[1.0], [1.0]], B=[[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
 )
 TEXT = "time,blood,urine,urine_since,dose\n0,2,,,0\n24,<0.5,3.1,0,0\n48,>8,<0.2,24,1\n60,,,,0\n"
 
@@ -91,7 +91,7 @@ def test_a_mean_is_the_integral_over_its_time():
 
 
 def test_a_mean_counts_what_the_input_adds_to_the_output():
-    plant = sd.Plant([[0.0]], [[1.0]], [[0.0]], [[2.0]], states=["level"])
+    plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[2.0]], states=["level"])
     record = [(0.0, None, [0.0]), (1.0, None, [1.0]), (2.0, [Mean(3.0, since=0.0)], None)]
     found = interval(plant, record, prior_time=0.0, w_bound=0.0, v_bound=0.05)
     assert found.centre == pytest.approx([3.0 - 2.0 * 0.5], abs=1e-6)

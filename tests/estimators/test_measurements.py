@@ -19,7 +19,7 @@ from sampling_design.estimators.records.measurement_table import BLOCK
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
     [[1.0, 0.0], [0.0, 1.0]],
-    [[0.0], [1.0]],
+    B=[[0.0], [1.0]],
     time_unit="h",
     states=["level", "rate"],
     outputs=["gauge", "flow"],
@@ -168,7 +168,7 @@ def test_estimates_of_dated_measurements_are_dated(tmp_path):
 
 def test_inputs_without_samples_cost_each_its_own():
     """The work for an input, in pieces of the drift, does not grow with the inputs before it; and the sum is right."""
-    plant = Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], [[0.0], [1.0]])
+    plant = Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], B=[[0.0], [1.0]])
     quick, pieces = MovingHorizonEstimator(plant, horizon=5.0), []
     asked = quick.table.get
     quick.table.get = lambda gaps: pieces.append(len(gaps)) or asked(gaps)

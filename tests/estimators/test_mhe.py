@@ -20,7 +20,7 @@ from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-DRIVEN = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.5], [0.0]])
+DRIVEN = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], B=[[0.0], [1.0]], D=[[0.5], [0.0]])
 EVERY = PeriodicSchedule([1.0])
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
 

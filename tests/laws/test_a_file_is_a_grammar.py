@@ -41,9 +41,9 @@ TWO = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]])
 FULL = Plant(
     [[-1.0, 0.5], [0.0, 0.25]],
     [[1.0, 0.0], [1.0, 2.0]],
-    [[0.0], [1.0]],
-    [[0.5], [0.0]],
-    [[1.0], [3.0]],
+    B=[[0.0], [1.0]],
+    D=[[0.5], [0.0]],
+    G=[[1.0], [3.0]],
     name="all there is",
     time_unit="h",
     states=sd.Signals(("a", "b"), ("m", "K"), [1.0, 10.0]),
@@ -303,7 +303,7 @@ def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
 def sweep_intervals(folder, most=MOST, seed=0):
     """The same for an interval; what is proven is evaluated once more by what shares no line with the checker."""
     record = [(0.0, [1.0], [0.5]), (1.0, [Below(0.9)], None), (2.0, [Mean(0.2, since=1.0)], None), (2.5, [0.0], None)]
-    plant = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], [[0.0], [1.0]])
+    plant = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]])
     path = interval(plant, record, w_bound=0.1, v_bound=0.3, initial_error=[2.0, 2.0]).save(Path(folder) / "i.json")
     whole, found = json.loads(path.read_text()), {}
     assert checked(path.read_text())["verdict"] == "proven"

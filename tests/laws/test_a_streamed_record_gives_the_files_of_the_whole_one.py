@@ -23,7 +23,7 @@ from sampling_design.validation.schedule_log import _matched
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
     [[1.0, 0.0], [0.0, 1.0]],
-    [[0.0], [1.0]],
+    B=[[0.0], [1.0]],
     time_unit="h",
     states=["level", "rate"],
     outputs=["gauge", "flow"],

@@ -12,7 +12,9 @@ from tests.oracles.composites import posterior
 from tests.rescale import Units
 
 SAME = 1e-8
-PLANT = sd.Plant([[0.0, 1.0], [-1.5, -0.3]], [[1.0, 0.0], [0.4, -1.0]], [[0.0], [1.0]], [[0.0], [0.5]], time_unit="h")
+PLANT = sd.Plant(
+    [[0.0, 1.0], [-1.5, -0.3]], [[1.0, 0.0], [0.4, -1.0]], B=[[0.0], [1.0]], D=[[0.0], [0.5]], time_unit="h"
+)
 WEIGHTS = {
     "P2": np.array([[1.0, 0.2], [0.2, 0.8]]),
     "Qw": np.array([[3.0, 0.4], [0.4, 2.0]]),

@@ -9,7 +9,7 @@ from sampling_design.estimators.mhe import MovingHorizonEstimator
 from tests.oracles.estimators import discounted_kalman
 
 A, C, G = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.0], [1.0]])
-PLANT = Plant(A, C, [[1.0], [0.0]], [[0.0], [0.3]], G)
+PLANT = Plant(A, C, B=[[1.0], [0.0]], D=[[0.0], [0.3]], G=G)
 BOUNDS = {"w_bound": 0.5, "v_bound": [0.3, 0.4], "initial_error": [1.0, 2.0]}
 
 

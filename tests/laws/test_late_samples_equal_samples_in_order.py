@@ -7,7 +7,7 @@ from sampling_design import Constraints, KalmanFilter, Plant
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
-PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]], [[0.1], [0.0]])
+PLANT = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [0.0, 1.0]], B=[[0.0], [1.0]], D=[[0.1], [0.0]])
 
 
 def record(seed, count=24):

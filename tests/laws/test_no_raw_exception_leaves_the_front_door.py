@@ -1,13 +1,17 @@
 """Whatever the arguments, a public function, class or method returns a value or raises one sentence of ours.
 
-Only a keyword that does not exist, or a number of arguments that does not fit, stays Python's own TypeError.
+A call that does not fit names the nearest keyword; a seed is taken wherever a generator is.
 `python -m tests.front_door 2000 7` makes as many calls as one likes.
 """
 
+import inspect
+
+import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design._record import Record
+from sampling_design.errors import CallError
 from tests import front_door
 
 SEEDS = range(4)
@@ -56,8 +60,45 @@ def test_every_public_callable_is_among_them_with_arguments_that_are_right():
     assert kinds <= set(front_door.OWNERS), "a record has methods that no call tries"
 
 
+CALLABLES = [door for door in front_door.doors() if front_door.optional(door.name)]
+
+
+def test_a_keyword_that_is_mistyped_names_the_right_one():
+    left = []
+    for door in CALLABLES:
+        thing = door.target()
+        if inspect.isclass(thing) and not issubclass(thing, Record) and "door" not in vars(thing.__init__):
+            continue  # what a verb returns, plain: nobody makes one
+        longest = max(front_door.optional(door.name), key=len)
+        if any(each.kind is each.VAR_KEYWORD for each in inspect.signature(door.target()).parameters.values()):
+            continue
+        with pytest.raises(CallError, match=r"has no argument `.*`\. (Did you mean|Known:)") as told:
+            door.target()(**{f"{longest}z": 1})
+        if len(longest) > 3 and f"Did you mean {longest!r}?" not in str(told.value):
+            left.append(door.name)
+    assert left == []
+    assert len(CALLABLES) > 150
+
+
+def test_wherever_a_generator_is_taken_its_seed_is():
+    taken = {door.name: inspect.signature(door.target()).parameters.get("rng") for door in CALLABLES}
+    hints = {name: rng.annotation for name, rng in taken.items() if rng is not None and rng.default is None}
+    assert {name: hint for name, hint in hints.items() if hint != "Seed"} == {}
+    assert len(hints) >= 8
+
+
+@pytest.mark.parametrize("name", ["GapRange.draw", "Jitter.draw", "LostSamples.draw", "simulate_record"])
+def test_a_seed_is_the_generator_with_that_seed(name):
+    door = next(door for door in CALLABLES if door.name == name)
+    shown = []
+    for rng in (7, np.random.default_rng(7), 8):
+        made = door.target()(**door.arguments | {"rng": rng})
+        shown.append(getattr(made, "measurements", made).to_dict() if hasattr(made, "to_dict") else made.measurements.y)
+    assert str(shown[0]) == str(shown[1]) != str(shown[2])
+
+
 def test_the_sweep_sees_what_is_raw(monkeypatch):
     no_such_keyword = front_door.Door("certify", {"plant": 3, "nosuch": 4})
-    assert front_door.Call(no_such_keyword, ()).raw() == ""  # stays Python's own error
+    assert front_door.Call(no_such_keyword, ()).raw() == ""
     monkeypatch.setitem(front_door.public(), "broken", lambda x: [][x])
     assert "IndexError" in front_door.Call(front_door.Door("broken", {"x": 0}), ()).raw()

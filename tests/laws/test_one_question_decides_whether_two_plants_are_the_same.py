@@ -56,7 +56,7 @@ def test_every_door_refuses_a_certificate_of_another_plant_and_names_the_first_d
 
 
 def test_names_inputs_scales_and_source_do_not_enter():
-    driven = Plant(OSCILLATOR.A, OSCILLATOR.C, [[0.0], [1.0]], time_unit="h", name="driven", states=["x", "v"])
+    driven = Plant(OSCILLATOR.A, OSCILLATOR.C, B=[[0.0], [1.0]], time_unit="h", name="driven", states=["x", "v"])
     assert driven.same_dynamics(OSCILLATOR)
     assert first_difference(driven, OSCILLATOR) == ""
     assert robustness(driven, certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2)), longest=2).jittered is not None

@@ -17,7 +17,7 @@ from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.plants.uncertain_parameter import UncertainParameter
 from tests.oracles.boxes import drawn_values, matrices
 
-OSCILLATOR = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], [[0.0], [1.0]], G=[[0.0], [1.0]])
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]], G=[[0.0], [1.0]])
 STIFFNESS = UncertainParameter("omega^2", 0.9, 1.1, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
 GAIN = UncertainParameter("gain", 0.97, 1.03, C=[[1.0, 0.0]], nominal=1.0)
 PUSH = UncertainParameter("push", 0.8, 1.2, G=[[0.0], [1.0]], nominal=1.0)
@@ -31,14 +31,14 @@ def drawn_box(rng):
     if kind == 1:
         return UncertainPlant(OSCILLATOR, [STIFFNESS, GAIN]), np.ones(2)
     if kind == 2:
-        plant = Plant([[0.2, 1.0], [0.0, -1.0]], [[1.0, 0.0]], [[0.0], [1.0]], G=[[0.0], [1.0]])
+        plant = Plant([[0.2, 1.0], [0.0, -1.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], G=[[0.0], [1.0]])
         growth = UncertainParameter("growth", 0.15, 0.22, A=[[1.0, 0.0], [0.0, 0.0]], nominal=0.2)
         return UncertainPlant(plant, [growth]), np.ones(2)
     D = np.array([1e9, 1e-6])
     far = OSCILLATOR.A * D[:, None] / D
     from sampling_design import Signals
 
-    plant = Plant(far, OSCILLATOR.C / D, OSCILLATOR.B * D[:, None], G=OSCILLATOR.G * D[:, None],
+    plant = Plant(far, OSCILLATOR.C / D, B=OSCILLATOR.B * D[:, None], G=OSCILLATOR.G * D[:, None],
                   states=Signals(["x", "v"], (), D))  # fmt: skip
     moved = np.array(STIFFNESS.A) * D[:, None] / D
     return UncertainPlant(plant, [UncertainParameter("omega^2", 0.9, 1.1, A=moved, nominal=1.0)]), D

@@ -8,7 +8,7 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Taken
 
-PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], [[0.0], [1.0], [0.2]])
+PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], B=[[0.0], [1.0], [0.2]])
 
 
 def resolved(mhe, t):

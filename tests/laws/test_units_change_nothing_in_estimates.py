@@ -35,7 +35,9 @@ def setting(seed, decades=12, time_decades=9):
     """A plant of three states with inputs, data and weights; and the same in other units."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(3, 3)) * 0.6 - 0.4 * np.eye(3)
-    plant = Plant(A, rng.normal(size=(2, 3)), rng.normal(size=(3, 1)), rng.normal(size=(2, 1)), rng.normal(size=(3, 2)))
+    plant = Plant(
+        A, rng.normal(size=(2, 3)), B=rng.normal(size=(3, 1)), D=rng.normal(size=(2, 1)), G=rng.normal(size=(3, 2))
+    )
     units = Units.drawn(rng, plant, decades, time_decades)
     root = np.eye(3) + 0.3 * rng.normal(size=(3, 3))
     weights = {"P2": root @ root.T, "Qw": 4 * np.eye(2), "R": np.array([[8.0, 2.0], [2.0, 6.0]]), "Qv": 6 * np.eye(2)}

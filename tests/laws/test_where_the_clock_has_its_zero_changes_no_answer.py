@@ -12,7 +12,7 @@ from sampling_design.recovery.record_bounds import bounds_from_record
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
     [[1.0, 0.0], [0.0, 1.0]],
-    [[0.0], [1.0]],
+    B=[[0.0], [1.0]],
     states=["level", "rate"],
     outputs=["gauge", "flow"],
     inputs=["pump"],

@@ -59,7 +59,7 @@ def test_expressions_and_functions_give_the_same_plant():
 
 def test_a_linear_plant_stays_what_it_is():
     linear = Plant(
-        [[0.0, 1.0], [-2.0, -0.1]], [[1.0, 0.5]], [[0.0], [3.0]], [[0.7]], outputs=Signals(("y",), ("m",), [2.0])
+        [[0.0, 1.0], [-2.0, -0.1]], [[1.0, 0.5]], B=[[0.0], [3.0]], D=[[0.7]], outputs=Signals(("y",), ("m",), [2.0])
     )
     back = from_linear(linear).linearise([0.3, 0.4], [0.1])
     for key in "ABCDG":

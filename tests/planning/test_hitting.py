@@ -22,7 +22,7 @@ from sampling_design.planning.work import Work
 
 STEPS = 12
 TWO = Plant(
-    [[0.0, 1.0], [-1.0, -0.1]], np.eye(2), [[1.0, 0.0], [0.0, 1.0]], states=["place", "speed"], outputs=["y", "z"]
+    [[0.0, 1.0], [-1.0, -0.1]], np.eye(2), B=[[1.0, 0.0], [0.0, 1.0]], states=["place", "speed"], outputs=["y", "z"]
 )
 NO_FLIGHT = Flight(np.zeros((1, 1)), np.zeros(1, dtype=np.intp), np.zeros((1, 2)), np.zeros((2, 2)))
 

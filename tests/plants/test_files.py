@@ -22,9 +22,9 @@ def plant():
     return Plant(
         [[-1.0, 0.1], [1 / 3, -2e-300]],
         [[1.0, 0.0]],
-        [[1e22], [-0.0]],
-        [[0.5]],
-        [[np.nextafter(1.0, 2.0)], [5e-324]],
+        B=[[1e22], [-0.0]],
+        D=[[0.5]],
+        G=[[np.nextafter(1.0, 2.0)], [5e-324]],
         time_unit="h",
         name='odd "name"',
         states=Signals(("longer", "x"), ("Ω", ""), [1e-3, 7.0]),
@@ -44,7 +44,7 @@ def test_round_trip_is_exact_to_the_bit(plant, suffix, tmp_path):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_plants_without_states_survive(suffix, tmp_path):
-    empty = Plant(np.zeros((0, 0)), np.zeros((2, 0)), np.zeros((0, 1)), G=np.zeros((0, 3)))
+    empty = Plant(np.zeros((0, 0)), np.zeros((2, 0)), B=np.zeros((0, 1)), G=np.zeros((0, 3)))
     back = read_plant(write_plant(empty, tmp_path / f"plant.{suffix}"))
     assert same(back, empty)
     assert (back.n_inputs, back.n_disturbances, back.n_outputs) == (1, 3, 2)

@@ -13,7 +13,7 @@ def hidden(A, seed=0, outputs=2):
     n = len(A)
     rng = np.random.default_rng(seed)
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    return Plant(Q @ A @ Q.T, rng.standard_normal((outputs, n)), rng.standard_normal((n, 1)))
+    return Plant(Q @ A @ Q.T, rng.standard_normal((outputs, n)), B=rng.standard_normal((n, 1)))
 
 
 def retained_values(plant, **options):
@@ -63,8 +63,8 @@ def test_coordinates_of_the_parts_carry_scales_names_and_units():
     plant = Plant(
         np.diag([1.0, -1.0]),
         [[1.0, 1.0]],
-        [[1.0], [2.0]],
-        [[3.0]],
+        B=[[1.0], [2.0]],
+        D=[[3.0]],
         time_unit="h",
         name="p",
         states=Signals(("a", "b"), ("m", "kg"), [10.0, 5.0]),

@@ -16,7 +16,7 @@ def random_pair(rng, n, units=0):
     W = sparse.coo_array((weights, where), shape=(n, n)).tocsr()
     A = (W + W.T) * 10.0**units
     A = A - sparse.diags_array(np.asarray(A.sum(axis=1)).ravel() * rng.uniform(0.5, 1.5, n))
-    return SparsePlant(A, np.eye(2, n), rng.uniform(0.1, 10.0, n))
+    return SparsePlant(A, np.eye(2, n), mass=rng.uniform(0.1, 10.0, n))
 
 
 def truth(plant):

@@ -15,7 +15,7 @@ from sampling_design.recovery.interval import interval, read_record
 from sampling_design.recovery.readings import Below, Mean
 from sampling_design.recovery.record_program import RecordProgram
 
-OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], [[0.0], [1.0]], states=["position", "velocity"])
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
 RECORD = [(t, [np.sin(t)], None) for t in TIMES]
 GIVEN = {"w_bound": 0.02, "v_bound": 0.4}

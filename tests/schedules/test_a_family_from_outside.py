@@ -11,13 +11,14 @@ from typer.testing import CliRunner
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design._checks import generator
 from sampling_design.certificates.compare.robustness import _Breaker, _tried
 from sampling_design.certificates.families.graphs import graph_of
 from sampling_design.checkers import check, cover, family_file, parts, strict
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
-from sampling_design.schedules.family import OUTWARD, START, Leeway, SamplingFamily, Step, generator
+from sampling_design.schedules.family import OUTWARD, START, Leeway, SamplingFamily, Step
 from sampling_design.schedules.family_files import family_from_dict
 
 

@@ -229,8 +229,10 @@ def test_bad_input():
         SpacedWindows(4.0, 2, 0.5).draw(duration=3.0)
     with pytest.raises(ArgumentError, match=r"a Schedule or a PeriodicSchedule, got list .*Did you pass times\?"):
         GapRange(1.0, 2.0).contains([1.0])
-    with pytest.raises(ArgumentError, match=r"Did you pass a seed\? Use numpy.random.default_rng\(seed\)"):
-        GapRange(1.0, 2.0).draw(7)
+    with pytest.raises(
+        ArgumentError, match=r"`rng` must be a numpy\.random\.Generator or a whole number, got str 'seven'"
+    ):
+        GapRange(1.0, 2.0).draw("seven")
     with pytest.raises(ArgumentError, match="`radius` must be less than half of the least gap 1"):
         Jitter(PeriodicSchedule([1.0]), 0.5)
     with pytest.raises(ArgumentError, match="are for an endless nominal schedule; this one is finite"):

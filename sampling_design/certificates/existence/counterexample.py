@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._balance import balance, balanced, balanced_rows
-from sampling_design._checks import positive, vector
+from sampling_design._checks import Seed, generator, positive, vector
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import Record, short
@@ -165,7 +165,7 @@ def find_counterexample(
     family: SamplingFamily,
     eta: float,
     hints: Iterable[float | None] = (),
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     quick: bool = False,
     budget: float = MOST_SECONDS,
 ) -> tuple[Counterexample | None, Nearest]:
@@ -178,7 +178,7 @@ def find_counterexample(
     eta : float [1/time]
     hints : floats, optional
         Gaps near which to look as well.
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         Default seed 0.
     quick : bool
         Only the words themselves, shorter patterns, no descent on the margin.
@@ -199,7 +199,7 @@ def find_counterexample(
     """
     eta, ends = positive("eta", eta), time.perf_counter() + positive("budget", budget)
     near = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     periods, left = _aliasing_periods(plant, eta, family)
     searched = [f"{len(periods)} of {len(periods) + left:.4g} periods at which modes alias were tried"] if left else []
     least: tuple[float, PeriodicSchedule] = (np.inf, period_of(family.nominal))

@@ -95,8 +95,8 @@ class IntegralFlows:
         A = np.zeros((n + p, n + p))
         A[:n, :n], A[n:, :n] = plant.A, plant.C
         longer = Plant(
-            A, np.hstack([plant.C, np.zeros((p, p))]), np.vstack([plant.B, plant.D]), plant.D,
-            np.vstack([plant.G, np.zeros((p, plant.n_disturbances))]), time_unit=plant.time_unit,
+            A, np.hstack([plant.C, np.zeros((p, p))]), B=np.vstack([plant.B, plant.D]), D=plant.D,
+            G=np.vstack([plant.G, np.zeros((p, plant.n_disturbances))]), time_unit=plant.time_unit,
         )  # fmt: skip
         prior = block_diag(weights.prior, np.diag(plant.outputs.scales**-2.0))
         self.n, self.weights = n, weights

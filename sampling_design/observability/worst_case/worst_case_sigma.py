@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._record import Plain, counted, short
 from sampling_design.errors import ArgumentError
@@ -172,7 +173,7 @@ def worst_case_sigma(
     family: SpacedWindows,
     rtol: float | None = None,
     budget: float | None = 60.0,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
 ) -> WorstCaseSigma: ...
@@ -182,7 +183,7 @@ def worst_case_sigma(
     family: SpacedWindows,
     rtol: float | None = None,
     budget: float | None = 60.0,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
 ) -> WorstCaseOverBox: ...
@@ -192,7 +193,7 @@ def worst_case_sigma(
     family: SpacedWindows,
     rtol: float | None = None,
     budget: float | None = 60.0,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
 ) -> WorstCaseSigma | WorstCaseOverBox:
@@ -211,7 +212,7 @@ def worst_case_sigma(
         The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.01, over a box 0.1.
     budget : float, optional [seconds]
         When it runs out, the bounds so far are returned with closed = False. None: no limit.
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
     progress : callable, optional
         Called with the share of directions that is settled, and a message.
@@ -282,7 +283,7 @@ def worst_case_sigma(
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     if isinstance(plant, UncertainPlant):
         return _over_box(plant, family, tolerance, seconds, rigorous)
-    generator = np.random.default_rng(0) if rng is None else rng
+    generator = _checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family)
     parts = [plant.scaled(), plant] if plant.has_scales else [plant]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from rich.table import Table as RichTable
 import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._record import short
+from sampling_design._units import SECONDS
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, end_bracket, record_table, save_picture, table
 from sampling_design.design.schedule_design import ScheduleDesign
@@ -21,9 +23,12 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
-from sampling_design.schedules.calendar import repeats_by_rule, write_calendar_csv
+from sampling_design.schedules.calendar import clock_changes, repeats_by_rule, write_calendar_csv
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.time_stamps import parse_date
+from sampling_design.schedules.time_stamps import parse_date, passed
+
+AHEAD = 400
+"""Days in which the next change of a zone's clocks is looked for."""
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
@@ -174,11 +179,27 @@ def _schedule_files(
     settings.wrote(sd.write_schedule(dated, folder / "schedule.csv"))
     settings.wrote(write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
     title = f"{result.plant.name or 'plant'}: sample"
-    span = None
-    if not repeats_by_rule(dated):
+    span = None if zone is None else _until_clocks_change(settings, result, zero, zone)
+    if span is None and not repeats_by_rule(dated):
         span = dated.period
         settings.notice("The period is no whole number of seconds, which no calendar repeats: schedule.ics holds one.")
     settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
+
+
+def _until_clocks_change(settings: Settings, result: ScheduleDesign, zero: str, zone: str) -> float | None:
+    """How long closed hours are where the schedule has them, with a notice: until the clocks change, if they do."""
+    wanted = result.requirement
+    if not wanted.forbidden.size and all(access.available is None for access in wanted.outputs.values()):
+        return None
+    start = parse_date("--start", zero)
+    before, after = next(clock_changes(zone, start, start + timedelta(days=AHEAD)), (None, None))
+    if before is None or after is None:
+        return None
+    settings.notice(
+        f"The clocks of {zone} change on {after:%Y-%m-%d}: schedule.ics ends there, since the same times would be "
+        "other hours. Design again with --start after it; `plan` keeps local hours all year."
+    )
+    return passed(start, after) / timedelta(seconds=SECONDS[result.plant.time_unit])
 
 
 def _samples(result: ScheduleDesign) -> list[RichTable | str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -281,9 +282,17 @@ def _begin(date: datetime, zone: str | None) -> str:
 
 def _zone_lines(zone: str, first: datetime, last: datetime) -> list[str]:
     """VTIMEZONE: the offset at the first date, and each change of it until the last."""
+    begin = first.astimezone(time_zone(zone))
+    lines = ["BEGIN:VTIMEZONE", f"TZID:{zone}", *_observance(begin, begin)]
+    for before, after in clock_changes(zone, first, last):
+        lines += _observance(before, after)
+    return [*lines, "END:VTIMEZONE"]
+
+
+def clock_changes(zone: str, first: datetime, last: datetime) -> Iterator[tuple[datetime, datetime]]:
+    """Each change of a zone's offset between two dates: the last second before it, and the first after it."""
     place, second = time_zone(zone), timedelta(seconds=1)
     now, end = first.astimezone(UTC), last.astimezone(UTC)
-    lines = ["BEGIN:VTIMEZONE", f"TZID:{zone}", *_observance(now.astimezone(place), now.astimezone(place))]
     while now < end:
         later = min(now + timedelta(days=1), end)
         if later.astimezone(place).utcoffset() != now.astimezone(place).utcoffset():
@@ -292,9 +301,8 @@ def _zone_lines(zone: str, first: datetime, last: datetime) -> list[str]:
                 middle = before + ((after - before) // 2 // second or 1) * second
                 same = middle.astimezone(place).utcoffset() == now.astimezone(place).utcoffset()
                 before, after = (middle, after) if same else (before, middle)
-            lines += _observance(before.astimezone(place), after.astimezone(place))
+            yield before.astimezone(place), after.astimezone(place)
         now = later
-    return [*lines, "END:VTIMEZONE"]
 
 
 def _observance(before: datetime, after: datetime) -> list[str]:

@@ -1,6 +1,7 @@
 """info, design and sigma on the example plants, with right and with wrong input."""
 
 import json
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,28 @@ def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
     assert data["coordinates"] == "scaled"  # the plant has scales
     assert judged["scaled"]["lower"] == pytest.approx(data["sigma"], rel=1e-9)
     assert judged["scaled"]["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
+
+
+@pytest.mark.parametrize(("start", "until"), [("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")])
+def test_a_calendar_of_local_hours_never_leaves_them(shell, tmp_path, start, until):
+    """The schedule counts hours that pass: once the clocks are changed, the same samples come at other hours."""
+    sd.write_plant(sd.Plant([[0.0]], [[1.0]], time_unit="h"), tmp_path / "level.toml")
+    wanted = sd.Requirement(window=24.0, period=24.0, samples=2, forbidden=[[0.0, 8.0], [18.0, 24.0]])
+    sd.write_requirement(wanted, tmp_path / "hours.toml")
+    dated = ("-o", tmp_path / "out", "--start", start)
+    result = shell("design", tmp_path / "level.toml", tmp_path / "hours.toml", *dated, "--zone", "Europe/Berlin")
+    assert result.code == 0
+    assert f"The clocks of Europe/Berlin change on {until}: schedule.ics ends there" in result.err.replace("\n", " ")
+    text = (tmp_path / "out" / "schedule.ics").read_text()
+    begins = [line.partition("Berlin:")[2] for line in text.splitlines() if line.startswith("DTSTART;")]
+    events = [datetime.strptime(begin, "%Y%m%dT%H%M%S") for begin in begins]
+    assert {8 <= event.hour < 18 for event in events} == {True}
+    days = (datetime.fromisoformat(until) - datetime.fromisoformat(start)).days
+    assert len(events) == text.count("BEGIN:VEVENT") == 2 * days
+    assert "RRULE" not in text
+    shell("design", tmp_path / "level.toml", tmp_path / "hours.toml", *dated, "--zone", "Asia/Kolkata")
+    endless = (tmp_path / "out" / "schedule.ics").read_text()
+    assert endless.count("RRULE:FREQ=DAILY") == 2  # where clocks are never changed
 
 
 def test_design_prints_the_defaults_it_used(shell):

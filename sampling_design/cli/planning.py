@@ -117,6 +117,8 @@ def next_sample(
 ) -> None:
     """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
 
+    Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest.
+
     Example: sampling-design next out/plan.json --now 7
     """
     result = reading.plan(plan_file)
@@ -128,7 +130,7 @@ def next_sample(
     if folder is not None:
         settings.write_json(folder / "next.json", found.to_dict())
     settings.show(found.to_dict(), record_table(found), found.explain())
-    if not np.isfinite(found.latest):
+    if not found.keeps:
         raise typer.Exit(1)
 
 

@@ -1,4 +1,4 @@
-"""The next sample: the latest time that keeps the tolerances now and leaves the plan able to keep them afterwards."""
+"""The next sample: the latest time that keeps the tolerances from now on, or else the one that brings them back."""
 
 from __future__ import annotations
 
@@ -13,21 +13,16 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.due import GoalDue, first_due
+from sampling_design.planning.choices import Choices
+from sampling_design.planning.due import GoalDue
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import looks_back, proven_ratio, settles, worst_ratio
+from sampling_design.planning.sequence import known_at, looks_back
 from sampling_design.planning.spread_sequence import SampleSequence, planned
 from sampling_design.recovery.readings import told
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-NEAR = 0.998
-"""A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
-
-TRIES = 12
-"""Times proven, each a step of the raster earlier than the one before, until one is."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,20 +35,30 @@ class NextSample(Record):
     now : float
         [the plant's time unit] since the start of the plan.
     latest : float
-        With the sensors `outputs`; after it the plan's own times follow. -inf: no time keeps the tolerances any more.
+        With the sensors `outputs`; after it the plan's own times follow. Where no time keeps every tolerance from now
+        on: that after which they are all kept again soonest. -inf: none is known.
     outputs : tuple of str
     alone : dict of str to float
         For each sensor of the plan, the latest time if that sensor is all that is read then.
     best : float
         The time up to `latest`, with `best_outputs`, after which the worst accuracy is least.
     ratio : float
-        What is proven of `latest`: accuracy over tolerance, from now on and for ever after.
+        What is proven of `latest`: accuracy over tolerance, from `kept_from` on and for ever after.
     proven : bool
     due : GoalDue or None
         What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
-        first if it does, and when. None if it may come at any time of a whole period.
+        first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
+        yet, but no sample keeps them all: the same of the sample at `latest`.
     alone_due : dict of str to GoalDue
         The same for each sensor alone.
+    kept_from : float
+        From when on every tolerance is kept: `now`, unless one cannot be; inf where nothing is known.
+    exceeded : GoalDue or None
+        The goal that is above its tolerance now, since when, and how far.
+    known : dict of str to float
+        How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
+    judged_until : float
+        The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
     """
 
     plan: Plan
@@ -67,6 +72,15 @@ class NextSample(Record):
     proven: bool
     due: GoalDue | None = None
     alone_due: dict[str, GoalDue] = field(default_factory=dict)
+    kept_from: float = -np.inf
+    exceeded: GoalDue | None = None
+    known: dict[str, float] = field(default_factory=dict)
+    judged_until: float = np.inf
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every tolerance is kept from now on, if the next sample comes by `latest`."""
+        return bool(np.isfinite(self.latest)) and self.kept_from <= self.now
 
     def date(self, t: float) -> datetime | None:
         """Local date of a time, where the plan has a calendar."""
@@ -90,13 +104,28 @@ class NextSample(Record):
         return f"{date:%H:%M}" if same else self.when(t, self.now)
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("now", self.when(self.now)), ("latest", self._told(self.latest, self.outputs))]
-        rows += [("later", self._later(self.due))] if self.due else []
+        goals = {goal.name: goal for goal in self.plan.goals}
+        rows = [("now", self.when(self.now))]
+        for name, value in self.known.items():
+            goal = goals[name]
+            unit = f" {goal.unit}" if goal.unit else ""
+            rows.append((f"{name} now", f"within {short(value, 4)}{unit} (tolerance {short(goal.tolerance)})"))
+        rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
+        rows.append(("latest" if self.keeps else "soonest help", self._told(self.latest, self.outputs)))
+        rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
         for name, t in self.alone.items():
             more = f"; later: {self._later(self.alone_due[name])}" if name in self.alone_due else ""
             rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
         rows += [("best", self._told(self.best, self.best_outputs))] if np.isfinite(self.best) else []
+        rows += [] if self.keeps else [("kept again", self._again())]
+        rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] * bool(
+            np.isfinite(self.judged_until)
+        )
         return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def _again(self) -> str:
+        """From when on every tolerance is kept again."""
+        return f"from {self.when(self.kept_from)} on" if np.isfinite(self.kept_from) else "not known"
 
     def _later(self, due: GoalDue) -> str:
         """What a later sample would do, in words."""
@@ -113,17 +142,34 @@ class NextSample(Record):
         """Say when to sample."""
         if not np.isfinite(self.latest):
             after = f" ({short(self.ratio, 4)} of them after the last one tried)" if np.isfinite(self.ratio) else ""
-            text = f"No allowed sample is proven to keep the tolerances any more{after}: keep to the plan's next one"
-            return f"{text}, or sample as soon as the place is open."
+            text = f"No allowed sample is proven to bring the tolerances back{after}: keep to the plan's next one"
+            return f"{self._state()}{text}, or sample as soon as the place is open."
+        if not self.keeps:
+            text = f"A sample at {self._told(self.latest, self.outputs)} helps soonest"
+            if self.exceeded is None:
+                late = "" if self.due is None else f": after one at {self._told(self.latest, self.outputs)} "
+                late += "" if self.due is None else self._later(self.due)
+                text = f"No single sample keeps every tolerance from now on{late}"
+            return f"{self._state()}{text}. Every tolerance is kept {self._again()}."
         alone = [
             f"{name} alone by {self._beside(t)}"
             for name, t in self.alone.items()
             if np.isfinite(t) and (name,) != self.outputs
         ]
         by = "at" if self.plan.problem.spacing > 1 else "by"
-        first = f"Next draw {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
+        first = f"Next sample {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
         later = f" At the next allowed time after that {self._later(self.due)}." if self.due else ""
         return "; ".join([first, *alone]) + "." + later
+
+    def _state(self) -> str:
+        """What is exceeded, and what is known now."""
+        if self.exceeded is None:
+            return ""
+        goal = next(goal for goal in self.plan.goals if goal.name == self.exceeded.goal)
+        within = short(self.known.get(goal.name, self.exceeded.ratio * goal.tolerance), 4)
+        unit = f" {goal.unit}" if goal.unit else ""
+        text = f"{goal.name} has been above its tolerance of {short(goal.tolerance)}{unit} since "
+        return f"{text}{self.when(self.exceeded.time)}: within {within}{unit} now. "
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -148,6 +194,10 @@ class NextSample(Record):
             "best_outputs": list(self.best_outputs),
             "ratio": self.ratio if np.isfinite(self.ratio) else None,
             "proven": self.proven,
+            "kept_from": plain(self.kept_from),
+            "exceeded": due(self.exceeded),
+            "known": dict(self.known),
+            "judged_until": plain(self.judged_until),
         }
 
 
@@ -159,7 +209,9 @@ def next_sample(
     now: float | None = None,
     prove: bool = True,
 ) -> NextSample:
-    """Return the latest time of the next sample after which the plan still keeps every tolerance, for ever.
+    """Return the latest time of the next sample after which every tolerance is kept from now on, for ever.
+
+    If one cannot be: since when, how well it is known now, and the sample that brings it back soonest.
 
     Parameters
     ----------
@@ -186,7 +238,11 @@ def next_sample(
     Notes
     -----
     *Claim.* If a sample with `outputs` is taken at `latest`, and the plan's samples follow, no tolerance is broken from
-    `now` on; so this may be asked again after that sample, and has an answer (induction). *The naive trigger*, which
+    `kept_from` on. That is `now` as long as samples come: this may be asked again after each, and has an answer
+    (induction). What was broken before now is over, and all that was measured then counts. Samples of the plan on days
+    that are known to be closed are left out, or what `plan_dates` puts in their place follows, up to `judged_until`.
+    After a miss it may be that no sample keeps every tolerance: then `latest` is that after which they are all kept
+    again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
     waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
     overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
     sample may push out one of the plan's. *Assumptions.* The bounds; values measured play no part, so that the answer
@@ -204,33 +260,42 @@ def next_sample(
     at = float(last) if now is None else _checks.number("now", now)
     if taken is not None and taken[0].size and at < last - 1e-9 * step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
-    history = _history(plan, taken, at)
-    run = _Choice(plan, history, at)
-    names = plan.plant.outputs.names
-    full, ratio, proven = run.answer(None, prove)
+    run = Choices(plan, _history(plan, taken, at), at)
+    exceeded = run.exceeded()
+    full = run.answer(None, prove)
+    if not np.isfinite(full.t):
+        full = run.soonest(prove)
+    keeps = full.kept_from <= at
     alone, alone_due = dict[str, float](), dict[str, GoalDue]()
-    for j, name in enumerate(names):
-        only = np.arange(len(names)) == j
-        same = np.array_equal(full[1], only)
-        if plan.chosen[:, j].any():
-            alone[name] = full[0] if same else run.answer(j, prove)[0][0]
+    for j, name in enumerate(plan.plant.outputs.names):
+        same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
+        if keeps and plan.chosen[:, j].any():
+            alone[name] = full.t if same else run.answer(j, prove).t
             why = run.later(None if same else j, alone[name])
             if why is not None:
                 alone_due[name] = why
-    best = run.best(full)
+    best = run.best((full.t, full.mask)) if keeps else (full.t, full.mask)
     return NextSample(
         plan=plan,
         now=at,
-        latest=full[0],
-        outputs=tuple(n for n, s in zip(names, full[1], strict=True) if s),
+        latest=full.t,
+        outputs=_named(plan, full.mask),
         alone=alone,
         best=best[0],
-        best_outputs=tuple(n for n, s in zip(names, best[1], strict=True) if s),
-        ratio=ratio,
-        proven=proven,
-        due=run.later(None, full[0]),
+        best_outputs=_named(plan, best[1]),
+        ratio=full.ratio,
+        proven=full.proven,
+        due=run.later(None, full.t) if keeps else run.breach((full.t, full.mask)) if exceeded is None else None,
         alone_due=alone_due,
+        kept_from=full.kept_from,
+        exceeded=exceeded,
+        known=known_at(plan, run.history, at),
+        judged_until=run.judged_until(max(at, full.t)),
     )
+
+
+def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:
+    return tuple(name for name, seen in zip(plan.plant.outputs.names, mask, strict=True) if seen)
 
 
 def _taken(
@@ -261,14 +326,14 @@ def _taken(
     return np.array(times), np.array(seen).reshape(-1, plan.plant.n_outputs)
 
 
-def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> tuple[Array, Mask, int]:
+def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> SampleSequence:
     """Everything measured until now, and how much of it is the plan's."""
     mean = plan.schedule.period / len(plan.schedule)
     span = (looks_back(plan) + 1) * mean + plan.schedule.period
     tiny = 1e-6 * plan.problem.step
     if taken is None or not taken[0].size:
         times, seen = planned(plan, now - span, now + tiny)
-        return times, seen, times.size
+        return SampleSequence(times, seen, times.size)
     first = float(taken[0][0])
     before = planned(plan, first - span, first - tiny)
     wanted = planned(plan, first - tiny, now + tiny)
@@ -278,134 +343,4 @@ def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> tuple[
             break
         same += 1
     times, seen = np.concatenate([before[0], taken[0]]), np.concatenate([before[1], taken[1]])
-    return times, seen, before[0].size + same
-
-
-class _Choice:
-    """The choices for the next sample, judged in floats."""
-
-    def __init__(self, plan: Plan, history: tuple[Array, Mask, int], now: float):
-        self.plan, self.now = plan, now
-        self.times, self.seen, self.same = history
-        self.oracle = plan.oracle
-        self._known: dict[tuple[int, bytes], float] = {}
-        self._options: dict[int | None, list[tuple[float, Mask]]] = {}
-        self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
-
-    def options(self, sensor: int | None) -> list[tuple[float, Mask]]:
-        """Allowed times of the raster after now, over a period, each with one sensor or those that the plan reads."""
-        if sensor not in self._options:
-            self._options[sensor] = self._listed(sensor)
-        return self._options[sensor]
-
-    def _listed(self, sensor: int | None) -> list[tuple[float, Mask]]:
-        problem, step = self.plan.problem, self.plan.problem.step
-        first = int(np.floor(self.now / step + 1e-6)) + 1
-        found = []
-        for i in range(first, first + problem.steps):
-            allowed = self.allowed(i)
-            mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
-            mask = allowed if sensor is None and not mask.any() else mask
-            if self.times.size and i - self.times[-1] / step < problem.spacing - 1e-6:
-                continue
-            if mask.any():
-                found.append((i * step, mask))
-        return found
-
-    def allowed(self, i: int) -> Mask:
-        """What may be measured at a step since the start, holidays left out."""
-        problem, calendar = self.plan.problem, self.plan.requirement.calendar
-        mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
-        if calendar is not None and not calendar.is_open(self.plan.minutes(i * problem.step), holidays=True):
-            return np.zeros_like(mask)
-        return np.asarray(mask)
-
-    def due(self, i: int) -> Mask:
-        """What the plan's sample at a step, or the next one after it, measures."""
-        steps = self.plan.problem.steps
-        at = np.flatnonzero(self.plan.chosen.any(axis=1))
-        following = at[np.argmin((at - i) % steps)]
-        return np.asarray(self.plan.chosen[following])
-
-    def sequence(self, t: float, mask: Mask) -> SampleSequence:
-        """History, the sample, and the plan afterwards (its spacing kept)."""
-        problem = self.plan.problem
-        mean = self.plan.schedule.period / len(self.plan.schedule)
-        span = settles(self.plan) * mean + self.plan.schedule.period
-        resume = t + max(problem.spacing - 1e-6, 1e-6) * problem.step
-        after = planned(self.plan, resume, t + span)
-        times = np.concatenate([self.times, [t], after[0]])
-        return SampleSequence(times, np.concatenate([self.seen, mask[None], after[1]]), self.same)
-
-    def ratio(self, choice: tuple[float, Mask], above: float = np.inf) -> float:
-        """Accuracy over tolerance if this is the next sample."""
-        if not np.isfinite(choice[0]):
-            return np.inf
-        key = (round(choice[0] / self.plan.problem.step), choice[1].tobytes())
-        if key not in self._known:
-            until = choice[0] + 1.5 * self.plan.schedule.period
-            self._known[key] = worst_ratio(self.plan, self.sequence(*choice), above, until)
-        return self._known[key]
-
-    def latest(self, sensor: int | None) -> tuple[float, Mask]:
-        """The latest option that keeps the tolerances: doubling, then halving, then a step at a time."""
-        options = self.options(sensor)
-        nothing = -np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)
-        if not options:
-            return nothing
-        good, bad, width = -1, len(options), 1
-        at = self._due(options) if sensor is None else 0
-        if sensor is None:  # the plan's own next sample: if anything keeps the tolerances, it does (induction)
-            if self.ratio(options[at]) > 1:
-                return nothing
-            good, at = at, at + 1
-        while at < len(options):
-            if self.ratio(options[at], NEAR) > NEAR:
-                bad = at
-                break
-            good, at, width = at, at + width, 2 * width
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            good, bad = (middle, bad) if self.ratio(options[middle], NEAR) <= NEAR else (good, middle)
-        return options[good] if good >= 0 else nothing
-
-    def _due(self, options: list[tuple[float, Mask]]) -> int:
-        """Which option is the plan's next sample; the first one where the place is closed then."""
-        step = self.plan.problem.step
-        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2)[0]
-        times = np.array([t for t, _ in options])
-        same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
-        return int(same[0]) if same.size else 0
-
-    def answer(self, sensor: int | None, prove: bool) -> tuple[tuple[float, Mask], float, bool]:
-        """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""
-        choice = self.latest(sensor)
-        if not prove or not np.isfinite(choice[0]):
-            return choice, self.ratio(choice), False
-        options, ratio = self.options(sensor), np.inf
-        place = next(k for k, option in enumerate(options) if option[0] == choice[0])
-        for option in options[place::-1][:TRIES]:
-            ratio = proven_ratio(self.plan, self.sequence(*option))
-            if ratio <= 1:
-                return option, ratio, True
-        return (-np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)), ratio, False
-
-    def later(self, sensor: int | None, latest: float) -> GoalDue | None:
-        """What keeps the next sample from coming at the first option after the latest; None without such an option."""
-        after = [option for option in self.options(sensor) if option[0] > latest]
-        if not after:
-            return None
-        t, mask = after[0]
-        if (sensor, t) not in self._due_at:
-            sequence = self.sequence(t, mask)
-            self._due_at[sensor, t] = first_due(self.plan, sequence, t + 1.5 * self.plan.schedule.period)
-        return self._due_at[sensor, t]
-
-    def best(self, latest: tuple[float, Mask]) -> tuple[float, Mask]:
-        """Of the options up to the latest, the one after which the worst accuracy is least."""
-        options = [option for option in self.options(None) if option[0] <= latest[0]]
-        if not options:
-            return latest
-        few = [options[k] for k in np.unique(np.round(np.linspace(0, len(options) - 1, 8)).astype(int))]
-        chosen: tuple[float, Mask] = min(few, key=lambda option: (round(self.ratio(option), 3), -option[0]))
-        return chosen
+    return SampleSequence(times, seen, before[0].size + same)

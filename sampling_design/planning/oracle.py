@@ -208,30 +208,39 @@ class Oracle:
         return None
 
     def looked(
-        self, window: RasterWindow, g: int, last: int, length: int, above: float = np.inf, *, closely: bool = True
+        self,
+        window: RasterWindow,
+        g: int,
+        last: int,
+        length: int,
+        above: float = np.inf,
+        *,
+        begin: int = 0,
+        closely: bool = True,
     ) -> dict[int, float]:
         """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
 
         Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
         any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
-        `closely`, only at the end.
+        `closely`, only at the end. Offsets below `begin` are left out.
         """
         goal, length = self.problem.goals[g], min(length, self.motion.longest)
+        begin = min(begin, length)
         if goal.at == "after each sample":
-            return {0: self.reach(window, 0, g)}
+            return {} if begin else {0: self.reach(window, 0, g)}
         if goal.at == "given times":
-            within = {int(o) for o in (goal.steps - last) % self.problem.steps if o <= length}
+            within = {int(o) for o in (goal.steps - last) % self.problem.steps if begin <= o <= length}
             return {offset: self.reach(window, offset, g) for offset in sorted(within)}
         if not closely:
             return {length: self.reach(window, length, g)}
         found = {
             offset: self.reach(window, offset, g)
-            for offset in {round(length * i / QUARTERS) for i in range(QUARTERS + 1)}
+            for offset in {begin + round((length - begin) * i / QUARTERS) for i in range(QUARTERS + 1)}
         }
         while len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
-            rows = np.array([self._opened(offset, g)[0] for offset in range(length + 1)])
-            added = np.array([more for _, more in self._open[g][: length + 1]])
-            farthest = int(np.argmax(np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added))
+            rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
+            added = np.array([more for _, more in self._open[g][begin : length + 1]])
+            farthest = begin + int(np.argmax(np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added))
             if farthest in found:
                 break
             found[farthest] = self.reach(window, farthest, g)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.oracle import Oracle
-from sampling_design.planning.problem import Goal
+from sampling_design.planning.problem import WHOLE, Goal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.settling import settled_factors
 from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
@@ -81,27 +81,33 @@ def _bounded_worst(
     worst = before = here = 0.0
     where = None
     goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
-    start = max(sequence.first - 1, 0)
+    start = sequence.start
     for k in range(start, len(sequence.times) - 1):
         if sequence.times[k] >= until:
             break
         window, last, length = window_after(oracle, sequence, k)
         for g in goals:
             far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
-            looks = oracle.looked(window, g, last, length, far, closely=closely)
+            begin = steps_skipped(oracle, sequence, k)
+            looks = oracle.looked(window, g, last, length, far, begin=begin, closely=closely)
             found = max(looks.values(), default=0.0)
-            where = (window, g, last, length) if found > max(worst, here) else where
+            where = (window, g, last, length, begin) if found > max(worst, here) else where
             here = max(here, found)
             if here > above:
                 return here
         worst = max(worst, here)
         if (k - start) % count == count - 1:
-            if here <= before:
+            if here <= before and k >= sequence.last:
                 break
             before, here = here, 0.0
     if where is not None and not closely:
-        worst = max(worst, *oracle.looked(*where).values())
+        worst = max(worst, *oracle.looked(*where[:4], begin=where[4]).values())
     return worst
+
+
+def steps_skipped(oracle: Oracle, sequence: SampleSequence, k: int) -> int:
+    """Steps of the gap after a sample that are not judged."""
+    return int(np.ceil(sequence.skipped(k) / oracle.problem.step - WHOLE))
 
 
 def window_after(oracle: Oracle, sequence: SampleSequence, k: int) -> tuple[RasterWindow, int, int]:
@@ -177,14 +183,15 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
     goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     factors = _settling(plan, sequence, search, filtered, settled + back)
-    for k in range(max(sequence.first - 1, 0), settled + back):
+    for k in range(sequence.start, settled + back):
         here = float(usual) * factors[k]
         if not here <= max(min(worst, 1.0), usual * (1 + FADED)):
-            here = 0.0
+            here, skipped = 0.0, sequence.skipped(k)
             for goal, known in goals:
                 work.add((BETWEEN, 0.0), 0.0)
-                opened = open_row(search.chain, k, goal.row, known=known)
-                here = max(here, _gap_bound(search, opened, k, goal, asked(plan, sequence, k, goal)) / goal.tolerance)
+                opened = open_row(search.chain, k, goal.row, known=known).since(skipped)
+                at = [offset for offset in asked(plan, sequence, k, goal) if offset >= skipped]
+                here = max(here, _gap_bound(search, opened, k, goal, at) / goal.tolerance)
         worst = max(worst, here)
         if told is not None:
             told[k] = max(told.get(k, 0.0), here)
@@ -203,7 +210,7 @@ def _gap_bound(search: ChainSearch, opened: Open, k: int, goal: Goal, asked: lis
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
     enough = goal.tolerance
     if goal.at == "after each sample":
-        return search.gains(k, opened.mu[0]).value
+        return search.gains(k, opened.mu[0]).value if opened.d[0] <= 0 else 0.0
     if goal.at == "given times":
         return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
     solved: set[int] = set()
@@ -219,6 +226,18 @@ def _gap_bound(search: ChainSearch, opened: Open, k: int, goal: Goal, asked: lis
         solved.add(fresh[0])
         search.gains(k, opened.mu[fresh[0]])
     return top
+
+
+def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, float]:
+    """How well each goal is known at a time at or after the last sample: bounds that are proven, or deviations."""
+    found = {} if plan.deviation is None else spread_of(plan).at(history, t)
+    if plan.accuracy is not None:
+        filtered, last = plan_chain(plan), len(history.times) - 1
+        search = ChainSearch(*sequence_chain(plan, filtered, history))
+        search.back = looks_back(plan)
+        since = t - float(history.times[-1])
+        found |= {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
+    return {goal.name: found[goal.name] for goal in plan.goals}
 
 
 def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:

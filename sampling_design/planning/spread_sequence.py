@@ -62,11 +62,31 @@ class SampleSequence:
     seen: Mask
     first: int
     clock: PlanClock = ORDINARY
+    since: float = -np.inf
+    """Nothing is judged before this time, though all that was measured then counts."""
+    last: int = 0
+    """Index of the last sample that comes after one that the plan does not have, or after one that is left out."""
 
     @cached_property
     def shown(self) -> Array:
         """The times on the plan's clocks (K,)."""
         return self.clock.shown(self.times)
+
+    @property
+    def start(self) -> int:
+        """Index of the sample before the first gap that is judged."""
+        now = int(np.searchsorted(self.times - self._tiny, self.since, side="right")) - 1
+        return max(self.first - 1, 0, now)
+
+    @property
+    def _tiny(self) -> float:
+        """Times closer than this are the same."""
+        return GRAIN * float(self.times[-1] - self.times[0])
+
+    def skipped(self, k: int) -> float:
+        """How much of the gap after a sample is not judged."""
+        before = self.since - float(self.times[k])
+        return before if before > self._tiny else 0.0
 
 
 def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORDINARY) -> tuple[Array, Mask]:
@@ -188,11 +208,13 @@ class SpreadSequence:
         return worst, float(np.sqrt(max(wider, 1.0)))
 
     def gaps(self, sequence: SampleSequence, until: float = np.inf) -> Iterator[tuple[int, Goal, Array, Array]]:
-        """For each sample from the one before the first change on, and goal: offsets, and ratios to the tolerance."""
-        times = sequence.times
+        """For each sample from where the sequence is judged, and goal: offsets, and ratios to the tolerance."""
+        times, start = sequence.times, sequence.start
         for k, P in self._filtered(sequence, until):
             if k + 1 == len(times) or times[k] >= until:
                 return
+            if k < start:
+                continue
             for goal, row in self.goals:
                 offsets = self._offsets(goal, sequence, k, float(times[k + 1] - times[k]))
                 if offsets.size:
@@ -200,6 +222,12 @@ class SpreadSequence:
                     flown = row @ F
                     variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
                     yield k, goal, offsets, np.sqrt(np.maximum(variance, 0.0)) * BETWEEN
+
+    def at(self, history: SampleSequence, t: float) -> dict[str, float]:
+        """Deviations at a time at or after the last sample."""
+        P = self._filtered(history, np.inf)[-1][1]
+        P = self._flow(P, max(0.0, t - float(history.times[-1])))
+        return {goal.name: float(np.sqrt(row @ P @ row)) * goal.tolerance for goal, row in self.goals}
 
     def _filtered(self, sequence: SampleSequence, until: float) -> list[tuple[int, Array]]:
         """Covariances after the samples from the one before the first change on, to the first at or after `until`."""
@@ -217,11 +245,12 @@ class SpreadSequence:
         return self._run[2]
 
     def _offsets(self, goal: Goal, sequence: SampleSequence, k: int, gap: float) -> Array:
+        begin = min(sequence.skipped(k), gap)
         if own(goal):
-            return np.zeros(1)
+            return np.zeros(0 if begin else 1)
         if goal.at == "given times":
-            return np.array(asked(self.plan, sequence, k, goal))
-        return np.linspace(0.0, gap, LOOKS)
+            return np.array([offset for offset in asked(self.plan, sequence, k, goal) if offset >= begin])
+        return np.linspace(begin, gap, LOOKS)
 
     def _beyond(self, P: Array, usual: Array) -> float:
         """The least a with P <= a usual."""

@@ -61,6 +61,14 @@ class Open:
         sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
         return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
 
+    def since(self, offset: float) -> Open:
+        """The panels that end later than an offset, or the last one."""
+        first = min(int(np.searchsorted(self.d[1:], offset, side="right")), self.d.size - 2)
+        if first <= 0:
+            return self
+        nodes = (self.d, self.mu, self.bend, self.third, self.above, self.below, self.slope)
+        return Open(*(values[first:] for values in nodes))
+
 
 Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]
 

@@ -74,6 +74,23 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
     return -found.fun * size, nodes, states, found.x[K * n :].reshape(-1, cells, q) * w
 
 
+def from_now(system, times, seen, rows, now, until, step, w, v):
+    """Times of a raster from `now` until some time, and the worst of the rows there, each over its tolerance.
+
+    Twice at a sample: the moment before it, and after it. From rest long ago, so a little less than what is unknown.
+    """
+    A, C, G = system
+    found, tiny = [], 1e-9 * step
+    for t in np.arange(np.ceil(now / step - 1e-9), np.floor(until / step + 1e-9) + 1) * step:
+        keeps = [times <= t + tiny]
+        if t > now + tiny and np.any(keeps[0] & (times >= t - tiny)):
+            keeps.insert(0, times < t - tiny)
+        for keep in keeps:
+            each = [hidden(A, C, G, times[keep], seen[keep], c, t, w, v, cells=3)[0] for c in rows]
+            found.append((float(t), max(each)))
+    return found
+
+
 def flown(A, G, nodes, u):
     """States at the nodes when the w of `hidden` is flown from rest: no solver had a hand in them."""
     A, G = np.asarray(A, float), np.asarray(G, float)

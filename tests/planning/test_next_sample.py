@@ -8,6 +8,9 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.due import GoalDue
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.plan import proven_plan
+from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.spread_sequence import SampleSequence, planned
@@ -32,13 +35,13 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     due = planned(week, 0.5, week.schedule.period)[0][0]
     assert found.latest >= due - 1e-9
     assert week.problem.allowed[round(found.latest / week.problem.step) % week.problem.steps].any()
-    assert "Next draw by " in found.explain()
+    assert "Next sample by " in found.explain()
     outputs, day = week.plant.outputs.names, 24.0
     told = replace(
         found, latest=day + 14, outputs=outputs, alone={outputs[0]: day + 11.5, outputs[1]: day - 5}, due=None
     )
     clock, before = told.date(day + 14), told.date(day - 5)
-    first = f"Next draw by {clock:%a} 14:00 ({', '.join(outputs)})"
+    first = f"Next sample by {clock:%a} 14:00 ({', '.join(outputs)})"
     assert told.explain() == f"{first}; {outputs[0]} alone by 11:30; {outputs[1]} alone by {before:%a} 19:00."
     later = replace(
         told, due=GoalDue("level", day + 27.25, 1.02), alone_due={outputs[0]: GoalDue("level", 40.0, 0.999)}
@@ -50,11 +53,87 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert dict(later._rows())[f"{outputs[0]} alone"].endswith(f"; later: {near}")
     assert f"by {told.date(9 * day):%a %d %b} 00:00" in replace(told, latest=9 * day).explain()
     assert found.to_dict()["latest"]["date"].endswith("+01:00")
+    assert found.keeps
     none = replace(
-        found, latest=-np.inf, best=-np.inf, alone={outputs[0]: -np.inf}, ratio=1.001, proven=False, due=None
+        found,
+        latest=-np.inf,
+        best=-np.inf,
+        alone={outputs[0]: -np.inf},
+        ratio=1.001,
+        proven=False,
+        due=None,
+        kept_from=np.inf,
+        known={"level": 3.5},
+        exceeded=GoalDue("level", -3.0, 1.1),
     )
-    assert "any more (1.001 of them after the last one tried): keep to the plan's next one" in none.explain()
-    assert dict(none._rows()) == {"now": found.when(0.0), "latest": "never", "of the tolerance": "1.001 (not proven)"}
+    assert "the tolerances back (1.001 of them after the last one tried): keep to the plan's" in none.explain()
+    since = f"level has been above its tolerance of 3 cm since {found.when(-3.0)}: within 3.5 cm now. "
+    assert none.explain().startswith(since)
+    assert dict(none._rows()) == {
+        "now": found.when(0.0),
+        "level now": "within 3.5 cm (tolerance 3)",
+        "exceeded": f"level since {found.when(-3.0)}",
+        "soonest help": "never",
+        "kept again": "not known",
+        "of the tolerance": "1.001 (not proven)",
+    }
+    late = replace(none, latest=day + 14, kept_from=2 * day)
+    again = f"A sample at {found.when(day + 14)}, {', '.join(found.outputs)} helps soonest"
+    assert late.explain() == f"{since}{again}. Every tolerance is kept from {found.when(2 * day)} on."
+    first = replace(late, exceeded=None)
+    assert "No single sample keeps every tolerance from now on. Every" in first.explain()
+    due = GoalDue("level", day + 20, 1.1)
+    assert f"level reaches its tolerance by {found.when(day + 20, 0.0)}. Every" in replace(first, due=due).explain()
+    assert late.to_dict()["kept_from"]["time"] == 2 * day
+    assert dict(replace(found, judged_until=9 * day)._rows())["not judged"].startswith("closed days from ")
+
+
+def drifting(tolerance, holidays):
+    """A level that drifts, read on Mondays, Wednesdays and Fridays at nine: its accuracy is a line in time."""
+    place = {"start": "2026-06-01", "hours": {"Mon-Fri": [["09:00", "17:00"]]}, "holidays": holidays}
+    wanted = sd.PlanRequirement(
+        {"level": tolerance}, raster="1 h", w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}, calendar=place
+    )
+    problem = pose_plan(sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"], time_unit="h"), wanted)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[[9, 57, 105]] = True
+    return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+
+
+@pytest.mark.parametrize("holidays", [[], ["2026-06-08"], ["2026-06-05", "2026-06-08"], ["2026-06-24"]])
+def test_no_promise_rests_on_a_sample_on_a_day_that_is_known_to_be_closed(holidays):
+    plan, taken = drifting(1.35, holidays), [9.0]
+    while taken[-1] < 600:
+        found = sd.next_sample(plan, [(t, [0.0], None) for t in taken], now=taken[-1])
+        assert found.proven
+        assert found.keeps
+        assert found.date(found.latest).date().isoformat() not in holidays
+        taken.append(found.latest)
+    assert 0.1 + 0.01 * np.diff(taken).max() <= 1.35
+    if len(holidays) == 2:  # from Thursday's last hour to Tuesday's first
+        assert np.diff(taken).max() <= 125
+
+
+def test_a_closed_day_that_no_sample_makes_good_is_told_before_it_comes():
+    found = sd.next_sample(drifting(0.85, ["2026-06-08"]), now=9.0)
+    assert not found.keeps
+    assert found.exceeded is None
+    assert found.latest == 57.0  # the plan's own: nothing more is asked for where it would not help
+    assert found.kept_from == 8 * 24 + 9.0
+    assert 180 <= found.due.time <= 188  # 75 h after Friday's sample at nine, or one more at four
+    assert "No single sample keeps every tolerance from now on: after one at Wed" in found.explain()
+    far = sd.next_sample(drifting(1.35, ["2027-06-09"]), now=9.0)
+    assert far.date(far.judged_until).date().isoformat() == "2027-06-09"
+
+
+def test_what_is_known_after_a_miss_is_said():
+    plan = drifting(0.85, [])
+    found = sd.next_sample(plan, [(9.0, [0.0], None)], now=9.0 + 76)
+    assert found.known["level"] == pytest.approx(0.86, abs=1e-6)
+    assert found.exceeded.goal == "level"
+    assert found.exceeded.time == pytest.approx(9 + 75, abs=1.0)
+    assert found.latest == found.kept_from == 86.0
+    assert found.proven
 
 
 def test_samples_as_planned_change_nothing_of_what_is_proven(week):

@@ -1,0 +1,314 @@
+"""What may be measured next, and what comes of it: judged in floats from now on, and proven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.due import GoalDue, exceeded_since, first_due, kept_from, reached_at
+from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
+from sampling_design.planning.spread_sequence import SampleSequence, planned
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Option = tuple[float, Mask]
+
+NEAR = 0.998
+"""A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
+
+TRIES = 12
+"""Times proven, each a step of the raster earlier than the one before, until one is."""
+
+SAME = 1e-9
+"""Times are the same if they differ by less than this share of a step."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One choice, and from when on every tolerance is kept after it."""
+
+    t: float
+    mask: Mask
+    kept_from: float
+    ratio: float
+    proven: bool
+
+
+class Choices:
+    """The choices for the next sample of a plan, after a history."""
+
+    def __init__(self, plan: Plan, history: SampleSequence, now: float):
+        self.plan, self.history, self.now = plan, history, now
+        self.level = max(NEAR, plan.ratio)
+        self._known: dict[tuple[int, bytes], float] = {}
+        self._chosen: dict[tuple[int, bytes], SampleSequence] = {}
+        self._options: dict[int | None, list[Option]] = {}
+        self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
+        self._after: dict[float, list[tuple[Array, Mask, float]]] = {}
+        self._added: dict[int, list[Option]] = {}
+
+    def exceeded(self) -> GoalDue | None:
+        """The goal that is above its tolerance now for longest, and since when."""
+        return exceeded_since(self.plan, self.history, self.now)
+
+    def options(self, sensor: int | None) -> list[Option]:
+        """Allowed times of the raster after now, over a period, each with one sensor or those that the plan reads."""
+        if sensor not in self._options:
+            self._options[sensor] = self._listed(sensor)
+        return self._options[sensor]
+
+    def _listed(self, sensor: int | None) -> list[Option]:
+        problem, step = self.plan.problem, self.plan.problem.step
+        first = int(np.floor(self.now / step + 1e-6)) + 1
+        found = []
+        for i in range(first, first + problem.steps):
+            allowed = self.allowed(i)
+            mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
+            mask = allowed if sensor is None and not mask.any() else mask
+            if i - self.history.times[-1] / step < problem.spacing - 1e-6:
+                continue
+            if mask.any():
+                found.append((i * step, mask))
+        return found
+
+    def allowed(self, i: int) -> Mask:
+        """What may be measured at a step since the start, holidays left out."""
+        problem = self.plan.problem
+        mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
+        return np.asarray(mask if self.is_open(i * problem.step) else np.zeros_like(mask))
+
+    def is_open(self, t: float) -> bool:
+        """Whether a time is within the hours of the place and on no closed day."""
+        calendar = self.plan.requirement.calendar
+        return calendar is None or calendar.is_open(round(self.plan.minutes(t), 6), holidays=True)
+
+    def due(self, i: int) -> Mask:
+        """What the plan's sample at a step, or the next one after it, measures."""
+        steps = self.plan.problem.steps
+        at = np.flatnonzero(self.plan.chosen.any(axis=1))
+        following = at[np.argmin((at - i) % steps)]
+        return np.asarray(self.plan.chosen[following])
+
+    def followed(self, start: float) -> list[tuple[Array, Mask, float]]:
+        """The plan's samples from a time on until all that is over, and when its last closed day is.
+
+        Without those on closed days; where there are such, also with the samples that `plan_dates` adds for them.
+        """
+        if start in self._after:
+            return self._after[start]
+        plan = self.plan
+        span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        times, seen = planned(plan, start, start + span)
+        closed = times[[not self.is_open(t) for t in times.tolist()]] if plan.requirement.calendar else times[:0]
+        if not closed.size:
+            self._after[start] = [(times, seen, start)]
+            return self._after[start]
+        last = float(closed[-1])
+        times, seen = planned(plan, start, last + span)
+        keep = np.array([t > last or self.is_open(t) for t in times.tolist()], dtype=bool)
+        ways = [(times[keep], seen[keep], last)]
+        more = [(t, mask) for t, mask in self._dated(last) if start <= t <= last + plan.schedule.period]
+        if more:
+            both = np.concatenate([times[keep], [t for t, _ in more]])
+            order = np.argsort(both, kind="stable")
+            masks = np.concatenate([seen[keep], np.array([mask for _, mask in more])])
+            ways.append((both[order], masks[order], max(last, *(t for t, _ in more))))
+        self._after[start] = ways
+        return ways
+
+    def _dated(self, last: float) -> list[Option]:
+        """Clock times and sensors of the samples that are added for closed days up to one of them."""
+        calendar, names = self.plan.requirement.calendar, self.plan.plant.outputs.names
+        periods = max(1, int(np.ceil(last / self.plan.schedule.period)) + 1)
+        if calendar is None or last < 0:
+            return []
+        if periods not in self._added:
+            minute = 1 / self.plan.minutes(1.0)
+            self._added[periods] = [
+                (calendar.clock(entry.time / minute) * minute, np.isin(names, entry.outputs))
+                for entry in plan_dates(self.plan, periods, prove=False).entries
+                if entry.added
+            ]
+        return self._added[periods]
+
+    def judged_until(self, t: float) -> float:
+        """The first closed day with a sample of the plan that lies so far behind one at t that it is not judged."""
+        calendar, plan = self.plan.requirement.calendar, self.plan
+        span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        day = 1440 / plan.minutes(1.0)
+        if calendar is None:
+            return np.inf
+        for each in calendar.holidays:
+            begins = (datetime.fromisoformat(each) - calendar.first) / timedelta(minutes=1) / plan.minutes(1.0)
+            times = planned(plan, max(begins, t + span), begins + day)[0]
+            if times.size:
+                return float(times[0])
+        return np.inf
+
+    def sequences(self, choice: Option) -> Iterator[SampleSequence]:
+        """History, the sample, and the plan afterwards (its spacing kept), as it may be followed."""
+        t, mask = choice
+        step = self.plan.problem.step
+        resume = t + max(self.plan.problem.spacing - 1e-6, 1e-6) * step
+        for times, seen, last in self.followed(resume):
+            every = np.concatenate([self.history.times, [t], times])
+            masks = np.concatenate([self.history.seen, mask[None], seen])
+            count = len(self.history.times) + 1 + int(np.searchsorted(times, last, side="right"))
+            yield SampleSequence(every, masks, self.history.first, since=self.now, last=count)
+
+    def sequence(self, choice: Option) -> SampleSequence:
+        """The best of them, as far as is known."""
+        key = self._key(choice)
+        return self._chosen[key] if key in self._chosen else next(self.sequences(choice))
+
+    def _key(self, choice: Option) -> tuple[int, bytes]:
+        return round(choice[0] / self.plan.problem.step), choice[1].tobytes()
+
+    def _until(self, sequence: SampleSequence) -> float:
+        """When it is no longer worth looking: one and a half periods after the last change."""
+        return float(sequence.times[min(sequence.last, len(sequence.times) - 1)]) + 1.5 * self.plan.schedule.period
+
+    def ratio(self, choice: Option, above: float = np.inf) -> float:
+        """Accuracy over tolerance from now on if this is the next sample."""
+        if not np.isfinite(choice[0]):
+            return np.inf
+        key = self._key(choice)
+        if key not in self._known:
+            self._known[key] = np.inf
+            for sequence in self.sequences(choice):
+                found = worst_ratio(self.plan, sequence, above, self._until(sequence))
+                if found < self._known[key]:
+                    self._known[key], self._chosen[key] = found, sequence
+                if found <= self.level:
+                    break
+        return self._known[key]
+
+    def keeps(self, choice: Option) -> bool:
+        """Whether every tolerance is kept from now on if this is the next sample, as floats say."""
+        return self.ratio(choice, self.level) <= self.level
+
+    def latest(self, sensor: int | None) -> Option:
+        """The latest option that keeps the tolerances: doubling, then halving; one by one where that finds none."""
+        last, period = float(self.history.times[-1]), self.plan.schedule.period
+        alone = reached_at(self.plan, self.history, self.now, max(self.now, last) + period, self.level)
+        options = [option for option in self.options(sensor) if option[0] < alone]
+        if not options:
+            return self._nothing
+        good = self._due(options) if sensor is None else 0
+        if not self.keeps(options[good]):
+            return next((option for option in reversed(options) if self.keeps(option)), self._nothing)
+        at, bad, width = good + 1, len(options), 1
+        while at < len(options):
+            if not self.keeps(options[at]):
+                bad = at
+                break
+            good, at, width = at, at + width, 2 * width
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if self.keeps(options[middle]) else (good, middle)
+        return options[good]
+
+    @property
+    def _nothing(self) -> Option:
+        return -np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)
+
+    def _due(self, options: list[Option]) -> int:
+        """Which option is the plan's next sample; the first one where the place is closed then."""
+        step = self.plan.problem.step
+        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2)[0]
+        times = np.array([t for t, _ in options])
+        same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
+        return int(same[0]) if same.size else 0
+
+    def answer(self, sensor: int | None, prove: bool) -> Answer:
+        """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""
+        choice = self.latest(sensor)
+        ratio, options = self.ratio(choice), self.options(sensor)
+        if np.isfinite(choice[0]) and not prove:
+            return Answer(*choice, self.now, ratio, False)
+        place = next((k for k, option in enumerate(options) if option[0] == choice[0]), -1)
+        for option in options[place::-1][:TRIES] if place >= 0 else []:
+            self.ratio(option, self.level)
+            ratio = proven_ratio(self.plan, self.sequence(option))
+            if ratio <= 1:
+                return Answer(*option, self.now, ratio, True)
+        return Answer(*self._nothing, np.inf, ratio, False)
+
+    def soonest(self, prove: bool) -> Answer:
+        """The choice after which every tolerance is kept again soonest; of those the plan's own, else the latest.
+
+        With every sensor of the plan, unless those that it reads then do as well.
+        """
+        own = self.options(None)
+        if not own:
+            return Answer(*self._nothing, np.inf, np.inf, False)
+        tiny = SAME * self.plan.problem.step
+        best = own[self._due(own)]
+        planned_ = kept = self._kept(best, np.inf)
+        for t, _ in own:
+            if t > kept + tiny:
+                break
+            option = t, self.allowed(round(t / self.plan.problem.step))
+            found = self._kept(option, kept + tiny)
+            if found < planned_ - tiny and found <= kept + tiny:
+                best, kept = option, found
+        lean = next(option for option in own if option[0] == best[0])
+        if not np.array_equal(lean[1], best[1]) and self._kept(lean, kept + tiny) <= kept + tiny:
+            best = lean
+        return self._again(best, kept, prove)
+
+    def _kept(self, choice: Option, latest: float) -> float:
+        """From when on every tolerance is kept if this is the next sample, as floats say."""
+        key, found = self._key(choice), np.inf
+        for sequence in self.sequences(choice):
+            kept = kept_from(self.plan, sequence, self._until(sequence), self.level, min(latest, found))
+            if kept < found:
+                found, self._chosen[key] = kept, sequence
+        return found
+
+    def _again(self, choice: Option, kept: float, prove: bool) -> Answer:
+        """The same, proven if asked from a sample to the next until the proof holds."""
+        sequence = self.sequence(choice)
+        if not np.isfinite(kept):
+            return Answer(*self._nothing, np.inf, np.inf, False)
+        sequence = replace(sequence, since=kept)
+        if not prove:
+            return Answer(*choice, kept, worst_ratio(self.plan, sequence, until=self._until(sequence)), False)
+        ratio = np.inf
+        for since in [kept, *sequence.times[sequence.times > kept][: TRIES - 1].tolist()]:
+            ratio = proven_ratio(self.plan, replace(sequence, since=since))
+            if ratio <= 1:
+                return Answer(*choice, since, ratio, True)
+        return Answer(*self._nothing, np.inf, ratio, False)
+
+    def later(self, sensor: int | None, latest: float) -> GoalDue | None:
+        """What keeps the next sample from coming at the first option after the latest; None without such an option."""
+        after = [option for option in self.options(sensor) if option[0] > latest]
+        if not after:
+            return None
+        t = after[0][0]
+        if (sensor, t) not in self._due_at:
+            self._due_at[sensor, t] = self.breach(after[0])
+        return self._due_at[sensor, t]
+
+    def breach(self, choice: Option) -> GoalDue | None:
+        """Which goal reaches its tolerance after a choice, and when."""
+        if not np.isfinite(choice[0]):
+            return None
+        sequence = self.sequence(choice)
+        return first_due(self.plan, sequence, self._until(sequence))
+
+    def best(self, latest: Option) -> Option:
+        """Of the options up to the latest, the one after which the worst accuracy is least."""
+        options = [option for option in self.options(None) if option[0] <= latest[0]]
+        if not options:
+            return latest
+        few = [options[k] for k in np.unique(np.round(np.linspace(0, len(options) - 1, 8)).astype(int))]
+        chosen: Option = min(few, key=lambda option: (round(self.ratio(option), 3), -option[0]))
+        return chosen

@@ -23,7 +23,8 @@ KEPT = 1e-7
 
 
 EASED = 1 - 1e-5
-"""Levels are stated this much lower than they were proven at, so that what is flown anew proves them."""
+"""Levels are stated this much lower than they were proven at, so that what is flown anew proves them, not nearly: the
+tolerance of a bound is on the safe side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,8 @@ class PlanBound:
     attacks : tuple of HiddenMotion
         Those that the proofs use.
     ratio : CostProof or None
-        No plan of this cost has an accuracy below `ratio.level` times all tolerances.
+        No plan of this cost has an accuracy below `ratio.level` times all tolerances: what was proven less 1e-5 of it,
+        a hundred times what its rounding comes to.
     cost : CostProof or None
         No plan keeps the tolerances for less than `cost.value`.
     """
@@ -115,7 +117,7 @@ def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: 
     for proof, frame, least in ((bound.ratio, limited, most), (bound.cost, cover, None)):
         if proof is None:
             continue
-        if any(pool.attacks[a].reach < proof.level * (1 - 1e-6) for a, _ in proof.keys):
+        if any(pool.attacks[a].reach < proof.level for a, _ in proof.keys):
             return False
         value = proven_cost(frame, pool, proof)
         if value < proof.value * (1 - 1e-9) or (least is not None and value <= least):

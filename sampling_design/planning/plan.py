@@ -237,10 +237,12 @@ class _Planning:
         rival = self._better(best, self.problem.cost(best.chosen))
         best = self.held.sharpest(rival.held, best)
         if best.worst > 1:
+            text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
+            if self.problem.unspaced:
+                text, what = "The tolerances are too close to the least that can be kept for a proof", "accuracy"
             raise InfeasibleRequirementError(
-                f"No plan with these spacings and uses was found that keeps the tolerances: {best.worst:.4g} times as "
-                "large ones can be kept.",
-                "spacing",
+                f"{text}: {best.worst:.10g} times as large ones can be kept.",
+                what,
                 {g.name: g.tolerance * best.worst * (1 + 4 * MARGIN) for g in self.problem.goals},
             )
         return self._record(best, PlanBound((), None, None))

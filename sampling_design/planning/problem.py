@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
-from sampling_design._units import SECONDS, time_factor
+from sampling_design._units import SECONDS, spoken, time_factor
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
@@ -100,6 +100,12 @@ class PlanProblem:
         """Whether samples are counted, since nothing has a price."""
         return not (self.visit > 0 or np.any(self.price > 0))
 
+    @property
+    def unspaced(self) -> bool:
+        """Whether all that is allowed may be measured in one period."""
+        free = max(self.spacing, int(self.sensor_spacing.max(initial=1))) <= 1
+        return free and bool(np.all(self.longest_use >= self.allowed.sum(axis=0)))
+
     def cost(self, chosen: Mask) -> float:
         """Price of a period in which `chosen` (M, p) is measured; the number of samples where nothing has a price."""
         visits = float(np.any(chosen, axis=1).sum())
@@ -153,7 +159,7 @@ class PlanProblem:
 
 def _apart(taken: Mask, least: int, steps: int) -> bool:
     at = np.flatnonzero(taken)
-    return at.size < 2 or least <= 1 or bool(np.min(np.diff(np.append(at, at[0] + steps))) >= least)
+    return not at.size or least <= 1 or bool(np.min(np.diff(np.append(at, at[0] + steps))) >= least)
 
 
 def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
@@ -175,9 +181,13 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     allowed = _allowed(plant, requirement, terms, steps, step)
     if not allowed.any():
         raise InfeasibleRequirementError("No sensor may be measured at any time of the period: see `hours`.", "hours")
-    in_step = [0 if t.spacing is None else _steps("spacing", t.spacing, unit, plant, step) for t in terms]
+    asked = [requirement.spacing, *(term.spacing for term in terms)]
+    places = ["spacing", *(f"sensors.{name}.spacing" for name in plant.outputs.names)]
+    spacing, *in_step = [
+        1 if least is None else _steps(place, least, unit, plant, steps, step)
+        for place, least in zip(places, asked, strict=True)
+    ]
     used = [steps if t.longest_use is None else t.longest_use for t in terms]
-    spacing = 1 if requirement.spacing is None else _steps("spacing", requirement.spacing, unit, plant, step)
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(plant, requirement, terms, goals)
     bound = np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms])
@@ -253,9 +263,21 @@ def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms
     return allowed
 
 
-def _steps(name: str, value: float | str, unit: str, plant: Plant, step: float) -> int:
-    """Steps of the raster that hold a least time."""
-    return int(np.ceil(duration(name, value, unit) * time_factor(unit, plant.time_unit) / step - WHOLE))
+def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, step: float) -> int:
+    """Steps of the raster that hold a least time.
+
+    Raises
+    ------
+    ArgumentError
+        If it is longer than the period: then not even one sample a period keeps it.
+    """
+    least = duration(name, value, unit) * time_factor(unit, plant.time_unit)
+    if least > (steps + WHOLE) * step:
+        raise ArgumentError(
+            f"`{name}` must be at most the period, {spoken(steps * step, plant.time_unit)}, since the plan repeats "
+            f"after it: got {spoken(least, plant.time_unit)}."
+        )
+    return int(np.ceil(least / step - WHOLE))
 
 
 def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[Goal]:

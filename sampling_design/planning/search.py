@@ -174,8 +174,8 @@ class PlanSearch:
         return [int(e) + steps for e in wanted[np.isin(wanted, ends)][:8]]
 
     def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenMotion | None:
-        """Find and keep one faint attack, hidden from `known`; none against a standard deviation."""
-        if self.problem.goals[g].spread:
+        """Find and keep one faint attack, hidden from `known`; none against a standard deviation, or a level of 0."""
+        if self.problem.goals[g].spread or level <= 0:
             return None
         back = self.oracle.back
         weights = np.where(self.problem.allowed, 1.0, 0.05 if self.free else 0.0)
@@ -445,8 +445,8 @@ class PlanSearch:
         least = self.pool.against(self.problem.allowed)[0]
         while not self.late:
             lowest = max(self.found.out_of_reach, least * BELOW)
-            if lowest > 0 and self.found.worst <= lowest * (1 + NARROW):
-                self.found.complete = True
+            if self.found.worst <= lowest * (1 + NARROW):  # both are 0 where nothing drives what is wanted
+                self.found.complete = lowest > 0
                 return
             level = max(self.found.worst * (1 - STEP), (self.found.worst + lowest) / 2 if lowest else 0.0)
             answer = self.decide(level, rounds)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.evidence import PlanBound
 from tests.oracles import planning as oracle
 
@@ -69,6 +69,47 @@ def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)
     assert found.keeps
     assert found.samples == 2
+
+
+def test_tolerances_that_only_rounding_separates_from_the_least_are_refused_as_such():
+    level = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
+    given = {"period": 1.0, "raster": 0.1, "w_bound": 0.1, "sensors": {"y": {"noise_bound": 0.1}}}
+    with pytest.raises(
+        InfeasibleRequirementError, match=r"close to the least .* for a proof: 1\.0000\d+ times"
+    ) as refused:
+        sd.plan(level, sd.PlanRequirement({"level": 0.1 + 0.01}, **given), search_seconds=1, **BARE)
+    assert 0.11 < refused.value.nearest["level"] < 0.112
+
+
+@pytest.mark.parametrize("sensor", [False, True])
+def test_a_spacing_beyond_the_period_is_refused(sensor):
+    level = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
+
+    def wanted(spacing):
+        terms = {"noise_bound": 0.1, **({"spacing": spacing} if sensor else {})}
+        own = {} if sensor else {"spacing": spacing}
+        return sd.PlanRequirement({"level": 5.0}, period=10.0, raster=1.0, w_bound=0.1, sensors={"y": terms}, **own)
+
+    match = r"spacing` must be at most the period, 10 s, since the plan repeats after it: got 20 s"
+    with pytest.raises(ArgumentError, match=match):
+        sd.plan(level, wanted(20.0), **BARE)
+    for spacing in (5.0, 7.5, 10.0):
+        found = sd.plan(level, wanted(spacing), search_seconds=1, **BARE)
+        assert np.min(found.schedule.gaps) >= spacing - 1e-9
+
+
+@pytest.mark.parametrize("A", [[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-0.1, 0.0], [0.0, -0.2]],
+                               [[0.1, 0.0], [1.0, -0.2]]])  # fmt: skip
+def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
+    plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
+    given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}
+    found = sd.plan(plant, sd.PlanRequirement({"first": 0.5}, **given), search_seconds=1, **BARE)
+    assert found.keeps
+    assert found.samples == found.bound.cost.value == 1
+    best = sd.plan(plant, sd.PlanRequirement({"first": 0.5}, samples=2, **given), search_seconds=1, **BARE)
+    assert best.samples == 2
+    assert best.status == "budget"  # motions that w drives are what the search goes by, and here there are none
+    assert best.bound.ratio is None or best.bound.ratio.level <= best.ratio
 
 
 def test_what_nobody_can_afford_is_refused():

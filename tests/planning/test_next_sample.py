@@ -14,6 +14,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.spread_sequence import SampleSequence, planned
+from sampling_design.recovery.readings import Below
 
 BARE = {"certificate": False, "robustness": False}
 
@@ -153,7 +154,7 @@ def test_a_week_without_samples_breaks_the_tolerance(week):
 
 def test_a_limit_is_a_sample_that_was_taken(week):
     due = float(planned(week, 0.5, week.schedule.period)[0][0])
-    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, sd.Below(1.0)))
+    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, Below(1.0)))
     assert one.to_dict() == other.to_dict()
 
 

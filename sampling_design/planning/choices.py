@@ -30,7 +30,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Answer:
+class NextAnswer:
     """One choice, and from when on every tolerance is kept after it."""
 
     t: float
@@ -40,7 +40,7 @@ class Answer:
     proven: bool
 
 
-class Choices:
+class NextChoices:
     """The choices for the next sample of a plan, after a history."""
 
     def __init__(self, plan: Plan, history: SampleSequence, now: float):
@@ -226,28 +226,28 @@ class Choices:
         same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
         return int(same[0]) if same.size else 0
 
-    def answer(self, sensor: int | None, prove: bool) -> Answer:
+    def answer(self, sensor: int | None, prove: bool) -> NextAnswer:
         """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""
         choice = self.latest(sensor)
         ratio, options = self.ratio(choice), self.options(sensor)
         if np.isfinite(choice[0]) and not prove:
-            return Answer(*choice, self.now, ratio, False)
+            return NextAnswer(*choice, self.now, ratio, False)
         place = next((k for k, option in enumerate(options) if option[0] == choice[0]), -1)
         for option in options[place::-1][:TRIES] if place >= 0 else []:
             self.ratio(option, self.level)
             ratio = proven_ratio(self.plan, self.sequence(option))
             if ratio <= 1:
-                return Answer(*option, self.now, ratio, True)
-        return Answer(*self._nothing, np.inf, ratio, False)
+                return NextAnswer(*option, self.now, ratio, True)
+        return NextAnswer(*self._nothing, np.inf, ratio, False)
 
-    def soonest(self, prove: bool) -> Answer:
+    def soonest(self, prove: bool) -> NextAnswer:
         """The choice after which every tolerance is kept again soonest; of those the plan's own, else the latest.
 
         With every sensor of the plan, unless those that it reads then do as well.
         """
         own = self.options(None)
         if not own:
-            return Answer(*self._nothing, np.inf, np.inf, False)
+            return NextAnswer(*self._nothing, np.inf, np.inf, False)
         tiny = SAME * self.plan.problem.step
         best = own[self._due(own)]
         planned_ = kept = self._kept(best, np.inf)
@@ -272,20 +272,20 @@ class Choices:
                 found, self._chosen[key] = kept, sequence
         return found
 
-    def _again(self, choice: Option, kept: float, prove: bool) -> Answer:
+    def _again(self, choice: Option, kept: float, prove: bool) -> NextAnswer:
         """The same, proven if asked from a sample to the next until the proof holds."""
         sequence = self.sequence(choice)
         if not np.isfinite(kept):
-            return Answer(*self._nothing, np.inf, np.inf, False)
+            return NextAnswer(*self._nothing, np.inf, np.inf, False)
         sequence = replace(sequence, since=kept)
         if not prove:
-            return Answer(*choice, kept, worst_ratio(self.plan, sequence, until=self._until(sequence)), False)
+            return NextAnswer(*choice, kept, worst_ratio(self.plan, sequence, until=self._until(sequence)), False)
         ratio = np.inf
         for since in [kept, *sequence.times[sequence.times > kept][: TRIES - 1].tolist()]:
             ratio = proven_ratio(self.plan, replace(sequence, since=since))
             if ratio <= 1:
-                return Answer(*choice, since, ratio, True)
-        return Answer(*self._nothing, np.inf, ratio, False)
+                return NextAnswer(*choice, since, ratio, True)
+        return NextAnswer(*self._nothing, np.inf, ratio, False)
 
     def later(self, sensor: int | None, latest: float) -> GoalDue | None:
         """What keeps the next sample from coming at the first option after the latest; None without such an option."""

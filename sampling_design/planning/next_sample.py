@@ -13,7 +13,7 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.choices import Choices
+from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.due import GoalDue
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
@@ -260,7 +260,7 @@ def next_sample(
     at = float(last) if now is None else _checks.number("now", now)
     if taken is not None and taken[0].size and at < last - 1e-9 * step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
-    run = Choices(plan, _history(plan, taken, at), at)
+    run = NextChoices(plan, _history(plan, taken, at), at)
     exceeded = run.exceeded()
     full = run.answer(None, prove)
     if not np.isfinite(full.t):

@@ -13,7 +13,7 @@ from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.due import GoalDue, exceeded_since, first_due, kept_from, reached_at
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
-from sampling_design.planning.spread_sequence import SampleSequence, planned
+from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, planned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -50,7 +50,7 @@ class NextChoices:
         self._chosen: dict[tuple[int, bytes], SampleSequence] = {}
         self._options: dict[int | None, list[Option]] = {}
         self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
-        self._after: dict[float, list[tuple[Array, Mask, float]]] = {}
+        self._after: dict[float, list[tuple[Array, Mask]]] = {}
         self._added: dict[int, list[Option]] = {}
 
     def exceeded(self) -> GoalDue | None:
@@ -95,8 +95,8 @@ class NextChoices:
         following = at[np.argmin((at - i) % steps)]
         return np.asarray(self.plan.chosen[following])
 
-    def followed(self, start: float) -> list[tuple[Array, Mask, float]]:
-        """The plan's samples from a time on until all that is over, and when its last closed day is.
+    def followed(self, start: float) -> list[tuple[Array, Mask]]:
+        """The plan's samples from a time on until all that is over.
 
         Without those on closed days; where there are such, also with the samples that `plan_dates` adds for them.
         """
@@ -107,18 +107,18 @@ class NextChoices:
         times, seen = planned(plan, start, start + span)
         closed = times[[not self.is_open(t) for t in times.tolist()]] if plan.requirement.calendar else times[:0]
         if not closed.size:
-            self._after[start] = [(times, seen, start)]
+            self._after[start] = [(times, seen)]
             return self._after[start]
         last = float(closed[-1])
         times, seen = planned(plan, start, last + span)
         keep = np.array([t > last or self.is_open(t) for t in times.tolist()], dtype=bool)
-        ways = [(times[keep], seen[keep], last)]
+        ways = [(times[keep], seen[keep])]
         more = [(t, mask) for t, mask in self._dated(last) if start <= t <= last + plan.schedule.period]
         if more:
             both = np.concatenate([times[keep], [t for t, _ in more]])
             order = np.argsort(both, kind="stable")
             masks = np.concatenate([seen[keep], np.array([mask for _, mask in more])])
-            ways.append((both[order], masks[order], max(last, *(t for t, _ in more))))
+            ways.append((both[order], masks[order]))
         self._after[start] = ways
         return ways
 
@@ -156,11 +156,10 @@ class NextChoices:
         t, mask = choice
         step = self.plan.problem.step
         resume = t + max(self.plan.problem.spacing - 1e-6, 1e-6) * step
-        for times, seen, last in self.followed(resume):
+        for times, seen in self.followed(resume):
             every = np.concatenate([self.history.times, [t], times])
             masks = np.concatenate([self.history.seen, mask[None], seen])
-            count = len(self.history.times) + 1 + int(np.searchsorted(times, last, side="right"))
-            yield SampleSequence(every, masks, self.history.first, since=self.now, last=count)
+            yield SampleSequence(every, masks, self.history.first, since=self.now)
 
     def sequence(self, choice: Option) -> SampleSequence:
         """The best of them, as far as is known."""
@@ -172,7 +171,8 @@ class NextChoices:
 
     def _until(self, sequence: SampleSequence) -> float:
         """When it is no longer worth looking: one and a half periods after the last change."""
-        return float(sequence.times[min(sequence.last, len(sequence.times) - 1)]) + 1.5 * self.plan.schedule.period
+        back = max(departs_and_returns(self.plan, sequence)[1], len(self.history.times))
+        return float(sequence.times[min(back, len(sequence.times) - 1)]) + 1.5 * self.plan.schedule.period
 
     def ratio(self, choice: Option, above: float = np.inf) -> float:
         """Accuracy over tolerance from now on if this is the next sample."""

@@ -13,7 +13,7 @@ from sampling_design.planning.adversary import RasterWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import steps_skipped, window_after
-from sampling_design.planning.spread_sequence import SampleSequence, spread_of
+from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, spread_of
 
 Array = npt.NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> G
 def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: float) -> Iterator[GapLooks]:
     """Of the goals that are guaranteed, gap by gap, until what a change does has faded below a level."""
     worst = before = 0.0
-    start = sequence.start
+    start, back = sequence.start, departs_and_returns(plan, sequence)[1]
     for k in range(start, len(sequence.times) - 1):
         if sequence.times[k] >= until:
             return
@@ -138,7 +138,7 @@ def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: f
             worst = max(worst, float(look.ratios.max()))
             yield look
         if (k - start) % plan.samples == plan.samples - 1:
-            if worst <= min(before, level) and k >= sequence.last:
+            if worst <= min(before, level) and k >= back:
                 return
             worst, before = 0.0, worst
 

@@ -16,7 +16,7 @@ from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import WHOLE, Goal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.settling import settled_factors
-from sampling_design.planning.spread_sequence import SampleSequence, asked, spread_of
+from sampling_design.planning.spread_sequence import SampleSequence, asked, departs_and_returns, spread_of
 from sampling_design.planning.work import BETWEEN, CHAIN, GAINS
 from sampling_design.recovery.between import Integrals, Open, open_row
 from sampling_design.recovery.chain import SampleChain
@@ -67,19 +67,17 @@ def worst_ratio(
     Stops once a gap is worse than `above`, or begins at or after `until`. Unless `closely`, a gap is looked at where it
     ends, and only the worst of them elsewhere: attained all the same.
     """
-    oracle = plan.oracle
     spread = spread_of(plan).worst(sequence, until)[0] if plan.deviation is not None else 0.0
     if spread > above or plan.accuracy is None:
         return spread
-    return max(spread, _bounded_worst(oracle, sequence, plan.samples, above, until, closely=closely))
+    return max(spread, _bounded_worst(plan, sequence, above, until, closely=closely))
 
 
-def _bounded_worst(
-    oracle: Oracle, sequence: SampleSequence, count: int, above: float, until: float, *, closely: bool
-) -> float:
+def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, until: float, *, closely: bool) -> float:
     """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
     worst = before = here = 0.0
     where = None
+    oracle, count, back = plan.oracle, plan.samples, departs_and_returns(plan, sequence)[1]
     goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
     start = sequence.start
     for k in range(start, len(sequence.times) - 1):
@@ -97,7 +95,7 @@ def _bounded_worst(
                 return here
         worst = max(worst, here)
         if (k - start) % count == count - 1:
-            if here <= before and k >= sequence.last:
+            if here <= before and k >= back:
                 break
             before, here = here, 0.0
     if where is not None and not closely:

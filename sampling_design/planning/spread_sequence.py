@@ -64,8 +64,6 @@ class SampleSequence:
     clock: PlanClock = ORDINARY
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
-    last: int = 0
-    """Index of the last sample that comes after one that the plan does not have, or after one that is left out."""
 
     @cached_property
     def shown(self) -> Array:

@@ -76,7 +76,7 @@ def test_tolerances_that_only_rounding_separates_from_the_least_are_refused_as_s
     given = {"period": 1.0, "raster": 0.1, "w_bound": 0.1, "sensors": {"y": {"noise_bound": 0.1}}}
     with pytest.raises(
         InfeasibleRequirementError,
-        match=r"close to the least .* for a proof: 1\.0000\d+ times as large ones can be kept",
+        match=r"close to the least .* for a proof: 1\.0000.* times as large ones can be kept",
     ) as refused:
         sd.plan(level, sd.PlanRequirement({"level": 0.1 + 0.01}, **given), search_seconds=1, **BARE)
     assert 0.11 < refused.value.nearest["level"] < 0.112

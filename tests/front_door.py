@@ -216,7 +216,7 @@ def named() -> dict[str, Any]:
         "path": folder() / "out", "theorem": "sharp", "length": 6.0, "e0": [1.0, 0.0], "w_bound": 0.1, "v_bound": 0.1,
         "initial_error": 1.0, "rate": 0.2, "rtol": 0.01, "decay_rate": 0.1, "offset": 0.0, "rounding": None,
         "cluster_cap": 0.01, "cap": 0.01, "variant": "paper", "gain": None, "Q": None, "sigma_bar": None, "kappa": None,
-        "budgets": [2.0], "points": 8, "t_star": 0.5, "purpose": "design", "hints": (), "quick": True, "starts": 1,
+        "noise_gains": [2.0], "points": 8, "t_star": 0.5, "purpose": "design", "hints": (), "quick": True, "starts": 1,
         "branches": 1, "every_period": False, "counts": [2, 3], "workers": None, "resume": None, "runs": 2, "data": {},
         "where": "file", "column": None, "span": 5.0, "summary": "Sample", "record": t["record"].measurements,
         "measurements": t["record"].measurements, "x0": [1.0, 0.0], "y": [0.3], "u": None, "sample": (1.2, [0.3], None),

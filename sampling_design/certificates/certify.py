@@ -13,7 +13,7 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.efforts import BEYOND, LOOK_WORK, Efforts
+from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, Efforts, TimeLimit
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
@@ -27,6 +27,7 @@ from sampling_design.certificates.exact.weight_choice import (
     settled_sizes,
 )
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
+from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
@@ -52,10 +53,12 @@ def certify_given(
     eta: float,
     solver: SolverRecord,
     exists: bool = False,
+    limit: TimeLimit | None = None,
 ) -> Certificate:
     """Return the certificate with the best P1 for given weights and rate, proven.
 
-    `exists` says that one with this rate, or a larger one, is known to exist: then that is not asked again.
+    `exists` says that one with this rate, or a larger one, is known to exist: then that is not asked again. `limit` is
+    the time that it may take.
 
     Raises
     ------
@@ -70,7 +73,8 @@ def certify_given(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
-        proof = ScheduleProof(plant, schedule, weights, eta, Efforts(alone=True))
+        stop = None if limit is None else limit.over
+        proof = ScheduleProof(plant, schedule, weights, eta, Efforts(Work(ALL_WORK, stop=stop), alone=True))
         followed(proof.canon, eta * proof.canon.time)
         if not exists:
             _require(plant, schedule, eta, proof.canon)
@@ -96,19 +100,19 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: Canonical) -> tuple[floa
 def certify(
     plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    budget: float = ..., progress: Progress | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    budget: float = ..., memory: int | None = ..., progress: Progress | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: LinearInclusion, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    budget: float = ..., progress: Progress | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
 ) -> InclusionCertificate: ...  # fmt: skip
 @door
 def certify(
@@ -120,7 +124,8 @@ def certify(
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
-    budget: float = 3.0,
+    noise_gain: float = 3.0,
+    budget: float | None = None,
     memory: int | None = None,
     progress: Progress | None = None,
 ) -> Certificate | FamilyCertificate | InclusionCertificate:
@@ -131,7 +136,7 @@ def certify(
     Parameters
     ----------
     plant : Plant, or an UncertainPlant or a NonlinearPlant with a region
-        For the last two see `certify_inclusion`: they take a `GapRange`, and no P2.
+        For the last two see `certify_inclusion`: they take a periodic schedule or a family, and no P2.
     schedule : PeriodicSchedule, Schedule or a family of schedules
         A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
         design that needs no samples, is refused.
@@ -144,9 +149,12 @@ def certify(
         Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
     R, Qv : (p, p) arrays, optional
         Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
-    budget : float
+    noise_gain : float
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
         their scales. Only used where P2 is chosen.
+    budget : float, optional [seconds]
+        Of the whole call. What is best by then is proven and returned; without a budget the work is counted, and the
+        result is the same on every machine.
     memory : int, optional
         For a family alone: how much of the past its graph remembers; see `certify_family`.
     progress : callable, optional
@@ -160,13 +168,14 @@ def certify(
     Raises
     ------
     ArgumentError
-        If a weight is not symmetric positive definite, eta or the budget is out of range, or plant and schedule do
+        If a weight is not symmetric positive definite, eta or the noise gain is out of range, or plant and schedule do
         not fit.
     CertificateError
         If no certificate exists (details: eigenvalue, partners it is aliased with, period, repair); for a family, if
         some schedule of it has none.
     UndecidedError
-        If no proof closes, or the information cannot be followed in doubles; the reason says which.
+        If no proof closes, not within the budget, or the information cannot be followed in doubles; the reason says
+        which.
 
     Notes
     -----
@@ -194,15 +203,27 @@ def certify(
     True
     """
     if isinstance(plant, LinearInclusion):
-        from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, gaps_of
+        from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, in_terms
 
-        gaps = gaps_of(schedule, P2=P2, memory=memory)
-        return certify_inclusion(plant, gaps, eta=eta, Qw=Qw, R=R, Qv=Qv, budget=budget, progress=progress)
+        schedules = in_terms(plant, schedule, P2=P2, memory=memory)
+        return certify_inclusion(
+            plant, schedules, eta=eta, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, progress=progress
+        )
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 
         return certify_family(
-            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, budget=budget, memory=memory, progress=progress
+            plant,
+            schedule,
+            eta=eta,
+            P2=P2,
+            Qw=Qw,
+            R=R,
+            Qv=Qv,
+            noise_gain=noise_gain,
+            budget=budget,
+            memory=memory,
+            progress=progress,
         )
     if schedule is None:
         raise ArgumentError(
@@ -215,20 +236,30 @@ def certify(
     weights = weights_of(plant, Qw, R, Qv)
     prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else _checks.positive("eta", eta)
-    if not _checks.number("budget", budget) > 1:
-        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
+    if not _checks.number("noise_gain", noise_gain) > 1:
+        raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
+    limit = TimeLimit(None if budget is None else _checks.positive("budget", budget))
     if not plant.n_states:
         prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
-    if prior is None:
-        return chosen(plant, schedule, weights, rate, [float(budget)], progress)[0]
-    how, searched = "given weights", rate is None
-    if rate is None:
-        canon = canonical(plant, schedule, weights, prior)
-        with np.errstate(all="ignore"):
-            rate = choose_rate(canon, canon.inside(prior), _bounds(plant, schedule, canon), progress) / canon.time
-        how = "least horizon for given P2"
-    solver = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how})
-    return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and bool(plant.n_states))
+    try:
+        if prior is None:
+            return chosen(plant, schedule, weights, rate, [float(noise_gain)], progress, limit)[0]
+        how, searched = "given weights", rate is None
+        if rate is None:
+            canon = canonical(plant, schedule, weights, prior)
+            with np.errstate(all="ignore"):
+                bounds = _bounds(plant, schedule, canon)
+                rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.half) / canon.time
+            how = "least horizon for given P2"
+        solver, known = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how}), bool(plant.n_states)
+        return certify_given(plant, schedule, prior, *weights, rate, solver, searched and known, limit)
+    except UndecidedError as error:
+        if not limit.over():
+            raise
+        raise UndecidedError(
+            f"undecided: no certificate was proven within `budget` = {limit.budget:g} s. Give it more time, or a rate "
+            "`eta`.", **{**error.details, "status": "budget"},
+        ) from None  # fmt: skip
 
 
 def chosen(
@@ -236,12 +267,13 @@ def chosen(
     schedule: AnySchedule,
     weights: NoiseWeights,
     eta: float | None,
-    budgets: list[float],
+    gains: list[float],
     progress: Progress | None = None,
+    limit: TimeLimit | None = None,
 ) -> list[Certificate]:
-    """Return a certificate for each noise budget, P2 (and eta where it is None) chosen for the least horizon.
+    """Return a certificate for each noise gain, P2 (and eta where it is None) chosen for the least horizon.
 
-    A larger budget has no longer horizon. `schedule` is in the plant's terms.
+    A larger gain has no longer horizon. `schedule` is in the plant's terms.
 
     Raises
     ------
@@ -252,7 +284,7 @@ def chosen(
     """
     if not plant.n_states:
         empty = np.zeros((0, 0))
-        return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in budgets]
+        return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in gains]
     canon = canonical(plant, schedule, weights)
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
         followed(canon, 0.0 if eta is None else eta * canon.time)
@@ -269,15 +301,17 @@ def chosen(
         canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
         longer, canon = canon.time, evened(canon)
         bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
-        problem, asked = (plant, schedule, weights), [(budget, Efforts()) for budget in budgets]
+        limit = TimeLimit(None) if limit is None else limit
+        problem = (plant, schedule, weights)
+        asked = [(gain, Efforts(Work(ALL_WORK, stop=limit.over))) for gain in gains]
         try:
-            found = zip(choose_weights(canon, bounds, budgets, progress), asked, strict=True)
+            found = zip(choose_weights(canon, bounds, gains, progress, limit.half), asked, strict=True)
             return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
         except UndecidedError as error:
             if slip(plain):  # dates are asked for their origin, and not followed from time 0
                 raise
             try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
-                return [precisely_chosen(problem, plain, between, eta, budget, first.total) for budget, first in asked]
+                return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
             except UndecidedError:
                 raise error from None
 
@@ -287,7 +321,7 @@ def _best_proven(
     canon: Canonical,
     choices: list[Choice],
     eta: float | None,
-    budget: float,
+    gain: float,
     first: Efforts,
 ) -> Certificate:
     """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
@@ -296,13 +330,13 @@ def _best_proven(
     stages: list[Iterable[list[Choice]]] = [[[some for some in choices if some.spare == k]] for k in (False, True)]
     if choices:
         low = min(choice.eta for choice in choices)
-        stages.append(round_choices(canon, [low, low / 10] if eta is None else [low], budget, first.total))
+        stages.append(round_choices(canon, [low, low / 10] if eta is None else [low], gain, first.total))
     efforts = first
     for groups in stages:
         for some in groups:
             try:
                 if some:
-                    return _first_proven(problem, canon, some, eta, budget, efforts)
+                    return _first_proven(problem, canon, some, eta, gain, efforts)
             except UndecidedError as error:
                 failed.append(error)
             if efforts.over:
@@ -310,9 +344,7 @@ def _best_proven(
         efforts = efforts.later()
     if failed:
         raise failed[0]
-    raise UndecidedError(
-        f"undecided: no weights within the budget {budget:g} could be followed in doubles.{slip(canon)}"
-    )
+    raise UndecidedError(f"undecided: no weights of noise gain {gain:g} could be followed in doubles.{slip(canon)}")
 
 
 def _first_proven(
@@ -320,7 +352,7 @@ def _first_proven(
     canon: Canonical,
     choices: list[Choice],
     eta: float | None,
-    budget: float,
+    gain: float,
     efforts: Efforts,
 ) -> Certificate:
     """The first of these choices whose proof closes, the nearest ones in the order of their exact horizons."""
@@ -341,9 +373,9 @@ def _first_proven(
     proofs = sorted(proofs, key=lambda item: item[:2])
     order = [(True, item) for item in proofs] + [(False, item) for item in proofs[:1]]  # room for the best one
     for plainly, (_, _, proof, choice) in order:
-        how = {"weights": f"least horizon under budget {budget:g}"}
+        how = {"weights": f"least horizon with noise gain {gain:g}"}
         if choice.spare:
-            how = {"weights": f"a first guess under budget {budget:g}: at the best rate no proof closed"}
+            how = {"weights": f"a first guess with noise gain {gain:g}: at the best rate no proof closed"}
         solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
         try:
             return proof.closed(solver, plainly)

@@ -26,7 +26,6 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.plants.uncertain_files import parts_of_model
 from sampling_design.schedules.family_files import family_from_dict
-from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnyCertificate: TypeAlias = Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate
@@ -117,8 +116,9 @@ def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertifica
         model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
     return InclusionCertificate(
         plant,
-        GapRange(found.shortest, found.longest),
+        times_from_dict(data["times"]) if data["times"]["kind"] == "periodic" else family_from_dict(data["times"]),
         **_values(data),
+        graph=graph_from(data["graph"]["words"], found.graph) if "graph" in data else None,
         model=model,
         model_data=data["model"],
         nodes=found.nodes,
@@ -131,10 +131,14 @@ def _sampled(data: Tree, plant: Plant, found: schedule_file.Sampled) -> Certific
     return Certificate(plant, times_from_dict(data["times"]), **_values(data))
 
 
+def graph_from(words: list[list[float]], read: family_file.Graph) -> PathCompleteGraph:
+    """The graph as it was read, its words as they were written: whole numbers and others."""
+    edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in read.edges]
+    return PathCompleteGraph(tuple(tuple(word) for word in words), tuple(edges))
+
+
 def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyCertificate:
-    edges = [Edge(e.source, e.target, e.low, e.high, e.outputs) for e in found.graph.edges]
-    # words as they were written: whole numbers and others
-    graph = PathCompleteGraph(tuple(tuple(word) for word in data["graph"]["words"]), tuple(edges))
+    graph = graph_from(data["graph"]["words"], found.graph)
     values = _values(data)
     n = plant.n_states
     P = [_checks.definite("P2", values["P2"], n), *(_checks.definite("graph.P", M, n) for M in found.graph.P[1:])]

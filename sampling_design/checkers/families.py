@@ -10,11 +10,11 @@ import numpy as np
 
 from .cover import judge
 from .family_file import OF_FAMILY, OfFamily, of_family
-from .frame import Frame, Index, largest, size, turned
+from .frame import Frame, largest, size, turned
 from .numbers import EPS, definite, problem, targets
 from .outcome import Proven, Refused, holds
 from .parts import Claim
-from .strict import Array
+from .strict import Array, Index
 from .work import Work
 
 CELLS = 8  # cells per interval at first

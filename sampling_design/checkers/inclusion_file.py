@@ -2,6 +2,9 @@
 
 Three models of which Jacobians A, disturbance inputs G and outputs C may occur: parameters in a box (all enter
 linearly), a list of vertices, or a nonlinear plant as a list of instructions with the region in which it stays.
+
+The schedules are those of a family, or one that is periodic: a family of one. Each word of its graph has a P(tau) of
+its own. What comes before the first sample is the end of a longer gap of the graph, or the start has a P(tau) too.
 """
 
 from collections.abc import Mapping
@@ -10,10 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import programs
-from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, sized, time_unit, weights_of
+from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of
+from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, sized, weights_of
 from .programs import Program
+from .schedule_file import times_of
 from .strict import (
     Array,
+    Index,
+    Mask,
     Reader,
     Tree,
     anything,
@@ -23,17 +30,13 @@ from .strict import (
     nonnegative,
     number,
     or_nothing,
-    positive,
     refuse,
     table,
     text,
-    word,
 )
 
 MOST_NODES = 2000
-GAPS = table(
-    {"kind": word("gap-range"), "shortest": positive, "longest": positive}, {"time_unit": or_nothing(time_unit)}
-)
+_graph = table({"words": list_of(list_of(number)), "edges": list_of(list_of(anything, 5))})
 _optional = {"A": matrix(), "C": matrix(), "G": matrix()}
 PARAMETER = table({"name": text, "low": number, "nominal": number, "high": number}, _optional)
 _side = list_of(or_nothing(number))
@@ -59,7 +62,7 @@ INCLUSION = table(
         **AROUND,
         **MATRICES,
         **NUMBERS,
-        "times": GAPS,
+        "times": anything,
         "witness": or_nothing(anything),
         "model": anything,
         "nodes": list_of(nonnegative),
@@ -67,6 +70,7 @@ INCLUSION = table(
         "multipliers": or_nothing(list_of(list_of(list_of(nonnegative)))),
         "solver": SOLVER,
     },
+    {"graph": _graph},
     whole="the certificate",
 )
 
@@ -113,17 +117,37 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Jumps:
+    """Samples that are proven: at node `later` of P(tau) the next word begins, at its node `base`; what is measured."""
+
+    later: Index
+    base: Index
+    seen: Mask
+
+
+@dataclass(frozen=True)
 class Inclusion:
-    """A file of claim "inclusion": P(tau) linear between `nodes`; gaps in [shortest, longest]."""
+    """A file of claim "inclusion": P(tau) of each word, one after the other, linear between `nodes`."""
 
     plant: Plant
     weights: Weights
     model: Box | Vertices | Region
-    shortest: float
-    longest: float
+    family: Family
+    graph: Graph
     nodes: Array
     P: Array
+    jumps: Jumps
     multipliers: Array | None
+
+    @property
+    def pieces(self) -> Index:
+        """The first node of each piece: a node at time 0 begins the next word."""
+        return np.flatnonzero(self.nodes[1:] != 0)
+
+    @property
+    def longest(self) -> float:
+        """The longest time without a sample."""
+        return float(self.nodes.max())
 
 
 def inclusion(read: Tree, plant: Plant) -> Inclusion:
@@ -133,29 +157,75 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
         raise refuse("witness", "must be null: a certificate for an inclusion has no witness")
     if weights.lam_samples < weights.lam:
         raise refuse("lam_samples", "must be at least `lam` for an inclusion")
-    times = read["times"]
-    if times.get("time_unit") not in (None, plant.time_unit):
-        raise refuse("times.time_unit", f"must be the plant's, {plant.time_unit!r}, got {times['time_unit']!r}")
-    if times["shortest"] > times["longest"]:
-        raise refuse("times.longest", "must be at least `times.shortest`")
+    family = schedules_of(read["times"], plant)
     nodes = np.array(read["nodes"], dtype=np.float64)
-    if not 2 <= nodes.size <= MOST_NODES or nodes[0] != 0 or not np.all(np.diff(nodes) > 0):
-        raise refuse("nodes", f"must be 2 to {MOST_NODES} times that begin at 0 and increase")
-    if nodes[-1] != times["longest"] or times["shortest"] not in nodes:
-        raise refuse("nodes", "must end at `times.longest` and hold `times.shortest`")
+    starts = np.flatnonzero(nodes == 0)
+    if not 2 <= nodes.size <= MOST_NODES or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
+        raise refuse("nodes", f"must be 2 to {MOST_NODES} times that increase from 0, for each word of the graph")
+    graph = graph_of(read.get("graph"), family, plant)
+    if len(starts) not in (len(graph.words), len(graph.words) - 1):
+        raise refuse("nodes", "must begin at 0 once for each word of the graph; for the start too, or not")
     if len(read["P"]) != nodes.size:
         raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
     P = np.array([sized(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
-    model = model_of(read["model"], plant)
-    found = Inclusion(plant, weights, model, times["shortest"], times["longest"], nodes, P, None)
+    model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts)
+    found = Inclusion(plant, weights, model, family, graph, nodes, P, jumps, None)
     return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
+
+
+def schedules_of(value: object, plant: Plant) -> Family:
+    """The family; one periodic schedule is the family of deviations 0 from it."""
+    if isinstance(value, Mapping) and value.get("kind") == "periodic":
+        return Jitter(times_of(value, plant), 0.0)
+    return family_of(value, plant)
+
+
+def graph_of(read: Tree | None, family: Family, plant: Plant) -> Graph:
+    """Words and edges, of sizes that fit each other; a range of gaps needs but one word, and need not say so."""
+    if read is None:
+        if not isinstance(family, GapRange):
+            raise refuse("graph", "is missing: only a range of gaps goes without")
+        seen = (True,) * len(plant.C)
+        both = Edge(0, 1, 0.0, family.longest, seen), Edge(1, 1, family.shortest, family.longest, seen)
+        return Graph(((), ()), both, ())
+    words = tuple(tuple(entries) for entries in read["words"])
+    if len(words) < 2 or words[0] != ():
+        raise refuse("graph.words", "must begin with an empty word for the start, and hold another one")
+    edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(read["edges"])]
+    return Graph(words, tuple(edges), ())
+
+
+def jumps_of(graph: Graph, nodes: Array, starts: Index) -> Jumps:
+    """All samples to be proven: at every node within an edge, and at the end of a first gap that no longer one holds.
+
+    Before its first sample a schedule is so far in a gap that it ends as that sample comes: only its end counts.
+    """
+    last, skip = np.append(starts[1:], nodes.size), len(graph.words) - len(starts)
+    found: dict[tuple[int, int, tuple[bool, ...]], None] = {}
+    for k, edge in enumerate(graph.edges):
+        low = edge.low if edge.source else edge.high
+        if not edge.source and any(
+            other.source and (other.target, other.outputs) == (edge.target, edge.outputs) and other.high >= edge.high
+            for other in graph.edges
+        ):
+            continue
+        mode = edge.source - skip
+        if mode < 0:
+            raise refuse(f"graph.edges[{k}]", "is a first gap that no longer one holds: the start needs its own P")
+        at = np.arange(starts[mode], last[mode])
+        if low not in nodes[at] or edge.high not in nodes[at]:
+            raise refuse(f"graph.edges[{k}]", "must have ends that are nodes of its source")
+        for node in at[(nodes[at] >= low) & (nodes[at] <= edge.high)].tolist():
+            found[node, int(starts[edge.target - skip]), edge.outputs] = None
+    later, base, seen = zip(*found, strict=True) if found else ((), (), ())
+    return Jumps(np.array(later, int), np.array(base, int), np.array(seen, bool).reshape(len(later), -1))
 
 
 def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:
     """The same with a diagonal per end of each piece: one number for each column that a parameter moves."""
     if not isinstance(c.model, Box):
         raise refuse("multipliers", "must be null unless the model is a box of parameters")
-    shape = (c.nodes.size - 1, 2, sum(len(moved(each)) for each in c.model.parameters))
+    shape = (c.pieces.size, 2, sum(len(moved(each)) for each in c.model.parameters))
     fits = len(read) == shape[0] and all(len(ends) == 2 and all(len(d) == shape[2] for d in ends) for ends in read)
     if not fits:
         raise refuse("multipliers", f"must have shape {shape}: pieces, their ends, columns that parameters move")

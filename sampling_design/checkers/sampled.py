@@ -9,12 +9,12 @@ It proves Pi = Y^-1 >= target from Y(start) = P2^-1 on, that is Y <= I in the co
 
 import numpy as np
 
-from .frame import Flows, Frame, Index, dominating, largest, least, size, turned
+from .frame import Flows, Frame, dominating, largest, least, size, turned
 from .numbers import EPS, RESOLUTION, Problem, problem, targets
 from .outcome import Proven, Refused, Undecided, holds
 from .parts import Claim
 from .schedule_file import SAMPLED, Sampled, Times, Witness, of_schedule
-from .strict import Array, Mask
+from .strict import Array, Index, Mask
 from .work import Work
 
 REPLAY = 1e-6  # what a witness may miss of its ratio

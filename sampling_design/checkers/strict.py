@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 Reader = Callable[[object, str], Any]
 Tree = dict[str, Any]
 """A table as a file holds it or a reader made it; the type of each key's value is not what a dictionary can say."""

@@ -1,4 +1,6 @@
-"""How much may be done: counted and never timed, so that a call ends in the same way on every machine."""
+"""How much may be done: counted, so that a call ends in the same way on every machine, unless it is told when."""
+
+from collections.abc import Callable
 
 MOST_WORK = 1e7  # of one check
 
@@ -6,8 +8,11 @@ MOST_WORK = 1e7  # of one check
 class Work:
     """Operations that are left, in units of about a microsecond; what a share of it spends counts here too."""
 
-    def __init__(self, most: float, whole: "Work | None" = None, price: float = 1.0) -> None:
+    def __init__(
+        self, most: float, whole: "Work | None" = None, price: float = 1.0, stop: Callable[[], bool] | None = None
+    ) -> None:
         self.left, self.whole, self.price = most, whole, price  # what one unit costs the whole
+        self.stop = stop if stop is not None or whole is None else whole.stop  # says when time is over
 
     def spend(self, amount: float) -> None:
         """Count what is about to be done."""
@@ -22,4 +27,4 @@ class Work:
     @property
     def over(self) -> bool:
         """Whether nothing is left."""
-        return self.left <= 0
+        return self.left <= 0 or (self.stop is not None and self.stop())

@@ -13,7 +13,7 @@ import sampling_design as sd
 from sampling_design._checks import positive
 from sampling_design._files import write_text
 from sampling_design.certificates.compare.four_horizons import FourHorizons
-from sampling_design.certificates.detectability.best_rate import BUDGET
+from sampling_design.certificates.detectability.best_rate import NOISE_GAIN as OF_PLANTS
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
@@ -22,8 +22,8 @@ from sampling_design.cli.settings import Settings, record_table, save_picture, t
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
-NOISE_BUDGET = 3.0
-"""Default of `--noise-budget` for a certificate about samples."""
+NOISE_GAIN = 3.0
+"""Default of `--noise-gain` for a certificate about samples."""
 
 OPTIONS = {
     "gap-range": {"shortest": " A", "longest": " B"},
@@ -38,7 +38,7 @@ ScheduleFile = Annotated[
     typer.Argument(metavar="SCHEDULE", help="Schedule file; none with --gap-range, --spaced, --detectability."),
 ]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error; default: searched.")]
-NoiseBudget = Annotated[
+NoiseGain = Annotated[
     float | None,
     typer.Option(help="Noise gains, where chosen: at most so many times their least; default 3 (--detectability: 10)."),
 ]
@@ -64,7 +64,7 @@ def certify(
     plant_file: PlantFile,
     schedule_file: ScheduleFile = None,
     eta: Eta = None,
-    noise_budget: NoiseBudget = None,
+    noise_gain: NoiseGain = None,
     gap_range: Gaps = None,
     spaced: Spaced = None,
     jitter: Jittered = None,
@@ -84,12 +84,14 @@ def certify(
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if detectability:
         _refuse_samples(schedule_file, families)
-        _detectability(settings, plant, certificate_file, eta, noise_budget)
+        _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
     times = _times(settings, plant, schedule_file, families)
     with settings.progress("certify") as progress:
-        budget = NOISE_BUDGET if noise_budget is None else noise_budget
-        certificate = sd.certify(plant, times, eta=eta, budget=budget, progress=progress)
+        certificate = sd.certify(
+            plant, times, eta=eta, noise_gain=NOISE_GAIN if noise_gain is None else noise_gain,
+            budget=settings.budget, progress=progress,
+        )  # fmt: skip
     horizons = None
     if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
         horizons = sd.four_horizons(plant, times, certificate)
@@ -109,12 +111,12 @@ def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> No
 
 
 def _detectability(
-    settings: Settings, plant: sd.Plant, path: Path | None, eta: float | None, noise_budget: float | None
+    settings: Settings, plant: sd.Plant, path: Path | None, eta: float | None, noise_gain: float | None
 ) -> None:
-    """Certify the plant alone, at the rate and within the budget that are asked for."""
+    """Certify the plant alone, at the rate and with the noise gain that are asked for."""
     rate = None if eta is None else positive("eta", eta)
-    budget = BUDGET if noise_budget is None else positive("noise-budget", noise_budget)
-    certificate = sd.certify_detectability(plant, rate, budget=budget)
+    gain = OF_PLANTS if noise_gain is None else positive("noise-gain", noise_gain)
+    certificate = sd.certify_detectability(plant, rate, noise_gain=gain)
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:

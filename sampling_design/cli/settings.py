@@ -56,7 +56,7 @@ _COMMON: dict[str, tuple[object, object]] = {
 }
 
 
-NO_BUDGET = ("accuracy", "plan", "next", "certify", "estimate", "explore", "new", "pareto", "validate", "thyroid")
+NO_BUDGET = ("accuracy", "plan", "next", "estimate", "explore", "new", "pareto", "validate", "thyroid")
 """Commands whose work is given by their arguments: nothing in them ends early with what it has, unless (`pareto`) it is
 told to. What ends by the clock depends on how many share the work."""
 

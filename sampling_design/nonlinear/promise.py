@@ -86,7 +86,12 @@ class InclusionPromise:
             raise ArgumentError(f"`certificate` belongs to another plant: its {names[differs[0]]} differs.")
         self.certificate = certificate
         self.region = _region_of(data)
-        self.shortest, self.longest = certificate.family.shortest, certificate.family.longest
+        if certificate.words > 1:
+            raise ArgumentError(
+                "`certificate` must have one P(tau) for all gaps, to weigh priors between samples, as a GapRange "
+                f"or equal gaps have; this one has {certificate.words}, one for each word of its schedules."
+            )
+        self.shortest, self.longest = certificate.min_gap, certificate.d_max
         self.eta = certificate.eta
         self._initial = noise_bound("initial_error", initial_error, plant.n_states)
         self.w_square = _square(certificate.Qw, plant.bounds["disturbances"])

@@ -44,11 +44,11 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
 
 
 def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
-    """Draw the horizon over the noise gain, one dot per budget."""
+    """Draw the horizon over the noise gain, one dot per certificate."""
     ax = style.new_axes(ax)
     ax.semilogx(curve.C_v, curve.horizons, "o-", color=style.PROVEN, linewidth=1.2, markersize=5, label="proven")
-    for budget, gain, horizon in zip(curve.budgets, curve.C_v, curve.horizons, strict=True):
-        label = f"budget {short(budget, 4)}"
+    for stated, gain, horizon in zip(curve.noise_gains, curve.C_v, curve.horizons, strict=True):
+        label = f"at most {short(stated, 4)} times the least"
         ax.annotate(label, (gain, horizon), xytext=(5, 4), textcoords="offset points", fontsize="small")
     ax.margins(x=0.15, y=0.15)  # room for what is written beside the dots
     style.plain_numbers(ax.xaxis)

@@ -16,16 +16,20 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
     L = np.linalg.cholesky(certificate.P1)
     half = np.linalg.solve(L, certificate.P)
     values = np.linalg.eigvalsh(np.linalg.solve(L, np.swapaxes(half, 1, 2)))
-    for k, column in enumerate(values.T):
+    times = np.insert(certificate.nodes, breaks := np.flatnonzero(certificate.nodes == 0)[1:], np.nan)
+    for k, column in enumerate(values.T):  # a word after another, the pen lifted
         label = "eigenvalues of P(tau) relative to P1" if not k else None
-        ax.plot(certificate.nodes, column, color=style.MEASURED, linewidth=1.3, marker=".", label=label)
+        ax.plot(times, np.insert(column, breaks, np.nan), color=style.MEASURED, linewidth=1.3, marker=".", label=label)
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
     ax.axhline(certificate.lam, color=style.ATTAINED, linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}")
     style.log_axis(ax)
-    family = certificate.family
-    ax.axvspan(family.shortest, family.longest, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come")
+    ax.axvspan(
+        certificate.min_gap, certificate.d_max, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come"
+    )
     ax.set_xlabel(style.time_label(certificate.plant.time_unit, "time since the last sample"))
     ax.set_ylabel("information relative to P1")
-    ax.set_title(f"{certificate.plant.name or 'plant'}: proven for gaps up to {short(family.longest, 4)}", loc="left")
+    ax.set_title(
+        f"{certificate.plant.name or 'plant'}: proven for gaps up to {short(certificate.d_max, 4)}", loc="left"
+    )
     style.legend(ax, 2)
     return ax

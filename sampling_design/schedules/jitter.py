@@ -170,7 +170,7 @@ class Jitter(SamplingFamily, kind="jitter"):
                 gap = float(schedule.gaps[j])
                 for a, b in pairwise(borders):
                     low, high = (0.0, reach[j] + radius + b) if start else (gap + a - last[1], gap + b - last[0])
-                    wider = OUTWARD * (gap + radius)
+                    wider = OUTWARD * (gap + radius) if radius else 0.0  # no deviation, no rounding
                     found.append(Step((j, a, b), max(low - wider, 0.0), high + wider, masks[j]))
             return found
 

@@ -58,7 +58,7 @@ def lam(found: InclusionCertificate) -> str:
 Row = tuple[str, str, Made, Callable[[InclusionCertificate], str]]
 """Question, the prototype's figure, how the certificate is made, and what is said of it."""
 FREE = 1e4
-"""A noise budget that does not bind."""
+"""A noise gain that does not bind."""
 PATIENT = "thyroid patient, six states, gaps .5 to 1.5 d"
 
 
@@ -69,12 +69,12 @@ def linear() -> list[Row]:
         make = partial(longest_gap, oscillator(0.1), eta=0.02, most=2.86, pieces=pieces)
         found.append((f"oscillator, frequency within 10 %, eta .02, {pieces} pieces", f"gaps to {theirs}", make, gap))
     for share, theirs in ((1e-9, "1.38"), (0.1, "2.9"), (0.2, "6.6")):
-        make = partial(certify_inclusion, oscillator(share), GapRange(0.5, 1.5), eta=0.1, budget=FREE, pieces=32)
+        make = partial(certify_inclusion, oscillator(share), GapRange(0.5, 1.5), eta=0.1, noise_gain=FREE, pieces=32)
         name = f"oscillator, frequency varying by {100 * share:.0f} %, gaps .5 to 1.5, eta .1"
         found.append((name, f"lambda {theirs}", make, lam))
     name = "inertial chain, bias rate 1/12 to 3 per s, gaps 5 to 250 ms, eta .3"
     for more, theirs, budget in (("", "lambda 2.6", 3.0), (", noise gains as they come", "", FREE)):
-        make = partial(certify_inclusion, inertial_chain(), GapRange(0.005, 0.25), eta=0.3, budget=budget)
+        make = partial(certify_inclusion, inertial_chain(), GapRange(0.005, 0.25), eta=0.3, noise_gain=budget)
         found.append((name + more, theirs, make, lam))
     return found
 

@@ -50,7 +50,7 @@ def test_best_p1_is_p2_over_lambda_less_the_resolution():
 )
 def test_horizons_in_the_noise_free_limit(plant, sharp, paper):
     """Reference values of the exact certificate at eta = .4 and period 1, best shape, P2 -> 0."""
-    made = certify(plant, EVERY, eta=0.4, budget=1e5)
+    made = certify(plant, EVERY, eta=0.4, noise_gain=1e5)
     assert made.horizon("sharp").minimum <= sharp
     assert made.horizon("paper").minimum <= paper
     assert made.lam < given(plant, P2=1e-8 * np.eye(plant.n_states)).lam
@@ -66,9 +66,9 @@ def test_round_prior_tends_to_the_reference_limit(plant, limit):
     assert given(plant, P2=1e-9 * np.eye(plant.n_states)).lam == pytest.approx(limit, abs=0.01)
 
 
-def test_chosen_weights_keep_the_noise_budget():
+def test_chosen_weights_keep_the_noise_gain():
     for plant in (DOUBLE, FOUR):
-        made = certify(plant, EVERY, eta=0.4, budget=3.0)
+        made = certify(plant, EVERY, eta=0.4, noise_gain=3.0)
         problem = window_problem(plant, EVERY, np.eye(plant.n_states), *weights_of(plant, None, None, None), 0.4)
         least = WindowSet.of(problem).least_floor(np.ones(plant.n_states))
         assert made.horizon().C_w <= 3.0 * least * 1.01
@@ -78,10 +78,10 @@ def test_chosen_weights_keep_the_noise_budget():
 
 
 def test_chosen_rate_is_no_worse_than_rates_around_it():
-    made = certify(DOUBLE, EVERY, budget=3.0)
+    made = certify(DOUBLE, EVERY, noise_gain=3.0)
     assert 0.05 <= made.eta <= 3.0
     for eta in (0.2, 0.6, 1.5):
-        assert made.horizon().minimum <= certify(DOUBLE, EVERY, eta=eta, budget=3.0).horizon().minimum * 1.001
+        assert made.horizon().minimum <= certify(DOUBLE, EVERY, eta=eta, noise_gain=3.0).horizon().minimum * 1.001
 
 
 def test_rate_alone_is_chosen_for_a_given_prior():
@@ -118,7 +118,7 @@ def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():
     assert curve.to_frame()["horizons"].tolist() == curve.horizons.tolist()
     drawn = curve.plot().lines[0]
     assert (drawn.get_xdata().tolist(), drawn.get_ydata().tolist()) == (curve.C_v.tolist(), curve.horizons.tolist())
-    with pytest.raises(ArgumentError, match="`budgets` must increase strictly"):
+    with pytest.raises(ArgumentError, match="`noise_gains` must increase strictly"):
         tradeoff_curve(DOUBLE, EVERY, 0.4, [3.0, 2.0])
 
 
@@ -178,7 +178,7 @@ def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
         ({"R": [[-1.0]]}, "`R` must be positive definite"),
         ({"Qv": [[0.0]]}, "`Qv` must be positive definite"),
         ({"Qw": np.diag([1.0, 0.0])}, "A direction without weight is a free disturbance"),
-        ({"budget": 1.0}, "`budget` must be above 1"),
+        ({"noise_gain": 1.0}, "`noise_gain` must be above 1"),
     ],
 )
 def test_bad_weights_are_refused(changes, words):

@@ -75,7 +75,7 @@ def test_best_rate_reaches_its_bounds_and_no_further():
     with pytest.raises(CertificateError, match="more than the bounds") as caught:
         certify_detectability(DOUBLE, best.eta * 1.001, c_w=5.0, c_y=8.0)
     assert caught.value.details["least_c_y"] > 8.0
-    assert certify_detectability(DOUBLE, budget=20).eta > certify_detectability(DOUBLE, budget=5).eta
+    assert certify_detectability(DOUBLE, noise_gain=20).eta > certify_detectability(DOUBLE, noise_gain=5).eta
 
 
 def test_bounds_below_those_of_rate_zero_are_refused():
@@ -86,13 +86,15 @@ def test_bounds_below_those_of_rate_zero_are_refused():
 
 @pytest.mark.parametrize("size", [1e150, 1e200, 1e308])
 def test_gains_beyond_double_precision_are_refused_in_words(size):
-    with pytest.raises(SolverError, match=r"are not finite with the floor .*: ask for a smaller `budget` or `floor`"):
+    with pytest.raises(
+        SolverError, match=r"are not finite with the floor .*: ask for a smaller `noise_gain` or `floor`"
+    ):
         certify_detectability(OSCILLATOR, floor=size)
 
 
-def test_budgets_and_rates_beyond_double_precision_are_refused_in_words():
-    with pytest.raises(SolverError, match=r"times the budget .* are not finite"):
-        certify_detectability(OSCILLATOR, budget=1e308)
+def test_noise_gains_and_rates_beyond_double_precision_are_refused_in_words():
+    with pytest.raises(SolverError, match=r"times the noise gain .* are not finite"):
+        certify_detectability(OSCILLATOR, noise_gain=1e308)
     with pytest.raises(SolverError, match="has no stabilising solution in floating point"):
         certify_detectability(OSCILLATOR, 1e308)
     with pytest.raises(ArgumentError, match=r"`c_y / c_w` must be finite"):
@@ -112,8 +114,8 @@ def test_rates_from_twice_the_unseen_decay_are_refused_with_the_mode(rate):
     assert np.abs(caught.value.directions[:, 0]) == pytest.approx([0.0, 1.0])
 
 
-def test_best_rate_stays_below_the_unseen_decay_however_large_the_budget():
-    rates = [certify_detectability(UNSEEN, budget=b).eta for b in (10, 100, 1000)]
+def test_best_rate_stays_below_the_unseen_decay_however_large_the_noise_gain():
+    rates = [certify_detectability(UNSEEN, noise_gain=b).eta for b in (10, 100, 1000)]
     assert rates[0] < rates[1] < rates[2] < 0.6
     assert rates[2] > 0.59
 
@@ -214,7 +216,7 @@ def test_degenerate_plants_are_certified_both_ways(plant):
         ({"method": "sdp"}, '`method` must be "riccati" or "lmi"'),
         ({"c_w": 1.0}, "must be bounded together or not at all"),
         ({"rate": -1.0}, "`rate` must be positive"),
-        ({"budget": 0.0}, "`budget` must be positive"),
+        ({"noise_gain": 0.0}, "`noise_gain` must be positive"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, message):

@@ -64,13 +64,13 @@ def test_what_is_large_but_can_be_done_is_done(given):
     assert certify(OSCILLATOR, EACH, **heavy).lam > 1
 
 
-def test_a_budget_that_no_shape_keeps_is_undecided():
-    with pytest.raises(UndecidedError, match=r"no weights within the budget .* could be followed in doubles"):
-        certify(OSCILLATOR, EACH, eta=0.4, budget=1 + 1e-12)
+def test_a_noise_gain_that_no_shape_keeps_is_undecided():
+    with pytest.raises(UndecidedError, match=r"no weights of noise gain .* could be followed in doubles"):
+        certify(OSCILLATOR, EACH, eta=0.4, noise_gain=1 + 1e-12)
 
 
-def test_budgets_of_a_curve_are_above_one():
-    with pytest.raises(ArgumentError, match=r"`budgets` must be above 1, got 0\.5"):
+def test_noise_gains_of_a_curve_are_above_one():
+    with pytest.raises(ArgumentError, match=r"`noise_gains` must be above 1, got 0\.5"):
         tradeoff_curve(OSCILLATOR, EACH, 0.4, [0.5, 2.0])
 
 

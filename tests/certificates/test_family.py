@@ -30,7 +30,7 @@ INTEGRATOR = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
 )
 def test_reference_values_of_gap_ranges(plant, gaps, together, separate):
     # P2 apart from the matrix after a sample; R~ = 1/2, Qw = I; the reference lets P2 be as small as it likes
-    found = sd.certify(plant, GapRange(*gaps), eta=0.1, R=[[1.0]], budget=1e4)
+    found = sd.certify(plant, GapRange(*gaps), eta=0.1, R=[[1.0]], noise_gain=1e4)
     assert 1.0 < found.lam <= separate + 0.01 < together
     assert found.verify().passed
     assert np.allclose(found.Rtilde, 0.5)
@@ -63,12 +63,12 @@ def test_a_range_of_one_gap_is_nearly_the_exact_certificate():
     assert found.lam <= exact.lam * 1.01
 
 
-def test_rate_and_weights_are_chosen_within_the_noise_budget():
+def test_rate_and_weights_are_chosen_within_the_noise_gain():
     found = sd.certify(INTEGRATOR, GapRange(0.8, 1.2))
     assert found.verify().passed
     assert found.horizon().minimum < 2.0
-    small = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, budget=2.0)
-    large = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, budget=30.0)
+    small = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, noise_gain=2.0)
+    large = sd.certify(INTEGRATOR, GapRange(0.5, 1.5), eta=0.4, noise_gain=30.0)
     assert large.lam < small.lam
     assert small.horizon().C_w < large.horizon().C_w
 
@@ -196,8 +196,8 @@ def test_what_does_not_fit_is_refused_at_the_door():
         sd.certify(OSCILLATOR, GapRange(0.5, 1.5, time_unit="h"))
     with pytest.raises(ArgumentError, match="must be a PeriodicSchedule: a finite one has no long run"):
         sd.certify(OSCILLATOR, Jitter(sd.Schedule([1.0, 2.0]), 0.1))
-    with pytest.raises(ArgumentError, match=r"`budget` must be above 1, got 1\.0"):
-        sd.certify(OSCILLATOR, GapRange(0.5, 1.5), budget=1.0)
+    with pytest.raises(ArgumentError, match=r"`noise_gain` must be above 1, got 1\.0"):
+        sd.certify(OSCILLATOR, GapRange(0.5, 1.5), noise_gain=1.0)
     with pytest.raises(ArgumentError, match="`memory` must be a whole number from 0 to 4 for this family, got 9"):
         sd.certify_family(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
     with pytest.raises(sd.errors.InfeasibleRequirementError, match="an endless schedule needs"):

@@ -9,8 +9,6 @@ import pytest
 
 from sampling_design import (
     GapRange,
-    Jitter,
-    LostSamples,
     PeriodicSchedule,
     Plant,
     Schedule,
@@ -141,8 +139,8 @@ def test_a_wider_box_is_refused(certificate):
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda d: {"nodes": d["nodes"][::-1]}, "`nodes` must be 2 to 2000 times that begin at 0"),
-        (lambda d: {"nodes": [*d["nodes"][:-1], 2.0]}, "`nodes` must end at `times.longest`"),
+        (lambda d: {"nodes": d["nodes"][::-1]}, "`nodes` must be 2 to 2000 times that increase from 0"),
+        (lambda d: {"nodes": [*d["nodes"][:-1], 2.0]}, "must have ends that are nodes of its source"),
         (lambda d: {"P": d["P"][1:]}, "`P` must hold one matrix per node"),
         (lambda d: {"witness": {"t": 1}}, "`witness` must be null"),
         (lambda d: {"lam_samples": d["lam"] / 2}, "`lam_samples` must be at least `lam`"),
@@ -216,14 +214,111 @@ def load_dict(certificate):
     return certificate_from_dict(json.loads(json.dumps(certificate.to_dict())))
 
 
-def test_the_rate_is_chosen_and_a_family_becomes_its_gaps():
-    chosen = certify(UNCERTAIN, Jitter(PeriodicSchedule([1.0]), 0.2))
-    assert (chosen.family.shortest, chosen.family.longest) == pytest.approx((0.6, 1.4))
-    fixed = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), eta=0.1, pieces=8)
+def test_the_rate_is_chosen_and_what_is_certified_is_what_was_given():
+    given = PeriodicSchedule([0.6, 1.4], 0.6)
+    chosen = certify(UNCERTAIN, given)
+    fixed = certify_inclusion(UNCERTAIN, given, eta=0.1, pieces=8)
     assert chosen.horizon().minimum < fixed.horizon().minimum
-    lost = certify(UNCERTAIN, LostSamples(PeriodicSchedule([0.5]), 1, 3), eta=0.1)
-    assert lost.family.longest == 1.0
-    assert certify(UNCERTAIN, PeriodicSchedule([1.0, 1.2]), eta=0.1).family.longest == 1.2
+    assert np.array_equal(chosen.covers.gaps, given.gaps)
+    assert load_dict(chosen).to_dict() == chosen.to_dict()
+    assert fixed.lam < certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), eta=0.1, pieces=8).lam
+
+
+def test_equal_gaps_are_one_gap():
+    many, one = (certify_inclusion(UNCERTAIN, PeriodicSchedule(g, 0.5), eta=0.1, pieces=8) for g in ([1.0] * 6, [1.0]))
+    assert many.lam == one.lam
+    assert many.words == 1
+
+
+def test_a_first_sample_that_comes_late_has_a_start_of_its_own():
+    gaps = [0.5, 0.5, 0.5, 0.5]
+    early, late = (certify_inclusion(UNCERTAIN, PeriodicSchedule(gaps, f), eta=0.1, pieces=8) for f in (0.5, 1.5))
+    assert (early.words, late.words) == (1, 5)
+    assert late.lam > early.lam
+    assert late.verify(rigorous=True).passed
+    data = late.to_dict()
+    start = int(np.flatnonzero(np.array(data["nodes"]) == 0)[1])
+    cut = {"nodes": data["nodes"][start:], "P": data["P"][start:]}
+    found = check(resealed(data, **cut))
+    assert found["verdict"] == "bad file"
+    with pytest.raises(AssertionError, match="is a first gap that no longer one holds: the start needs its own P"):
+        raise AssertionError(found["reason"])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (
+            lambda d: {key: d[key] for key in d if key != "graph"},
+            "`graph` is missing: only a range of gaps goes without",
+        ),
+        (lambda d: {**d, "graph": {**d["graph"], "words": [[0]]}}, "`graph.words` must begin with an empty word"),
+        (lambda d: {**d, "nodes": [0.0, 0.0, 0.5, 0.0, 0.0, 0.7]}, "must begin at 0 once for each word"),
+    ],
+)
+def test_a_graph_in_a_file_is_a_grammar(change, match):
+    data = certify_inclusion(UNCERTAIN, PeriodicSchedule([0.5, 0.7]), eta=0.1, pieces=2).to_dict()
+    found = check(resealed(change(data)))
+    assert found["verdict"] == "bad file"
+    with pytest.raises(AssertionError, match=match):
+        raise AssertionError(found["reason"])
+
+
+def test_a_graph_that_leaves_out_a_gap_is_refuted():
+    data = certify_inclusion(UNCERTAIN, PeriodicSchedule([0.5, 0.7]), eta=0.1, pieces=2).to_dict()
+    edges = [edge for edge in data["graph"]["edges"] if edge[:2] != [0, 1]]
+    found = check(resealed(data, graph={**data["graph"], "edges": edges}))
+    assert (found["verdict"], found["inequality"]) == ("refuted", "graph")
+
+
+# --- what a sample shows at least, over all C -------------------------------------------------------------------------
+
+
+def gained(low, high, share):
+    """A scalar plant with a gain in [low, high] and P(tau) whose jump takes this share of what the least gain shows."""
+    plant = UncertainPlant(Plant([[-1.0]], [[1.0]]), [UncertainParameter("c", low, high, C=[[1.0]], nominal=1.0)])
+    made = certify_inclusion(plant, GapRange(0.5, 0.5), eta=0.1, pieces=1)
+    data = made.to_dict()
+    least = 0.0 if low < 0 < high else min(low**2, high**2)
+    P0 = 1.0
+    P = [[[P0]], [[P0 - share * least]]]
+    return resealed(data, P=P, P1=[[0.01]], P2=[[1.1]], lam=111.0, lam_samples=111.0, R=[[2.0]], Qv=[[2.0]],
+                    Qw=[[100.0]])  # fmt: skip
+
+
+@pytest.mark.parametrize("rigorous", [False, True])
+@pytest.mark.parametrize(("low", "high"), [(0.3, 1.7), (0.9, 1.1), (0.5, 4.0)])
+def test_what_the_least_gain_shows_is_proven_and_more_is_refuted_with_it(low, high, rigorous):
+    from sampling_design.certificates.rigorous.decide import verify_rigorously
+
+    judge = (lambda d: verify_rigorously(d).verdict) if rigorous else (lambda d: check(d)["verdict"])
+    assert judge(gained(low, high, 0.999)) == "proven"
+    assert judge(gained(low, high, 1.001)) == "refuted"
+    assert check(gained(low, high, 1.001))["reason"].endswith(f"where c = {low:g}")
+
+
+def test_sets_of_outputs_are_halved_until_nothing_is_lost():
+    # two gains that turn against each other: no tangent serves all of (cos t, sin t) between two vertices
+    C = [[1.0, 0.0]], [[0.0, 1.0]]
+    plants = [Plant(-np.eye(2), c) for c in C]
+    model = UncertainPlant(Plant(-np.eye(2), [[0.5, 0.5]]), vertices=plants)
+    made = certify_inclusion(model, GapRange(0.5, 0.5), eta=0.1, pieces=1)
+    assert check(made.to_dict())["verdict"] == "proven"
+    wide = UncertainPlant(OSCILLATOR, [UncertainParameter("c", 0.3, 1.7, C=[[1.0, 0.0]], nominal=1.0), STIFFNESS])
+    assert certify_inclusion(wide, GapRange(0.5, 1.0), eta=0.1, pieces=8).verify(rigorous=True).passed
+
+
+def test_multipliers_that_prove_nothing_refute_nothing():
+    uncertain = UncertainPlant(Plant([[0.0]], [[1.0]]), [UncertainParameter("theta", -1.0, 1.0, A=[[1.0]])])
+    made = certify_inclusion(uncertain, GapRange(0.1, 0.2), eta=0.5, pieces=4)
+    none = [[[0.0] for _ in range(2)] for _ in range(made.nodes.size - 1)]
+    found = check(resealed(made.to_dict(), multipliers=none))
+    assert found["verdict"] == "undecided"
+    with pytest.raises(AssertionError, match="could not be decided: these multipliers do not prove it"):
+        raise AssertionError(found["reason"])
+    broken = check(resealed(made.to_dict(), multipliers=none, eta=5.0))
+    assert broken["verdict"] == "refuted"
+    assert broken["reason"].endswith("where theta = 1")
 
 
 def test_the_largest_rate_serves_the_arrival_weight():
@@ -235,7 +330,7 @@ def test_the_largest_rate_serves_the_arrival_weight():
 def test_lambda_is_the_least_that_linear_pieces_can_have():
     # P' <= -P on 8 pieces of 1/8: P falls by (1 - 1/8) on each, and nothing else stands in the way
     slow = UncertainPlant(Plant([[0.0]], [[1.0]]), [UncertainParameter("a", -1.0, 0.0, A=[[1.0]], nominal=0.0)])
-    made = certify_inclusion(slow, GapRange(0.5, 1.0), eta=1.0, pieces=8, budget=1e6)
+    made = certify_inclusion(slow, GapRange(0.5, 1.0), eta=1.0, pieces=8, noise_gain=1e6)
     assert (7 / 8) ** -8 <= made.lam <= 1.005 * (7 / 8) ** -8
 
 
@@ -244,7 +339,7 @@ def test_coordinates_and_matrices_are_chosen_at_once(budget, most):
     A, decay = np.diag(np.ones(3), 1), np.diag([0.0, 0.0, 0.0, -1.0])
     known = Plant(A + 0.5 * decay, [[1.0, 0.0, 0.0, 0.0]], G=[[0.0], [0.0], [0.0], [1.0]])
     chain = UncertainPlant(known, [UncertainParameter("rate", 1 / 12, 3.0, A=decay, nominal=0.5)])
-    made = certify_inclusion(chain, GapRange(0.005, 0.25), eta=0.3, pieces=8, budget=budget)
+    made = certify_inclusion(chain, GapRange(0.005, 0.25), eta=0.3, pieces=8, noise_gain=budget)
     assert made.lam < most
 
 
@@ -280,10 +375,10 @@ def test_units_change_nothing(state, per_second, certificate):
         (lambda: certify(UNCERTAIN, GapRange(1, 2), memory=1), "`memory` must be left out for a plant"),
         (
             lambda: certify(UNCERTAIN, PeriodicSchedule([1.0], outputs=[[True]], time_unit="h")),
-            "must be in the plant's unit",
+            "`schedule` is in h and the plant in s",
         ),
-        (lambda: certify(UNCERTAIN, GapRange(1, 2), budget=1.0), "`budget` must be above 1"),
-        (lambda: certify_inclusion(UNCERTAIN, 3.0), "`family` must be"),
+        (lambda: certify(UNCERTAIN, GapRange(1, 2), noise_gain=1.0), "`noise_gain` must be above 1"),
+        (lambda: certify_inclusion(UNCERTAIN, 3.0), "`schedule` must be"),
         (lambda: longest_gap(UNCERTAIN, eta=0.1, shortest=2.0, most=1.0), "`most` must be at least `shortest`"),
         (lambda: certify(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1).at(2.0), "`tau` must lie in"),
         (
@@ -320,8 +415,12 @@ def test_the_record_and_its_picture(certificate):
 def test_records_by_hand_are_checked(certificate):
     from dataclasses import replace
 
-    with pytest.raises(ArgumentError, match="`family` must be a GapRange, got"):
+    with pytest.raises(ArgumentError, match="`family` must be a GapRange, another family or a PeriodicSchedule, got"):
         replace(certificate, family=3)
+    with pytest.raises(ArgumentError, match="`nodes` must increase from 0, for each word of the graph"):
+        replace(certificate, nodes=certificate.nodes[::-1])
+    with pytest.raises(ArgumentError, match="`word` must be one of the 1 words of the graph, got 1"):
+        certificate.at(0.0, 1)
     with pytest.raises(ArgumentError, match="`P` must hold one matrix per node, shape"):
         replace(certificate, P=certificate.P[1:])
 
@@ -333,10 +432,12 @@ def test_a_plant_without_states_is_refused():
         certify(model, GapRange(1, 2))
 
 
-def test_part_of_the_outputs_is_refused():
+def test_a_sample_of_part_of_the_outputs_is_one_of_that_part():
     two = UncertainPlant(Plant(OSCILLATOR.A, np.eye(2)), [STIFFNESS])
-    with pytest.raises(ArgumentError, match="must measure every output at each sample"):
-        certify(two, PeriodicSchedule([1.0], outputs=[[1, 0]]))
+    some = PeriodicSchedule([0.6, 0.6], outputs=[[1, 0], [0, 1]])
+    part, whole = (certify_inclusion(two, s, eta=0.1, pieces=4) for s in (some, PeriodicSchedule([0.6])))
+    first = certify_inclusion(UNCERTAIN, PeriodicSchedule([1.2]), eta=0.1, pieces=8)
+    assert whole.lam < part.lam < first.lam
 
 
 # --- many parameters --------------------------------------------------------------------------------------------------

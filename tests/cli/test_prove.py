@@ -153,11 +153,11 @@ def test_detectability_is_certified_without_a_schedule_and_verified(shell, tmp_p
 def test_rate_and_noise_budget_of_detectability_are_those_asked_for(shell):
     found = {
         arguments: json.loads(shell("certify", OSCILLATOR, "--detectability", "--json", *arguments).out)
-        for arguments in (("--eta", 0.5), (), ("--noise-budget", 5))
+        for arguments in (("--eta", 0.5), (), ("--noise-gain", 5))
     }
     assert found["--eta", 0.5]["eta"] == 0.5
-    assert found["--noise-budget", 5]["eta"] < found[()]["eta"]
-    assert found["--noise-budget", 5]["c_w"] == pytest.approx(found[()]["c_w"] / 2)
+    assert found["--noise-gain", 5]["eta"] < found[()]["eta"]
+    assert found["--noise-gain", 5]["c_w"] == pytest.approx(found[()]["c_w"] / 2)
 
 
 def test_a_false_detectability_file_is_a_no_with_direction(shell, tmp_path):
@@ -216,7 +216,7 @@ def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path)
         sampling_certificate(file, read_plant(OSCILLATOR))
 
 
-@pytest.mark.parametrize(("flag", "name"), [("--eta", "eta"), ("--noise-budget", "noise-budget")])
+@pytest.mark.parametrize(("flag", "name"), [("--eta", "eta"), ("--noise-gain", "noise-gain")])
 def test_numbers_of_detectability_are_refused_by_the_name_that_was_typed(shell, flag, name):
     result = shell("certify", OSCILLATOR, "--detectability", flag, -1)
     assert result.code == 2

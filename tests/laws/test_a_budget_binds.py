@@ -44,7 +44,7 @@ LARGE = sd.Requirement(window=24.0, period=24.0, spacing=0.05, samples=16)
 
 
 def seconds_verbs() -> set[str]:
-    """Public callables with a parameter `budget` whose documentation says seconds (a noise budget is a ratio)."""
+    """Public callables with a parameter `budget` whose documentation says seconds."""
     found = set()
     for name, thing in public().items():
         members = {name: thing}

@@ -20,16 +20,16 @@ from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
 
-BUDGETS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
+NOISE_GAINS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TradeoffCurve(Table):
-    """One certificate per noise budget.
+    """One certificate per noise gain.
 
     Attributes
     ----------
-    budgets : (k,) array
+    noise_gains : (k,) array
     horizons : (k,) array [time]
         M must exceed these, by the sharper theorem.
     C_w, C_v : (k,) arrays
@@ -38,7 +38,7 @@ class TradeoffCurve(Table):
     certificates : tuple of Certificate
     """
 
-    budgets: Array
+    noise_gains: Array
     horizons: Array
     C_w: Array
     C_v: Array
@@ -46,20 +46,20 @@ class TradeoffCurve(Table):
     certificates: tuple[Certificate, ...]
 
     def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
-        return {key: getattr(self, key) for key in ("budgets", "horizons", "C_w", "C_v", "lam")}
+        return {key: getattr(self, key) for key in ("noise_gains", "horizons", "C_w", "C_v", "lam")}
 
     def _rows(self) -> list[tuple[str, str]]:
-        columns = zip(self.budgets, self.horizons, self.C_w, self.C_v, strict=True)
+        columns = zip(self.noise_gains, self.horizons, self.C_w, self.C_v, strict=True)
         return [
-            (f"budget {short(b, 4)}", f"M > {short(M)}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
+            (f"noise gain {short(b, 4)}", f"M > {short(M)}, C_w = {short(w, 3)}, C_v = {short(v, 3)}")
             for b, M, w, v in columns
         ]
 
     def explain(self) -> str:
         """Say what the curve trades."""
         return (
-            f"From a budget of {short(self.budgets[0])} to {short(self.budgets[-1])} the horizon falls from "
-            f"{short(self.horizons[0])} to {short(self.horizons[-1])} while the noise gain rises from "
+            f"From {short(self.noise_gains[0])} to {short(self.noise_gains[-1])} times the least gain the horizon "
+            f"falls from {short(self.horizons[0])} to {short(self.horizons[-1])} while the noise gain rises from "
             f"{short(self.C_w[0], 3)} to {short(self.C_w[-1], 3)}."
         )
 
@@ -69,21 +69,21 @@ def tradeoff_curve(
     plant: Plant,
     schedule: AnySchedule,
     eta: float,
-    budgets: npt.ArrayLike = BUDGETS,
+    noise_gains: npt.ArrayLike = NOISE_GAINS,
     *,
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> TradeoffCurve:
-    """Return the least horizon against the noise budget, at one rate.
+    """Return the least horizon against the noise gain, at one rate.
 
     Parameters
     ----------
     plant : Plant
     schedule : PeriodicSchedule or Schedule
     eta : float [1/time]
-    budgets : (k,) array
+    noise_gains : (k,) array
         Increasing, above 1: how many times its least the noise gain may be.
     Qw, R, Qv : arrays, optional
         As for `certify`.
@@ -96,26 +96,28 @@ def tradeoff_curve(
     Raises
     ------
     ArgumentError
-        If the budgets do not increase.
+        If the gains do not increase.
 
     Notes
     -----
-    *Method.* The search of `certify` once for all budgets: shapes of P2 found at reference budgets, each scaled to the
-    budget. *Claim.* Every point is a proven certificate, and no horizon is longer than that of a smaller budget; that
-    no smaller horizon exists at that budget is not claimed.
+    *Method.* The search of `certify` once for all of them: shapes of P2 found at reference gains, each scaled to the
+    gain. *Claim.* Every point is a proven certificate, and no horizon is longer than that of a smaller gain; that
+    no smaller horizon exists at that gain is not claimed.
 
     Examples
     --------
     >>> from sampling_design.schedules.schedule import PeriodicSchedule
-    >>> curve = tradeoff_curve(Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.4, budgets=[2.0, 8.0])
+    >>> curve = tradeoff_curve(Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.4, noise_gains=[2.0, 8.0])
     >>> bool(curve.horizons[1] < curve.horizons[0])
     True
     """
-    steps = _checks.vector("budgets", budgets)
+    steps = _checks.vector("noise_gains", noise_gains)
     if not steps.size or np.any(np.diff(steps) <= 0):
-        raise ArgumentError("`budgets` must increase strictly and hold at least one value.")
+        raise ArgumentError("`noise_gains` must increase strictly and hold at least one value.")
     if np.any(steps <= 1):
-        raise ArgumentError(f"`budgets` must be above 1, got {float(steps[0])!r}: no P2 attains the least noise gain.")
+        raise ArgumentError(
+            f"`noise_gains` must be above 1, got {float(steps[0])!r}: no P2 attains the least noise gain."
+        )
     schedule = met(plant, schedule)
     weights, rate = weights_of(plant, Qw, R, Qv), _checks.positive("eta", eta)
     found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)

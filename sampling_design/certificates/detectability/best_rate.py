@@ -27,7 +27,7 @@ STATED = 0.25
 """Part of that margin which the certificate states: (1 + STATED margin) eta is the rate that `verify` proves."""
 FLOOR = 1e-3
 """Part of |G|^2 added as noise in every direction: one that no noise reaches would get infinite weight."""
-BUDGET = 10.0
+NOISE_GAIN = 10.0
 """c_w and c_y at most this many times the least that any positive rate asks for."""
 RATE_TOLERANCE = 1e-5
 """Relative width at which the bisection on the rate ends; the lower end is certified."""
@@ -39,8 +39,8 @@ _NO_SOLUTION = (
     "An unseen mode is too close to the limit: ask for a smaller rate or a smaller `margin`."
 )
 _TOO_LARGE = (
-    "The gains at rates close to zero, times the budget {budget}, are not finite with the floor {floor}: "
-    "ask for a smaller `budget` or `floor`."
+    "The gains at rates close to zero, times the noise gain {noise_gain}, are not finite with the floor {floor}: "
+    "ask for a smaller `noise_gain` or `floor`."
 )
 
 
@@ -51,7 +51,7 @@ def certify_detectability(
     *,
     c_w: float | None = None,
     c_y: float | None = None,
-    budget: float = BUDGET,
+    noise_gain: float = NOISE_GAIN,
     margin: float = MARGIN,
     floor: float = FLOOR,
     method: str = "riccati",
@@ -67,8 +67,8 @@ def certify_detectability(
         The rate eta asked for; the least gains at it are returned. Default: the largest rate whose gains stay within
         the bounds (for an observable pair the rate alone has no maximum).
     c_w, c_y : float, optional
-        Bounds on the gains, both or neither. Default: `budget` times their least at rates close to zero.
-    budget : float
+        Bounds on the gains, both or neither. Default: `noise_gain` times their least at rates close to zero.
+    noise_gain : float
         See there; only used without `rate` and bounds.
     margin : float
         The inequality is solved at the rate (1 + margin) eta, and stated, with strict proof, at (1 + margin/4) eta.
@@ -119,7 +119,7 @@ def certify_detectability(
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
     _arguments(plant, method, c_w, c_y)
-    budget, margin = _checks.positive("budget", budget), _checks.positive("margin", margin)
+    noise_gain, margin = _checks.positive("noise_gain", noise_gain), _checks.positive("margin", margin)
     floor = _checks.nonnegative("floor", floor)
     eta = None if rate is None else _checks.positive("rate", rate)
     _refuse_unseen(plant, 0.0 if eta is None else eta)
@@ -131,9 +131,9 @@ def certify_detectability(
         return _least_c_y(plant, at * (1 + margin), ratio, floor)
 
     if eta is None:
-        allowed = budget * least(0.0) if bounds is None else bounds[1]
+        allowed = noise_gain * least(0.0) if bounds is None else bounds[1]
         if not np.isfinite(allowed):
-            raise SolverError(_TOO_LARGE.format(budget=short(budget), floor=short(floor)))
+            raise SolverError(_TOO_LARGE.format(noise_gain=short(noise_gain), floor=short(floor)))
         eta = _largest_rate(least, allowed, float(np.linalg.norm(plant.A, 2)) or 1.0)
         gain_y = allowed
     else:

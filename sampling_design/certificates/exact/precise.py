@@ -192,7 +192,7 @@ def precisely_chosen(
         assert isinstance(windows, PreciseWindows)
         met = windows.peaks(choice.P2)
         stated = replace(choice, eta=rate / canon.time if eta is None else eta, P2=symmetrise(canon.outside(choice.P2)))
-        how = {"weights": f"a first guess under budget {budget:g}, followed in {BITS} binary digits"}
+        how = {"weights": f"a first guess with noise gain {budget:g}, followed in {BITS} binary digits"}
         solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
         try:
             return _proven(problem, stated, met, solver, proofs)

@@ -327,7 +327,11 @@ def settled_sizes(canon: Canonical, eta: float) -> Array | None:
 
 
 def choose_weights(
-    canon: Canonical, bounds: tuple[float, float], budgets: list[float], progress: Progress | None = None
+    canon: Canonical,
+    bounds: tuple[float, float],
+    budgets: list[float],
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> list[list[Choice]]:
     """Return for each budget P2, and eta within its bounds, for the least horizon ln(lam)/eta; the best first.
 
@@ -336,14 +340,14 @@ def choose_weights(
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
     every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
-    descent begins and the one that runs ends.
+    descent begins and the one that runs ends; so they do once `stop` says so.
 
     Raises
     ------
     UndecidedError
         If the windows of every rate are lost in rounding.
     """
-    search = WeightSearch(canon)
+    search = WeightSearch(canon, Work(SEARCH_WORK, stop=stop))
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
@@ -356,6 +360,8 @@ def choose_weights(
         guesses += [] if guess is None else [guess]
     if free and not guesses:  # the slower the rate, the fewer modes grow when their squares are discounted
         for rate in (bounds[0] / slower for slower in SLOWER):
+            if search.late:
+                break
             guess = search.best_guess(rate, REFERENCE)
             if guess is not None:
                 guesses.append(guess)
@@ -429,14 +435,20 @@ def _alike(one: Choice, other: Choice) -> bool:
     return abs(one.eta - other.eta) <= PRECISION * other.eta and bool(np.all(near))
 
 
-def choose_rate(canon: Canonical, P2: Array, bounds: tuple[float, float], progress: Progress | None = None) -> float:
+def choose_rate(
+    canon: Canonical,
+    P2: Array,
+    bounds: tuple[float, float],
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> float:
     """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best.
 
-    After `RATE_WORK` it is the best that was met.
+    After `RATE_WORK`, or once `stop` says so, it is the best that was met.
     """
     report = progress or (lambda fraction, message: None)
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
-    n, work, met = canon.plant.n_states, Work(RATE_WORK), dict[float, float]()
+    n, work, met = canon.plant.n_states, Work(RATE_WORK, stop=stop), dict[float, float]()
 
     def horizon(log_rate: float) -> float:
         rate = float(np.exp(log_rate))

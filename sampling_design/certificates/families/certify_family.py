@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from sampling_design._door import door
 from sampling_design._linalg import symmetrise
 from sampling_design._record import short
 from sampling_design.certificates.exact.canonical import NoiseWeights
+from sampling_design.certificates.exact.efforts import TimeLimit
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
@@ -101,11 +103,16 @@ class FamilySearch:
         family: SamplingFamily,
         weights: NoiseWeights,
         P2: Array | None,
-        budget: float,
+        noise_gain: float,
         deadline: float = np.inf,
     ) -> None:
-        self.plant, self.family, self.weights, self.P2, self.budget = plant, family, weights, P2, budget
+        self.plant, self.family, self.weights, self.P2, self.noise_gain = plant, family, weights, P2, noise_gain
         self.deadline = deadline
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() > self.deadline
 
     def program(self, eta: float, memory: int, layers: int = LAYERS) -> Program:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
@@ -133,7 +140,7 @@ class FamilySearch:
             return np.inf, None, max(kept, 0.0), record
         low, high, lam, best = 1.0, np.inf, start, None
         while high > low * (1 + rtol) and low < LARGEST_LAM and time.perf_counter() < self.deadline:
-            _, found, record = program.feasible(lam, floor / self.budget)
+            _, found, record = program.feasible(lam, floor / self.noise_gain)
             if found is None:
                 low = lam
             else:
@@ -163,7 +170,7 @@ class FamilySearch:
             floor = program.floor()[0] if program.P2 is None else 0.0
             again = None
             if program.P2 is None and floor * float(np.linalg.eigvalsh(program.unit)[-1]) >= LEAST_FLOOR:
-                _, again, record = program.feasible(lam * ROOM, floor / self.budget)
+                _, again, record = program.feasible(lam * ROOM, floor / self.noise_gain)
                 lam = lam * ROOM if again is not None else lam
             if again is None:
                 lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
@@ -198,14 +205,18 @@ class FamilySearch:
 
     def rates(self, bounds: tuple[float, float], memory: int, report: Progress) -> list[float]:
         """Rates in the order of the horizons that they promise: a scan, then its best neighbourhood halved."""
-        tried = {float(rate): self.horizon(float(rate), memory) for rate in np.geomspace(*bounds, SCAN)}
+        tried: dict[float, float] = {}
+        for rate in np.geomspace(*bounds, SCAN).tolist():
+            if self.late:
+                break
+            tried[rate] = self.horizon(rate, memory)
         for k in range(GOLDEN):
             report(0.1 + 0.1 * k, "choice of the rate")
             ordered = sorted(tried)
-            best = min(tried, key=lambda rate: (tried[rate], -rate))
-            place = ordered.index(best)
-            if not np.isfinite(tried[best]):
+            best = min(tried, key=lambda rate: (tried[rate], -rate), default=np.nan)
+            if self.late or not np.isfinite(tried.get(best, np.inf)):
                 break
+            place = ordered.index(best)
             for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
                 rate = float(np.sqrt(best * other))
                 if rate not in tried:
@@ -220,8 +231,10 @@ class FamilySearch:
             found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
             if isinstance(found, Proposal):
                 chosen = bounds[0] < bounds[1]
-                return self.best_of(self.rates(bounds, level, report), level, found) if chosen else found
+                return self.best_of(bounds, level, found, report) if chosen else found
             missed.append(found)
+            if self.late:
+                break
             if len(missed) > 2 and found.kept < MEMORY_GAIN * missed[-3].kept:
                 break  # two levels more, and no more information kept: memory is not what is missing
             if level == levels[0]:
@@ -229,12 +242,16 @@ class FamilySearch:
                 least = refute(self.plant, self.family, bounds[0], hints=[found.gap])
         raise _undecided(self, bounds[0], missed, least)
 
-    def best_of(self, rates: list[float], memory: int, known: Proposal) -> Proposal:
-        """The first of the most promising rates whose proposal is proven and better than `known`, else `known`."""
-        for rate in rates[:TRIED_RATES]:
-            found = self.propose(rate, memory)
-            if isinstance(found, Proposal) and _horizon_of(found) < _horizon_of(known):
-                return found
+    def best_of(self, bounds: tuple[float, float], memory: int, known: Proposal, report: Progress) -> Proposal:
+        """The first of the most promising rates whose proposal is proven and better than `known`, else `known`.
+
+        So it is where the time is over, or who asked interrupts: what is proven stays.
+        """
+        with suppress(KeyboardInterrupt):
+            for rate in self.rates(bounds, memory, report)[:TRIED_RATES]:
+                found = None if self.late else self.propose(rate, memory)
+                if isinstance(found, Proposal) and _horizon_of(found) < _horizon_of(known):
+                    return found
         return known
 
 
@@ -252,7 +269,8 @@ def certify_family(
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
-    budget: float = 3.0,
+    noise_gain: float = 3.0,
+    budget: float | None = None,
     memory: int | None = None,
     progress: Progress | None = None,
 ) -> FamilyCertificate:
@@ -265,8 +283,10 @@ def certify_family(
     plant : Plant
     family : GapRange, SpacedWindows, LostSamples or Jitter
         The last two with a PeriodicSchedule as nominal.
-    eta, P2, Qw, R, Qv, budget
+    eta, P2, Qw, R, Qv, noise_gain
         As for `certify`.
+    budget : float, optional [seconds]
+        Of the search. What is proven by then is returned; so it is where the search is interrupted.
     memory : int, optional
         How much of the past the graph remembers (0 the least). Default: as little as is enough.
     progress : callable, optional
@@ -284,7 +304,8 @@ def certify_family(
     CertificateError
         If some schedule of the family has no certificate: details `counterexample`, `gaps`, `eigenvalue`, `direction`.
     UndecidedError
-        If neither a certificate nor such a schedule was found: details say how far both searches came.
+        If neither a certificate nor such a schedule was found, or not within the budget: details say how far both
+        searches came.
 
     Notes
     -----
@@ -313,15 +334,19 @@ def certify_family(
     weights = weights_of(plant, Qw, R, Qv)
     given = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else _checks.positive("eta", eta)
-    if not _checks.number("budget", budget) > 1:
-        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P2 attains the least noise gain.")
+    if not _checks.number("noise_gain", noise_gain) > 1:
+        raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
+    limit = TimeLimit(None if budget is None else _checks.positive("budget", budget))
     levels = range(family.levels_of_memory) if memory is None else [_checks.whole("memory", memory)]
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     _bearable(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
-    found = FamilySearch(plant, family, weights, given, budget).decide(bounds, list(levels), least, report)
+    deadline = np.inf if limit.left is None else time.perf_counter() + limit.left
+    found = FamilySearch(plant, family, weights, given, noise_gain, deadline).decide(
+        bounds, list(levels), least, report
+    )
     return certified(plant, family, weights, given, found)
 
 
@@ -388,6 +413,11 @@ def without_states(
 
 def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least: Nearest) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
+    if search.late:
+        return UndecidedError(
+            f"undecided at rate {eta:.6g}: no certificate was proven within the budget, and no schedule of the family "
+            "without one was found. Give it more time.", status="budget", eta=eta, word=least.schedule,
+        )  # fmt: skip
     part = None
     low, high = 0.0, 1.0
     for _ in range(NARROWINGS):
@@ -395,7 +425,9 @@ def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least:
         smaller = search.family.narrowed(fraction)
         if smaller is None:
             break
-        found = FamilySearch(search.plant, smaller, search.weights, search.P2, search.budget).propose(eta, 0)
+        found = FamilySearch(
+            search.plant, smaller, search.weights, search.P2, search.noise_gain, search.deadline
+        ).propose(eta, 0)
         low, high, part = (fraction, high, smaller) if isinstance(found, Proposal) else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"

@@ -1,9 +1,9 @@
-"""From a plant that is not exactly known and a range of gaps to a proven certificate."""
+"""From a plant that is not exactly known and its schedules to a proven certificate."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +11,18 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import short
-from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
+from sampling_design.certificates.families.graphs import in_plant_terms
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.certificates.inclusion.layout import Schedules, graph_for, layout_of, primitive
 from sampling_design.certificates.inclusion.members import InclusionWeights
 from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.inclusion import LinearInclusion
+from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -34,6 +38,8 @@ SUSPECTS = 24
 """Constant plants in which a schedule without certificate is looked for."""
 LONGEST_LOOK = 6.0
 """Seconds of that search."""
+MOST_UNKNOWNS = 4000
+"""Of a program with more memory than the least: it would take minutes."""
 BISECTIONS, CLOSE = 12, 1.003
 """Of the longest gap: at most so many, until both ends are this near."""
 
@@ -41,31 +47,35 @@ BISECTIONS, CLOSE = 12, 1.003
 @door
 def certify_inclusion(
     plant: LinearInclusion,
-    family: GapRange,
+    schedule: Schedules,
     *,
     eta: float | None = None,
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
-    budget: float = 3.0,
+    noise_gain: float = 3.0,
+    budget: float | None = None,
     pieces: int | None = None,
     arrival: bool = False,
     progress: Progress | None = None,
 ) -> InclusionCertificate:
-    """Certify every plant of a model, uncertain, varying or nonlinear, for all schedules with gaps in a range.
+    """Certify every plant of a model, uncertain, varying or nonlinear, on a periodic schedule or all of a family.
 
-        [P' + A'P + PA + eta P, PG; G'P, -Qw] < 0,    P(0) < P(tau) + C'R~C for tau in the range
+        [P' + A'P + PA + eta P, PG; G'P, -Qw] < 0,    P(0) < P(tau) + C'R~C for tau where a sample may come
 
     Parameters
     ----------
     plant : UncertainPlant, or NonlinearPlant with a region
-    family : GapRange
+    schedule : GapRange, another family, or PeriodicSchedule
+        Its gaps in their order and its first sample: each word of its graph has a P(tau) of its own.
     eta : float, optional [1/time]
         Rate of the squared error. Default: chosen for the least horizon.
     Qw, R, Qv : arrays, optional
         As for `certify`.
-    budget : float
+    noise_gain : float
         The information P1 may fall to this part of the most that is possible (above 1), for a smaller lambda.
+    budget : float, optional [seconds]
+        Of the search. What is proven by then is returned; so it is where the search is interrupted.
     pieces : int, optional
         Of P(tau). Default: 8, 16 or 32, as many as shorten the horizon.
     arrival : bool
@@ -81,12 +91,12 @@ def certify_inclusion(
     Raises
     ------
     ArgumentError
-        If an argument is out of range, or family and plant do not fit.
+        If an argument is out of range, or schedule and plant do not fit.
     CertificateError
         If some plant of the model has no certificate for some schedule of the family: details `parameters`, `plant`,
         `counterexample`.
     UndecidedError
-        If neither a certificate nor such a plant was found.
+        If neither a certificate nor such a plant was found, or not within the budget.
 
     Notes
     -----
@@ -109,18 +119,54 @@ def certify_inclusion(
     >>> found.verify().passed
     True
     """
-    search, family, report = _begun(plant, family, (Qw, R, Qv), budget, progress)
+    schedules, report = in_terms(plant, schedule), progress or (lambda fraction, message: None)
+    weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
     rate = None if eta is None else _checks.positive("eta", eta)
     counts = PIECES if pieces is None else (_checks.whole("pieces", pieces, 1),)
-    began = time.perf_counter()
-    report(0.0, "search")
-    if rate is None:
-        rate = choose_rate(search, counts[0], arrival, report)
+    gain = above_one("noise_gain", noise_gain)
+    deadline = time.perf_counter() + (np.inf if budget is None else _checks.positive("budget", budget))
+    search: InclusionSearch | None = None
+    verdict: Verification | None = None
+    tried = rate
+    for graph in graphs_of(schedules, plant.centre, counts[0]):
+        search = InclusionSearch(plant, schedules, graph, weights, gain, deadline)
+        report(0.0, f"search with {graph.count - 1} matri{'x' if graph.count == 2 else 'ces'} P(tau)")
+        tried = choose_rate(search, counts[0], arrival, report) if rate is None else rate
+        best, found = within_pieces(search, tried, counts, arrival, report)
+        verdict = found or verdict
+        if best is not None:
+            report(1.0, "proven")
+            return best
+        if search.late:
+            break
+    assert search is not None
+    assert tried is not None
+    if search.late:
+        raise UndecidedError(
+            f"undecided: no P(tau) was proven within `budget` = {short(float(budget or 0.0))} s. "
+            "Give it more time, or a rate `eta`.", eta=tried, verification=verdict, status="budget",
+        )  # fmt: skip
+    report(0.9, "search for a plant without certificate")
+    raise refused(search, tried, verdict)
+
+
+def within_pieces(
+    search: InclusionSearch, rate: float, counts: tuple[int, ...], arrival: bool, report: Progress
+) -> tuple[InclusionCertificate | None, Verification | None]:
+    """The certificate of the shortest horizon, and the verdict on the last one that did not pass."""
     best: InclusionCertificate | None = None
     verdict: Verification | None = None
+    began = time.perf_counter()
     for k, count in enumerate(counts):
+        if search.late:
+            break
         report(0.5 + 0.4 * k / len(counts), f"{count} pieces")
-        made = search.proven(rate, count, began)
+        try:
+            made = search.proven(rate, count, began)
+        except KeyboardInterrupt:
+            if best is None:
+                raise
+            break  # what is proven stays
         if not isinstance(made, InclusionCertificate):
             verdict = made or verdict
             continue
@@ -128,20 +174,39 @@ def certify_inclusion(
         best = made if best is None or made.lam < best.lam else best
         if enough or arrival:
             break
-    if best is None:
-        report(0.9, "search for a plant without certificate")
-        raise refused(search, rate, verdict)
-    report(1.0, "proven")
-    return best
+    return best, verdict
 
 
-def gaps_of(schedule: object, **others: object) -> GapRange:
-    """The range that holds all gaps of a periodic schedule or a family, if every sample measures every output.
+def above_one(name: str, value: object) -> float:
+    """A noise gain relative to its least, which no P2 attains."""
+    if not _checks.number(name, value) > 1:
+        raise ArgumentError(f"`{name}` must be above 1, got {value!r}: no P(tau) attains the least noise gain.")
+    return float(value)  # type: ignore[arg-type]
+
+
+def graphs_of(schedules: Schedules, plant: Plant, pieces: int) -> Iterator[PathCompleteGraph]:
+    """Graphs of more and more memory, as long as their programs can be solved."""
+    levels = schedules.levels_of_memory if isinstance(schedules, SamplingFamily) and schedules.remembers else 1
+    pairs = plant.n_states * (plant.n_states + 1) // 2
+    for memory in range(levels):
+        try:
+            graph = graph_for(schedules, memory, plant.n_outputs)
+        except ArgumentError:  # too many nodes
+            if not memory:
+                raise
+            return
+        if memory and layout_of(graph, pieces).nodes.size * pairs > MOST_UNKNOWNS:
+            return
+        yield graph
+
+
+def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Schedules:
+    """The schedule or family in the plant's terms.
 
     Raises
     ------
     ArgumentError
-        If it is neither, some sample does not measure every output, or one of the `others` is given.
+        If it is neither periodic nor a family, does not fit, or one of the `others` is given.
     """
     for name, value in others.items():
         if value is not None:
@@ -151,43 +216,18 @@ def gaps_of(schedule: object, **others: object) -> GapRange:
             "`schedule` must be a GapRange, another family or a periodic schedule for a plant that is not exactly "
             f"known, got {_checks.described(schedule)}."
         )
-    nominal = schedule if isinstance(schedule, PeriodicSchedule) else schedule.nominal
-    if nominal.outputs is not None and not np.all(nominal.outputs):
-        raise ArgumentError(
-            "`schedule` must measure every output at each sample for a plant that is not exactly known."
-        )
-    if isinstance(schedule, PeriodicSchedule):
-        return GapRange(float(schedule.gaps.min()), float(schedule.gaps.max()), time_unit=schedule.time_unit)
-    return GapRange(schedule.min_gap, schedule.d_max, time_unit=schedule.time_unit)
-
-
-def _begun(
-    plant: LinearInclusion,
-    family: GapRange,
-    given: tuple[object, object, object],
-    budget: float,
-    progress: Progress | None,
-) -> tuple[InclusionSearch, GapRange, Progress]:
-    """The search with checked arguments."""
-    if not isinstance(family, GapRange):
-        raise ArgumentError(
-            f"`family` must be a GapRange for a plant that is not exactly known, got {_checks.described(family)}."
-        )
-    centre = plant.centre
-    if family.time_unit is not None and family.time_unit != centre.time_unit:
-        raise ArgumentError(f"`family` must be in the plant's unit {centre.time_unit!r}, got {family.time_unit!r}.")
-    if not centre.n_states:
+    if not plant.centre.n_states:
         raise ArgumentError("`plant` must have states: there is nothing to certify.")
-    family = GapRange(family.shortest, family.longest)
-    if not _checks.number("budget", budget) > 1:
-        raise ArgumentError(f"`budget` must be above 1, got {budget!r}: no P(tau) attains the least noise gain.")
-    weights = InclusionWeights(*weights_of(centre, *given))
-    return InclusionSearch(plant, family, weights, float(budget)), family, progress or (lambda fraction, message: None)
+    if isinstance(schedule, SamplingFamily):
+        return in_plant_terms(plant.centre, schedule)
+    known = met(plant.centre, schedule)
+    assert isinstance(known, PeriodicSchedule)
+    return primitive(known)
 
 
 def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:
     """The rate of the least horizon: a scan, then its best neighbourhood halved."""
-    mean = (search.family.shortest + search.family.longest) / 2
+    mean = search.mean
     tried: dict[float, float] = {}
 
     def horizon(rate: float) -> float:
@@ -196,6 +236,8 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
         return float((lost + np.log(4.0)) / rate)
 
     for rate in np.geomspace(3.0, 0.05, RATES) / mean:
+        if search.late:
+            break
         tried[float(rate)] = horizon(float(rate))
         report(0.3 * len(tried) / RATES, "choice of the rate")
     for _ in range(FINER_RATES):
@@ -206,9 +248,9 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
         place = ordered.index(best)
         for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
             rate = float(f"{np.sqrt(best * other):.4g}")
-            if rate not in tried:
+            if rate not in tried and not search.late:
                 tried[rate] = horizon(rate)
-    return min(tried, key=lambda rate: (tried[rate], rate))
+    return min(tried, key=lambda rate: (tried[rate], rate), default=3.0 / mean)
 
 
 def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -> CertificateError:
@@ -294,9 +336,12 @@ def longest_gap(
         raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
     began, report = time.perf_counter(), progress or (lambda fraction, message: None)
 
+    weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
+    in_terms(plant, GapRange(top, top))
+
     def search(gap: float) -> InclusionSearch:
         family = GapRange(min(gap, gap / 10 if least is None else least), gap)
-        return _begun(plant, family, (Qw, R, Qv), 3.0, None)[0]
+        return InclusionSearch(plant, family, graph_for(family, 0, plant.centre.n_outputs), weights, 3.0)
 
     low, high = top / 1000 if least is None else least, top
     for k in range(BISECTIONS):

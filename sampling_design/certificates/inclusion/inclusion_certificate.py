@@ -9,13 +9,18 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Plain, short
-from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, largest_eigenvalue, least_eigenvalue
 from sampling_design.certificates.form.seal import INCLUSION_CLAIM
+from sampling_design.certificates.inclusion.layout import Schedules, graph_for
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.evidence import Claim
 from sampling_design.plants.inclusion import LinearInclusion
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family_files import family_to_dict
 from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
@@ -27,25 +32,29 @@ _CONTRACTION = 4.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InclusionCertificate(SampledCertificate):
-    """Weights with which every plant of a model is sample-based exponentially i-iIOSS, for all gaps in a range.
+    """Weights with which every plant of a model is sample-based exponentially i-iIOSS, on all schedules of a family.
 
         [P' + A'P + PA + eta P, PG; G'P, -Qw] < 0 between samples,    P(0) < P(tau) + C'R~C at a sample
 
-    for every (A, G, C) of the model, P(tau) linear between its nodes, tau the time since the last sample. Then
-    V = |x1 - x2|^2_P(tau) obeys Assumption 7 along any two trajectories that share parameters and inputs.
+    for every (A, G, C) of the model, P(tau) linear between its nodes, tau the time since the last sample. Each word of
+    the schedules' graph has its P(tau), and P(0) is that of the next word. Then V = |x1 - x2|^2_P(tau) obeys Assumption
+    7 along any two trajectories that share parameters and inputs.
 
     Attributes
     ----------
     plant : Plant
         The linear plant at the model's centre, with names, units and scales.
-    family : GapRange
+    family : SamplingFamily or PeriodicSchedule
+        The schedules that it is about.
+    graph : PathCompleteGraph
+        Words and edges: every schedule is a path in it.
     model : LinearInclusion or None
         What the certificate is about: an UncertainPlant, or a NonlinearPlant with its region. None: read from a file
         whose model is only known as `model_data`.
     model_data : mapping
         The model as plain data, as the file holds it and the checker judges it.
     nodes : (N,) array [time]
-        0 first, the longest gap last, the shortest gap among them.
+        Of each word from 0 to the longest gap that may follow, the ends of gaps among them; words in their order.
     P : (N, n, n) array
         P(tau) at the nodes; P1 < P < P2.
     multipliers : (N - 1, 2, m) array, optional
@@ -53,15 +62,17 @@ class InclusionCertificate(SampledCertificate):
 
     Notes
     -----
-    `lam` is at least lambda_max(P2, P1), to 1e-3. *Claim.* For every real window start and every schedule with gaps in
-    the range; for a nonlinear plant as long as both trajectories stay in its region.
+    `lam` is at least lambda_max(P2, P1), to 1e-3. *Claim.* For every real window start and every schedule of the
+    family; for a nonlinear plant as long as both trajectories stay in its region. Before its first sample a schedule is
+    so far in a gap that it ends as that sample comes.
 
     References
     ----------
     The paper, Assumption 7; Boyd et al. 1994.
     """
 
-    family: GapRange
+    family: Schedules
+    graph: PathCompleteGraph | None = field(default=None, kw_only=True)
     model: LinearInclusion | None = field(default=None, kw_only=True)
     model_data: dict[str, Plain] = field(default_factory=dict, kw_only=True)
     nodes: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
@@ -70,22 +81,27 @@ class InclusionCertificate(SampledCertificate):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.family, GapRange):
-            raise ArgumentError(f"`family` must be a GapRange, got {_checks.described(self.family)}.")
-        nodes = _checks.increasing("nodes", self.nodes)
+        if not isinstance(self.family, (SamplingFamily, PeriodicSchedule)):
+            kinds = "a GapRange, another family or a PeriodicSchedule"
+            raise ArgumentError(f"`family` must be {kinds}, got {_checks.described(self.family)}.")
+        if self.graph is None:
+            object.__setattr__(self, "graph", graph_for(self.family, 0, self.plant.n_outputs))
+        nodes = _checks.floats("nodes", self.nodes)
+        if nodes.ndim != 1 or nodes.size < 2 or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
+            raise ArgumentError("`nodes` must increase from 0, for each word of the graph.")
         shape = (nodes.size, *self.P2.shape)
         P = _checks.floats("P", self.P)
         if P.shape != shape:
             raise ArgumentError(f"`P` must hold one matrix per node, shape {shape}, got {P.shape}.")
         if self.model is not None and not self.model_data:
             object.__setattr__(self, "model_data", self.model.model_to_dict())
-        object.__setattr__(self, "nodes", nodes)
+        object.__setattr__(self, "nodes", _checks.freeze(nodes))
         P = np.array([_checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
         object.__setattr__(self, "P", _checks.freeze(P))
 
     @property
-    def covers(self) -> GapRange:
-        """The range of the gaps."""
+    def covers(self) -> Schedules:
+        """The schedules that it is about."""
         return self.family
 
     @property
@@ -107,23 +123,46 @@ class InclusionCertificate(SampledCertificate):
 
     @property
     def d_max(self) -> float:
-        """Largest gap."""
-        return float(self.family.longest)
+        """Largest gap, the one before the first sample included."""
+        if isinstance(self.family, SamplingFamily):
+            return float(self.family.d_max)
+        return float(max(self.family.gaps.max(), self.family.first))
 
-    def at(self, tau: npt.ArrayLike) -> Array:
+    @property
+    def min_gap(self) -> float:
+        """Least gap."""
+        return float(self.family.min_gap if isinstance(self.family, SamplingFamily) else self.family.gaps.min())
+
+    @property
+    def words(self) -> int:
+        """How many P(tau) there are: one per word of the graph, and one for the start where it needs its own."""
+        return int(np.count_nonzero(self.nodes == 0))
+
+    def at(self, tau: npt.ArrayLike, word: int = -1) -> Array:
         """Return P(tau), (n, n) for a number and (K, n, n) for K times since the last sample.
+
+        Parameters
+        ----------
+        tau : float or (K,) array [time]
+        word : int
+            Of which word, in the order of the nodes; default the last one.
 
         Raises
         ------
         ArgumentError
-            If a time lies outside of [0, longest gap].
+            If a time lies outside of [0, longest gap], or there is no such word.
         """
+        if not -self.words <= _checks.whole("word", word, -self.words) < self.words:
+            raise ArgumentError(f"`word` must be one of the {self.words} words of the graph, got {word!r}.")
+        ends = np.append(np.flatnonzero(self.nodes == 0), self.nodes.size)
+        own = slice(ends[:-1][word], ends[1:][word])
+        nodes, P = self.nodes[own], self.P[own]
         times = np.atleast_1d(_checks.floats("tau", tau))
-        if np.any((times < 0) | (times > self.nodes[-1] * (1 + 1e-12))):
-            raise ArgumentError(f"`tau` must lie in [0, {self.nodes[-1]:.6g}], the gaps that are certified.")
-        k = np.clip(np.searchsorted(self.nodes, times, side="right") - 1, 0, self.nodes.size - 2)
-        share = np.clip((times - self.nodes[k]) / np.diff(self.nodes)[k], 0.0, 1.0)[:, None, None]
-        found = (1 - share) * self.P[k] + share * self.P[k + 1]
+        if np.any((times < 0) | (times > nodes[-1] * (1 + 1e-12))):
+            raise ArgumentError(f"`tau` must lie in [0, {nodes[-1]:.6g}], the gaps that are certified.")
+        k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, nodes.size - 2)
+        share = np.clip((times - nodes[k]) / np.diff(nodes)[k], 0.0, 1.0)[:, None, None]
+        found = (1 - share) * P[k] + share * P[k + 1]
         return np.asarray(found[0] if np.ndim(tau) == 0 else found)
 
     def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
@@ -165,16 +204,17 @@ class InclusionCertificate(SampledCertificate):
 
     def _samples_until(self, end: float) -> Array:
         # the i-th last sample of any schedule lies at least i least gaps before `end`
-        return np.asarray(end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1))
+        return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
 
     def _file_parts(self) -> dict[str, Plain]:
-        times: dict[str, Plain] = {
-            "kind": "gap-range",
-            "shortest": self.family.shortest,
-            "longest": self.family.longest,
-        }
+        family = self.family
+        times = family_to_dict(family) if isinstance(family, SamplingFamily) else times_to_dict(family)
         diagonals = None if self.multipliers is None else np.asarray(self.multipliers).tolist()
         parts: dict[str, Plain] = {"claim": INCLUSION_CLAIM, "times": times, "model": self.model_data}
+        if not isinstance(family, GapRange):
+            assert self.graph is not None
+            own = self.graph.to_dict(self.P[:0])
+            parts["graph"] = {key: own[key] for key in ("words", "edges")}
         return parts | {"nodes": self.nodes.tolist(), "P": self.P.tolist(), "multipliers": diagonals}
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -185,7 +225,7 @@ class InclusionCertificate(SampledCertificate):
             ("family", self.family.explain()),
             *super()._rows(),
             ("horizon, arrival weight P(tau)", f"M > {short(arrival.minimum)} {self.plant.time_unit}"),
-            ("pieces", str(self.nodes.size - 1)),
+            ("pieces", str(int(np.count_nonzero(self.nodes)))),
         ]
 
     def explain(self) -> str:

@@ -12,11 +12,14 @@ import scipy.linalg
 from sampling_design._balance import balance
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import window_problem
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.horizon import output_information
+from sampling_design.certificates.inclusion.layout import Layout, Schedules, layout_of
 from sampling_design.certificates.inclusion.program import Posed
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.inclusion import Hull, LinearInclusion, Members
-from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.jitter import Jitter
 
 Array = npt.NDArray[np.float64]
 
@@ -42,9 +45,17 @@ class PosedMembers:
     `chosen` and `shown` are the members (A, G) and C in the program: those that bind.
     """
 
-    def __init__(self, plant: LinearInclusion, family: GapRange, weights: InclusionWeights, seed: int = 0) -> None:
-        self.plant, self.family, self.weights = plant, family, weights
+    def __init__(
+        self,
+        plant: LinearInclusion,
+        schedules: Schedules,
+        graph: PathCompleteGraph,
+        weights: InclusionWeights,
+        seed: int = 0,
+    ) -> None:
+        self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
         self.centre = plant.centre
+        self.longest = float(graph.tops.max())
         self.members: Members = plant.members(np.random.default_rng(seed))
         self.columns, self.sizes = plant.columns, np.zeros(0)
         if self.columns is not None:  # multipliers stand for all members
@@ -57,25 +68,18 @@ class PosedMembers:
 
     def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[Posed, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
-        a, b = self.family.shortest, self.family.longest
-        nodes = np.linspace(0.0, 1.0, pieces + 1)
-        near = int(np.argmin(np.abs(nodes - a / b)))
-        if near in (0, pieces) and 0 < a < b:
-            nodes = np.insert(nodes, 1 if near == 0 else pieces, a / b)
-        elif a < b:
-            nodes[near] = a / b
-        first = int(np.searchsorted(nodes, a / b * (1 - 1e-12)))
+        layout, b = self.layout(pieces), self.longest
         T = self.coordinates(eta) if T is None else T
         inverse = np.linalg.inv(T)
-        Rt = output_information(self.weights.R, self.weights.Qv)
-        root_w, root_y = np.linalg.cholesky(self.weights.Qw), np.linalg.cholesky(Rt)
+        root_w = np.linalg.cholesky(self.weights.Qw)
+        patterns, pattern = np.unique(layout.seen, axis=0, return_inverse=True)
         n = self.centre.n_states
         M = self.members.dynamics
         A = b * (T.T @ M[:, :, :n] @ inverse.T)
         G = np.sqrt(b) * (T.T @ M[:, :, n:] @ np.linalg.inv(root_w).T)
-        outputs = root_y.T @ self.members.outputs @ inverse.T
+        outputs = np.array([self.shares(seen) @ self.members.outputs @ inverse.T for seen in patterns])
         unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
-        q, p = G.shape[2], len(root_y)
+        q = G.shape[2]
         columns = seen = np.zeros((0, 0))
         if self.columns is not None:
             to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
@@ -84,11 +88,36 @@ class PosedMembers:
             self.sizes = np.linalg.norm(seen, axis=1)
             columns, seen = b * (T.T @ self.columns.add) * self.sizes, seen / self.sizes[:, None]
         posed = Posed(
-            dynamics=np.concatenate([A, G], axis=2), outputs=outputs, centre=root_y.T @ self.centre.C @ inverse.T,
-            Qw=np.eye(q), Rt=np.eye(p), unit=unit, eta=eta * b, nodes=nodes, first=first,
+            dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
+            nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
             columns=columns, seen=seen,
         )  # fmt: skip
         return posed, T
+
+    @property
+    def mean(self) -> float:
+        """Mean gap, of a family that of its bounds."""
+        own = self.schedules
+        if isinstance(own, SamplingFamily):
+            return (own.min_gap + own.d_max) / 2
+        return float(own.gaps.mean())
+
+    @property
+    def family(self) -> SamplingFamily:
+        """The family; a periodic schedule is one of deviations 0."""
+        return self.schedules if isinstance(self.schedules, SamplingFamily) else Jitter(self.schedules, 0.0)
+
+    def layout(self, pieces: int) -> Layout:
+        """Nodes and jumps with so many pieces."""
+        return layout_of(self.graph, pieces)
+
+    def shares(self, seen: npt.NDArray[np.bool_]) -> Array:
+        """S with S'S the information of the outputs that are seen: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
+        found = np.zeros((len(seen), len(seen)))
+        if seen.any():
+            V = np.linalg.inv(output_information(self.weights.R, self.weights.Qv))[np.ix_(seen, seen)]
+            found[np.ix_(seen, seen)] = np.linalg.inv(np.linalg.cholesky(V))
+        return found
 
     def coordinates(self, eta: float) -> Array:
         """The coordinates of a rate, found once."""
@@ -102,7 +131,7 @@ class PosedMembers:
             return pace(
                 self.members.dynamics.mean(axis=0)[:, : self.centre.n_states],
                 self.centre.states.scales,
-                self.family.longest,
+                self.longest,
             )
         try:
             prior = np.diag(1 / self.centre.states.scales**2)
@@ -126,7 +155,7 @@ class PosedMembers:
     def stiff(self) -> bool:
         """Whether the centre has rates beyond `FASTEST` per longest gap, which multipliers do not know of."""
         fastest = np.max(np.abs(np.linalg.eigvals(self.centre.A)), initial=0.0)
-        return bool(self.columns is None and self.family.longest * fastest > FASTEST)
+        return bool(self.columns is None and self.longest * fastest > FASTEST)
 
     def enter_hull(self, eta: float) -> bool:
         """Take for the members sets that hold all Jacobians of a cell each, so that a proof needs few cells."""
@@ -152,7 +181,7 @@ class PosedMembers:
 
     def moved(self, moves: Array, T: Array) -> Array:
         """Changes of (A, G) (..., n, n + q) in inner coordinates."""
-        n, b = self.centre.n_states, self.family.longest
+        n, b = self.centre.n_states, self.longest
         A = b * T.T @ moves[..., :n] @ np.linalg.inv(T).T
         G = np.sqrt(b) * T.T @ moves[..., n:] @ np.linalg.inv(np.linalg.cholesky(self.weights.Qw)).T
         return np.asarray(np.concatenate([A, G], axis=-1))

@@ -16,6 +16,7 @@ from sampling_design import _conic
 from sampling_design.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Block = tuple[str, sparse.csc_matrix, Array]
 
 MARGIN = 1e-5
@@ -36,19 +37,21 @@ SMALLEST = 1e-7
 class Posed:
     """The numbers of one program, in inner coordinates and inner time.
 
-    dynamics (K, n, n + q); outputs (L, p, n); centre (p, n), the C at which the jump is made linear; Qw, Rt; `unit`
-    what the states' scales call one; nodes in [0, 1], `first` the first node of a gap.
+    dynamics (K, n, n + q); outputs (patterns, L, p, n), for each pattern of measured outputs in units in which R~ is I
+    and rows of what is not measured are 0; Qw; `unit` what the states' scales call one; the layout's nodes, in units of
+    the longest gap; `later`, `base` and `pattern` of each jump.
     """
 
     dynamics: Array
     outputs: Array
-    centre: Array
     Qw: Array
-    Rt: Array
     unit: Array
     eta: float
     nodes: Array
-    first: int
+    pieces: Index
+    later: Index
+    base: Index
+    pattern: Index
     margin: float = MARGIN
     columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """(n, m): what uncertain columns add, for multipliers; the dynamics are then those of the middle alone."""
@@ -59,6 +62,12 @@ class Posed:
     def n(self) -> int:
         """Number of states."""
         return len(self.unit)
+
+    def slopes(self, P: Array) -> tuple[Array, Array]:
+        """P at both ends of each piece, and its slope there."""
+        i, j = self.pieces, self.pieces + 1
+        slope = (P[j] - P[i]) / (self.nodes[j] - self.nodes[i])[:, None, None]
+        return np.stack([P[i], P[j]], axis=1).reshape(-1, self.n, self.n), np.repeat(slope, 2, axis=0)
 
     def turned(self, T: Array) -> Posed:
         """The same program in coordinates T'z, T (n, n): P = T P_new T'."""
@@ -74,7 +83,6 @@ class Posed:
             seen=seen,
             dynamics=dynamics,
             outputs=self.outputs @ inverse.T,
-            centre=self.centre @ inverse.T,
             unit=(unit + unit.T) / 2,
         )
 
@@ -106,8 +114,11 @@ class InclusionProgram:
         self.pairs = n * (n + 1) // 2
         self.basis = np.asarray(_conic.smat(np.eye(self.pairs)), dtype=np.float64)
         self.count = posed.nodes.size
-        self.ends = 2 * (self.count - 1)
-        self.width = self.count * self.pairs + self.ends * len(posed.seen) + 2
+        self.ends = 2 * posed.pieces.size
+        self.gains_at = self.count * self.pairs + self.ends * len(posed.seen)
+        self.open = posed.outputs.shape[1] > 1
+        self.rows = posed.outputs.shape[2]
+        self.width = self.gains_at + self.open * posed.later.size * self.rows * n + 2
         self.scale = flow_scale(posed)
         self.fixed = [*self._flow(), *self._jump()]
 
@@ -148,10 +159,10 @@ class InclusionProgram:
                 [-(self.basis @ G), -(self.basis @ p.columns) if m else np.zeros((self.pairs, n, 0))], 2
             )
             along = self._padded(-(drift + np.swapaxes(drift, 1, 2) + p.eta * self.basis), side)
-            for i, h in enumerate(np.diff(p.nodes).tolist()):
-                a, b = i * self.pairs, (i + 1) * self.pairs
-                found.append(self._block([(a, along + still / h), (b, -still / h), *self._own(2 * i)], floor))
-                found.append(self._block([(b, along - still / h), (a, still / h), *self._own(2 * i + 1)], floor))
+            for k, i in enumerate(p.pieces.tolist()):
+                a, b, h = i * self.pairs, (i + 1) * self.pairs, float(p.nodes[i + 1] - p.nodes[i])
+                found.append(self._block([(a, along + still / h), (b, -still / h), *self._own(2 * k)], floor))
+                found.append(self._block([(b, along - still / h), (a, still / h), *self._own(2 * k + 1)], floor))
         return found
 
     def _own(self, end: int) -> list[tuple[int, Array]]:
@@ -168,15 +179,48 @@ class InclusionProgram:
         return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(scaled).T))]
 
     def _jump(self) -> list[Block]:
-        p, found = self.posed, []
+        """D + C'C > 0, D what P gains; for several C [D + C'K + K'C, K'; K, I] > 0 with one K, whose Schur complement
+        D + C'C - (K - C)'(K - C) is below D + C'C for each of them, and linear in C, so that it holds for their hull.
+        """
+        p, n, found = self.posed, self.posed.n, []
         one = np.eye(self.pairs)
-        own = p.centre.T @ p.Rt @ p.centre
-        for C in p.outputs:
-            cross = C.T @ p.Rt @ p.centre
-            right = vector((1 - p.margin) * (cross + cross.T - own) - p.margin * np.eye(p.n))
-            for i in range(p.first, self.count):
-                found.append(self._block([(i * self.pairs, one), (0, -one)], right))
+        for k, (later, base, pattern) in enumerate(zip(p.later, p.base, p.pattern, strict=True)):
+            parts = [(int(later) * self.pairs, one), (int(base) * self.pairs, -one)]
+            if not self.open:
+                C = p.outputs[pattern, 0]
+                found.append(self._block(parts, vector((1 - p.margin) * C.T @ C - p.margin * np.eye(n))))
+                continue
+            floor = np.zeros((n + self.rows, n + self.rows))
+            floor[:n, :n] = -p.margin * np.eye(n)
+            floor[n:, n:] = (1 - p.margin) * np.eye(self.rows)
+            wide = [(at, self._wider(values)) for at, values in ((parts[0][0], self.basis), (parts[1][0], -self.basis))]
+            for C in p.outputs[pattern]:
+                found.append(self._block([*wide, (self.gains_at + k * self.rows * n, self._gain(C))], vector(floor)))
         return found
+
+    def _wider(self, stack: Array) -> Array:
+        """svec of [X, 0; 0, 0] for each of a stack, as columns."""
+        full = np.zeros((len(stack), self.posed.n + self.rows, self.posed.n + self.rows))
+        full[:, : self.posed.n, : self.posed.n] = stack
+        return np.asarray(_conic.svec(full).T)
+
+    def _gain(self, C: Array) -> Array:
+        """svec of [C'K + K'C, K'; K, 0] for each entry of K, as columns."""
+        n, rows = self.posed.n, self.rows
+        full = np.zeros((rows * n, n + rows, n + rows))
+        for k in range(rows * n):
+            i, j = divmod(k, n)
+            full[k, :n, j] += C[i]
+            full[k, j, :n] += C[i]
+            full[k, n + i, j] = full[k, j, n + i] = 1.0
+        return np.asarray(_conic.svec(full).T)
+
+    def gains(self, x: Array) -> Array:
+        """K of each jump, (jumps, p, n)."""
+        if not self.open:
+            return self.posed.outputs[self.posed.pattern, 0]
+        shape = self.posed.later.size, self.rows, self.posed.n
+        return np.asarray(x[self.gains_at : self.gains_at + int(np.prod(shape))].reshape(shape))
 
     def _solved(self, cost: Array, blocks: list[Block]) -> tuple[Array | None, SolverRecord]:
         m, more = len(self.posed.seen) * self.ends, len(cost) - self.width
@@ -201,7 +245,7 @@ class InclusionProgram:
         """Multipliers per piece and end."""
         m = len(self.posed.seen)
         start = self.count * self.pairs
-        return np.maximum(x[start : start + self.ends * m], 0.0).reshape(self.count - 1, 2, m)
+        return np.maximum(x[start : start + self.ends * m], 0.0).reshape(self.ends // 2, 2, m)
 
     def floor(self) -> tuple[float, Array | None, SolverRecord]:
         """The largest p with P >= p unit, and the solver's point; 0 and None where there is none."""
@@ -300,11 +344,9 @@ def vector(matrix: Array) -> Array:
 
 def flow_slacks(posed: Posed, P: Array) -> Array:
     """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
-    n, ends = posed.n, 2 * (len(P) - 1)
+    n, ends = posed.n, 2 * posed.pieces.size
     scale = flow_scale(posed)
-    h = np.diff(posed.nodes)[:, None, None]
-    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
-    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
+    both, slope = posed.slopes(P)
     least = []
     for first in range(0, len(posed.dynamics), MEMBERS):
         M = posed.dynamics[first : first + MEMBERS, None]
@@ -316,10 +358,9 @@ def flow_slacks(posed: Posed, P: Array) -> Array:
     return np.concatenate(least)
 
 
-def jump_slacks(posed: Posed, P: Array) -> Array:
-    """The least eigenvalue of the jump condition over all nodes of the range, for each C."""
-    cross = np.swapaxes(posed.outputs, 1, 2) @ posed.Rt @ posed.centre
-    own = posed.centre.T @ posed.Rt @ posed.centre
-    seen = cross + np.swapaxes(cross, 1, 2) - own
-    forms = (P[posed.first :] - P[0])[None] + seen[:, None]
-    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=1))
+def jump_slacks(posed: Posed, P: Array, gains: Array) -> Array:
+    """The least eigenvalue of the jump condition over all jumps with their gains, for each C."""
+    gained = P[posed.later] - P[posed.base] - np.swapaxes(gains, 1, 2) @ gains
+    cross = np.swapaxes(posed.outputs[posed.pattern], 2, 3) @ gains[:, None]
+    forms = gained[:, None] + cross + np.swapaxes(cross, 2, 3)
+    return np.asarray(np.linalg.eigvalsh(forms)[..., 0].min(axis=0))

@@ -9,16 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._record import Plain
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.certificates.inclusion.layout import Schedules
 from sampling_design.certificates.inclusion.members import INFLATED, InclusionWeights, PosedMembers
-from sampling_design.certificates.inclusion.program import InclusionProgram, Posed, flow_slacks, jump_slacks
+from sampling_design.certificates.inclusion.program import SMALLEST, InclusionProgram, Posed, flow_slacks, jump_slacks
 from sampling_design.certificates.inclusion.stiff import solve_stiff
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.inclusion import LinearInclusion
-from sampling_design.schedules.gap_range import GapRange
 
 Array = npt.NDArray[np.float64]
 
@@ -46,6 +47,7 @@ class InclusionSolution:
     high: float
     T: Array
     diagonals: Array | None
+    gains: Array
     record: SolverRecord
 
     @property
@@ -58,10 +60,27 @@ class InclusionSearch(PosedMembers):
     """The programs of one plant, range of gaps and choice of weights, under a budget for lambda."""
 
     def __init__(
-        self, plant: LinearInclusion, family: GapRange, weights: InclusionWeights, budget: float, seed: int = 0
+        self,
+        plant: LinearInclusion,
+        schedules: Schedules,
+        graph: PathCompleteGraph,
+        weights: InclusionWeights,
+        noise_gain: float,
+        deadline: float = np.inf,
+        seed: int = 0,
     ) -> None:
-        super().__init__(plant, family, weights, seed)
-        self.budget = budget
+        super().__init__(plant, schedules, graph, weights, seed)
+        self.noise_gain, self.deadline = noise_gain, deadline
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left; None: no end."""
+        return None if np.isinf(self.deadline) else max(self.deadline - time.perf_counter(), 0.0)
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() > self.deadline
 
     def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
         """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""
@@ -71,8 +90,12 @@ class InclusionSearch(PosedMembers):
             if fit is None:
                 return None
             turned = fit.posed.turned(fit.bound)
-            return InclusionSolution(turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, fit.record)
+            return InclusionSolution(
+                turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, np.zeros((0, 0, 0)), fit.record
+            )
         for _ in range(ROUNDS):
+            if self.late:
+                return None
             found = self._once(posed, T, narrow)
             if found is None:
                 return None
@@ -84,39 +107,44 @@ class InclusionSearch(PosedMembers):
 
     def _once(self, posed: Posed, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.pushed(posed)[self.chosen]
-        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[self.shown])
-        search = InclusionProgram(some)
+        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
+        search = InclusionProgram(some, self.left)
         floor, x, record = search.floor()
         if x is None:
             return None
         P = search.matrices(x)
-        best = self._found(some, P, T, search.diagonals(x), record)
+        best = self._found(some, P, T, (search.diagonals(x), search.gains(x)), record)
         if not best.low > 0:  # a solver that was inaccurate
             return None
         if not narrow:
             return best
         current, basis = some, np.eye(some.n)
         for _ in range(NARROWINGS):
-            x, W, record = search.narrow(best.lam, floor / self.budget)
+            if self.late:
+                break
+            x, W, record = search.narrow(best.lam, floor * max(1 / self.noise_gain, SMALLEST))
             if x is None:
                 break
             turn, P = np.asarray(np.linalg.cholesky(W)), search.matrices(x)
             current, basis = current.turned(turn), basis @ turn
             own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
-            found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, search.diagonals(x), record)
+            free = search.diagonals(x), search.gains(x) @ np.linalg.inv(turn).T
+            found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, free, record)
             if not found.low > 0:
                 break
             done = found.lam > NARROW_ENOUGH * best.lam
             best = found if found.lam < best.lam else best
             if done:
                 break
-            search = InclusionProgram(current)
+            search = InclusionProgram(current, self.left)
         return best
 
     @staticmethod
-    def _found(posed: Posed, P: Array, T: Array, diagonals: Array | None, record: SolverRecord) -> InclusionSolution:
+    def _found(
+        posed: Posed, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
+    ) -> InclusionSolution:
         values = np.linalg.eigvalsh(P)
-        return InclusionSolution(posed, P, float(values[:, 0].min()), float(values[:, -1].max()), T, diagonals, record)
+        return InclusionSolution(posed, P, float(values[:, 0].min()), float(values[:, -1].max()), T, *free, record)
 
     def _violated(self, posed: Posed, found: InclusionSolution) -> list[int]:
         """Members that the solution violates most, not yet in the program."""
@@ -128,20 +156,22 @@ class InclusionSearch(PosedMembers):
 
     def _hidden(self, posed: Posed, found: InclusionSolution) -> list[int]:
         """Outputs at which the solution's jump fails most, not yet in the program."""
-        if len(self.shown) == len(posed.outputs):
+        if len(self.shown) == posed.outputs.shape[1]:
             return []
-        least = jump_slacks(posed.turned(self._turn(posed, found)), found.P)
+        least = jump_slacks(posed.turned(self._turn(posed, found)), found.P, found.gains)
         return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.shown]
 
     def _turn(self, posed: Posed, found: InclusionSolution) -> Array:
         """The solution's coordinates in those of `posed`."""
-        return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.family.longest), found.T))
+        return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.longest), found.T))
 
     # --- from a solution to a certificate -----------------------------------------------------------------------------
 
-    def certificate(self, found: InclusionSolution, eta: float, digits: int, seconds: float) -> InclusionCertificate:
+    def certificate(
+        self, found: InclusionSolution, eta: float, pieces: int, digits: int, seconds: float
+    ) -> InclusionCertificate:
         """The certificate in physical coordinates and short decimals."""
-        nodes = self.nodes(found.posed)
+        nodes = self.layout(pieces).nodes
         P = rounded(found.T @ found.P @ found.T.T, digits)
         shape = found.T @ found.T.T
         P1, P2 = (
@@ -149,27 +179,26 @@ class InclusionSearch(PosedMembers):
             rounded((1 + ROOM) * found.high * shape, digits + 1),
         )
         lam = float(f"{(1 + 10 * ROOM) * found.lam:.9g}")
-        details: dict[str, Plain] = {"pieces": nodes.size - 1, "members": len(found.posed.dynamics), "digits": digits}
+        details: dict[str, Plain] = {
+            "pieces": found.posed.pieces.size,
+            "members": len(found.posed.dynamics),
+            "digits": digits,
+        }
         solver = replace(found.record, seconds=seconds, details={**found.record.details, **details})
         model = self.plant
         return InclusionCertificate(
-            self.centre, self.family, P1=P1, P2=P2, Qw=self.weights.Qw, R=self.weights.R, Qv=self.weights.Qv,
+            self.centre, self.schedules, P1=P1, P2=P2, Qw=self.weights.Qw, R=self.weights.R, Qv=self.weights.Qv,
             eta=eta, lam=max(lam, 1.0), lam_samples=max(lam, 1.0), solver=solver,
-            model=model, model_data=model.model_to_dict(), nodes=nodes, P=P, multipliers=self._multipliers(found),
+            model=model, model_data=model.model_to_dict(), nodes=nodes, P=P, graph=self.graph,
+            multipliers=self._multipliers(found),
         )  # fmt: skip
 
     def _multipliers(self, found: InclusionSolution) -> Array | None:
         """Those of physical columns, in short decimals."""
         if self.columns is None or found.diagonals is None:
             return None
-        own = found.diagonals / (self.family.longest * self.sizes**2)
+        own = found.diagonals / (self.longest * self.sizes**2)
         return np.array([float(f"{x:.9g}") for x in own.ravel().tolist()]).reshape(own.shape)
-
-    def nodes(self, posed: Posed) -> Array:
-        """Times since the last sample, the ends of the range as they were given."""
-        nodes = np.array([float(f"{t:.10g}") for t in (posed.nodes * self.family.longest).tolist()])
-        nodes[0], nodes[posed.first], nodes[-1] = 0.0, self.family.shortest, self.family.longest
-        return nodes
 
     def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
         """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
@@ -206,7 +235,7 @@ class InclusionSearch(PosedMembers):
             tried = 0
             for digits in precisions:
                 try:
-                    made = self.certificate(found, eta, digits, time.perf_counter() - began)
+                    made = self.certificate(found, eta, pieces, digits, time.perf_counter() - began)
                 except ArgumentError:  # so few decimals leave P or its bounds indefinite in the plant's own coordinates
                     continue
                 last = proofs > 1 and digits == precisions[-1]

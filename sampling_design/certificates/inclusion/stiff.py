@@ -71,11 +71,13 @@ class Fitted(NamedTuple):
 def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool) -> Fitted | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
     for _ in range(ROUNDS):
+        if search.late:
+            return None
         posed, _T = posing(T)
         posed = drawn(search, posed, share)
         some = replace(posed, dynamics=posed.dynamics[search.chosen] if share else posed.dynamics[:1],
-                       outputs=posed.outputs[search.shown])  # fmt: skip
-        program = InclusionProgram(some)
+                       outputs=posed.outputs[:, search.shown])  # fmt: skip
+        program = InclusionProgram(some, search.left)
         x, slack, record = solve(program)
         if x is None:
             return None
@@ -83,7 +85,10 @@ def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share:
         if not np.all(np.linalg.eigvalsh(P)[:, 0] > 0):
             return None
         if join:
-            bad, hidden = worst(flow_slacks(posed, P), search.chosen), worst(jump_slacks(posed, P), search.shown)
+            bad, hidden = (
+                worst(flow_slacks(posed, P), search.chosen),
+                worst(jump_slacks(posed, P, program.gains(x)), search.shown),
+            )
             added = adversaries(search, posed, P, T)
             if len(added):
                 count = len(search.members.dynamics)
@@ -113,9 +118,7 @@ def adversaries(search: PosedMembers, posed: Posed, P: Array, T: Array) -> Array
     if search.hull is None:
         return np.zeros((0, *search.members.dynamics.shape[1:]))
     n, scale = posed.n, flow_scale(posed)
-    h = np.diff(posed.nodes)[:, None, None]
-    slope = np.repeat(np.diff(P, axis=0) / h, 2, axis=0)
-    both = np.stack([P[:-1], P[1:]], axis=1).reshape(-1, n, n)
+    both, slope = posed.slopes(P)
     far = (1 + search.inflation) * search.hull.moves
     M, D = (search.moved(X, T)[..., None, :, :] for X in (search.hull.middle, far))
 

@@ -7,7 +7,7 @@ the balls of a cell leave an inequality open, the corners of its Jacobian are tr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -17,23 +17,20 @@ from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
 from sampling_design.certificates.form.seal import RESOLUTION
 from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Decision, Unproven, positive_definite
+from sampling_design.certificates.rigorous.region_balls import Cells, mid, parted
 from sampling_design.checkers.claims import certificate
-from sampling_design.checkers.inclusion import FLOW, JUMP
+from sampling_design.checkers.cover import judge
+from sampling_design.checkers.inclusion import FLOW, JUMP, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
-from sampling_design.checkers.programs import Instruction
+from sampling_design.checkers.outcome import Refused
 
 Array = npt.NDArray[np.float64]
-Slopes = dict[tuple[str, int], Ball]
-SUBJECT = "every plant of the model, all gaps in the range and every real window start"
+Mask = npt.NDArray[np.bool_]
+Jumps = list[tuple[Matrix, Matrix, float]]
 SHARES = (0.9, 0.0)
 """Parts of the guessed least eigenvalue that are tried as a proven slack."""
-WIDE = 1e-9
-"""Radii of a Jacobian beyond this share of the largest have their ends tried apart."""
-CORNERS = 5
-DEPTH = 60
-"""Halvings of a cell."""
-FAR = 1e9
-"""Half the width of what stands for an unbounded number: sine and cosine are between -1 and 1 there."""
+MOST_SETS = 2000
+"""Sets of C that are tried for one sample."""
 
 
 def inclusion(data: Mapping[str, object], clock: Clock) -> Decision:
@@ -46,6 +43,10 @@ def inclusion(data: Mapping[str, object], clock: Clock) -> Decision:
     """
     c = certificate(data)
     assert isinstance(c, Inclusion)
+    try:
+        judge(c.family, c.graph)
+    except Refused as error:
+        raise Unproven(error.verdict, error.inequality, error.reason) from None
     name = f"{FLOW}, {JUMP}"
     if not c.plant.n:
         return Decision(name, SUBJECT, 1.0)
@@ -99,7 +100,7 @@ def members(c: Inclusion, keys: str) -> Iterator[list[Matrix]]:
 def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]:
     """P, slope and tau at both ends of every piece."""
     found = []
-    for i in range(len(P) - 1):
+    for i in c.pieces.tolist():
         slope = (P[i + 1] - P[i]) / (ball(c.nodes[i + 1]) - ball(c.nodes[i]))
         found += [(P[i], slope, float(c.nodes[i])), (P[i + 1], slope, float(c.nodes[i + 1]))]
     return found
@@ -131,10 +132,10 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
     eta, every = ball(c.weights.eta), ends_of(c, P)
     if isinstance(c.model, Region):
 
-        def judge(A: Matrix, G: Matrix) -> Iterator[Matrix]:
+        def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
             return (flow(p, slope, A, G, Qw, eta) for p, slope, _ in every)
 
-        return Cells(c, c.model, clock).prove(FLOW, lambda M: judge(*parted(M, c.plant.n)), True)
+        return Cells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
     if c.multipliers is not None:
         return multiplied(c, every, Qw, clock)
     slack = 1.0
@@ -173,295 +174,144 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
             own = [ball(weights[k]) if j == k else ball(0.0) for j in range(m)]
             rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
             sizes.append([*([ball(0.0)] * (n + q)), *own])
-        slack = min(slack, positive(FLOW, flint().arb_mat(rows), flint().arb_mat(sizes), tau))
+        try:
+            slack = min(slack, positive(FLOW, flint().arb_mat(rows), flint().arb_mat(sizes), tau))
+        except Unproven as error:
+            raise multipliers_fail(c, error) from None
     return slack
+
+
+def multipliers_fail(c: Inclusion, error: Unproven) -> Unproven:
+    """What it says of the claim that multipliers do not prove it: refuted only with a corner that breaks it."""
+    both, slope, size, taus = pieces(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2)
+    try:
+        broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
+    except Refused as found:
+        return Unproven(REFUTED, FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
+    return Unproven(UNDECIDED, FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", **error.where)
 
 
 def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Clock) -> float:
-    """The jump condition for every member."""
-    C0 = matrix(c.plant.C)
-    own = C0.transpose() * Rt * C0
-    later = [(M, float(t)) for M, t in zip(P, c.nodes, strict=True) if c.shortest <= t <= c.longest]
-
-    def form(M: Matrix, C: Matrix) -> Matrix:
-        cross = C.transpose() * Rt * C0
-        return M - P[0] + cross + cross.transpose() - own
-
-    if isinstance(c.model, Region):
-        return Cells(c, c.model, clock).prove(JUMP, lambda C: (form(M, C) for M, _ in later), False)
+    """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
     slack = 1.0
-    for (C,) in members(c, "C"):
-        for M, tau in later:
-            clock.check()
-            slack = min(slack, positive(JUMP, form(M, C), M + P[0] + own, tau))
+    for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
+        seen = np.array(pattern, bool)
+        Y = of_some(Rt, seen)
+        every = [
+            (P[i], P[j], float(c.nodes[i]))
+            for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.seen, strict=True)
+            if np.array_equal(row, seen)
+        ]
+        if not seen.any():
+            for later, base, tau in every:
+                slack = min(slack, positive(JUMP, later - base, later + base, tau))
+        elif isinstance(c.model, Region):
+            rows = np.flatnonzero(seen).tolist()
+
+            def forms(
+                C: Matrix, B: Matrix, Y: Matrix = Y, every: Jumps = every, rows: list[int] = rows
+            ) -> Iterator[Matrix]:
+                kept, about = (flint().arb_mat([M.tolist()[k] for k in rows]) for M in (C, B))
+                shown = tangent(kept, about, Y)
+                return (later - base + shown for later, base, _ in every)
+
+            Cells(c, c.model, clock).prove(JUMP, forms, False)
+            slack = 0.0
+        else:
+            sets = OutputSets(c, seen)
+            slack = min([slack, *(sets.over(jump, Y, clock) for jump in every)])
     return slack
 
 
-def parted(M: Matrix, n: int) -> tuple[Matrix, Matrix]:
-    """The first n columns and the others."""
-    rows, q = M.tolist(), M.ncols() - n
-    empty = flint().arb_mat(len(rows), 0, [])
-    A = flint().arb_mat([row[:n] for row in rows])
-    return A, flint().arb_mat([row[n:] for row in rows]) if q else empty
+def of_some(X: Matrix, seen: Mask) -> Matrix:
+    """((X^-1) restricted to what is seen)^-1."""
+    if seen.all() or not seen.any():
+        return X
+    own, other = np.flatnonzero(seen).tolist(), np.flatnonzero(~seen).tolist()
+    rows = X.tolist()
+
+    def part(left: list[int], right: list[int]) -> Matrix:
+        return flint().arb_mat([[rows[i][j] for j in right] for i in left])
+
+    return part(own, own) - part(own, other) * part(other, other).solve(part(other, own))
 
 
-# --- the cells of a nonlinear plant's region -------------------------------------------------------------------------
+def tangent(C: Matrix, B: Matrix, Y: Matrix) -> Matrix:
+    """C'YB + B'YC - B'YB, at most C'YC."""
+    cross = C.transpose() * Y * B
+    return cross + cross.transpose() - B.transpose() * Y * B
 
 
-class Cells:
-    """The region, halved until all forms are positive for the Jacobians of every cell."""
+class OutputSets:
+    """The C of a box or a list: sets of them, named by their points, that are halved."""
 
-    def __init__(self, c: Inclusion, region: Region, clock: Clock) -> None:
-        self.c, self.region, self.clock = c, region, clock
-        self.keys = [(key, k) for key in ("x", "u", "w") for k in range(len(region.low[key]))]
-        root = np.sqrt(np.einsum("kii->i", c.P) / len(c.P))
-        self.root = root
-
-    def prove(self, name: str, forms: Callable[[Matrix], Iterator[Matrix]], of_f: bool) -> float:
-        """Raise Unproven unless every form is positive; the slack is not measured: 0 stands for "some"."""
-        low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])
-        high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])
-        pending = [(low, high, 0)]
-        while pending:
-            self.clock.check()
-            a, b, depth = pending.pop()
-            if self.outside(a, b):
-                continue
-            found = self.assembly(a, b, of_f)
-            if found is not None and self.holds(found, forms, of_f):
-                continue
-            self.refute(name, a, b, forms, of_f)
-            side = self.side(a, b, of_f)
-            if side is None or depth >= DEPTH:
-                raise Unproven(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
-            middle = a[side] / 2 + b[side] / 2
-            left, right = b.copy(), a.copy()
-            left[side] = right[side] = middle
-            pending += [(a, left, depth + 1), (right, b, depth + 1)]
-        return 0.0
-
-    def holds(self, found: Assembly, forms: Callable[[Matrix], Iterator[Matrix]], of_f: bool) -> bool:
-        """Whether all forms are positive for all matrices of a cell: as they are, else at ends of the widest slopes."""
-        if all(definite(form) is True for form in forms(found.matrix({}))):
-            return True
-        widths = {key: self.effect(size, of_f).max(initial=0.0) for key, size in found.widths().items()}
-        top = max(widths.values(), default=0.0)
-        wide = [key for key in sorted(widths, key=lambda key: -widths[key])[:CORNERS] if widths[key] > WIDE * top]
-        if not wide or not top > 0:
-            return False
-        for signs in product((-1, 1), repeat=len(wide)):
-            ends = {
-                key: found.slopes[key].upper() if sign > 0 else found.slopes[key].lower()
-                for key, sign in zip(wide, signs, strict=True)
-            }
-            if not all(definite(form) is True for form in forms(found.matrix(ends))):
-                return False
-        return True
-
-    def refute(self, name: str, a: Array, b: Array, forms: Callable[[Matrix], Iterator[Matrix]], of_f: bool) -> None:
-        """Raise Unproven(REFUTED) if a form certainly fails in the middle of a cell that lies in the region."""
-        with np.errstate(invalid="ignore"):
-            at = np.where(np.isfinite(a) & np.isfinite(b), a / 2 + b / 2, np.clip(0.0, a, b))
-        n = self.c.plant.n
-        if np.any(self.region.rows @ at[:n] > self.region.offsets):
-            return
-        M = self.jacobian(at, at, of_f)
-        if M is not None and any(definite(form) is False for form in forms(M)):
-            where = ", ".join(f"{x:.6g}" for x in at[:n])
-            raise Unproven(REFUTED, name, f"{name} fails at x = [{where}]")
-
-    def outside(self, a: Array, b: Array) -> bool:
-        """Whether a cell certainly lies outside of a half-space."""
-        for row, offset in zip(self.region.rows, self.region.offsets, strict=True):
-            ends = [(ball(r) * ball(low if r > 0 else high)) for r, low, high in zip(row, a, b, strict=False) if r]
-            if all(np.isfinite(float(x)) for x in ends) and sum(ends, ball(0.0)) > ball(offset):
-                return True
-        return False
-
-    def side(self, a: Array, b: Array, of_f: bool) -> int | None:
-        """The side whose halving narrows the Jacobian most."""
-        best: tuple[float, int | None] = (np.inf, None)
-        for j in range(a.size):
-            if not (np.isfinite(a[j]) and np.isfinite(b[j]) and a[j] < b[j]):
-                continue
-            left, right = b.copy(), a.copy()
-            left[j] = right[j] = a[j] / 2 + b[j] / 2
-            cost = sum(self.width(*ends, of_f) for ends in ((a, left), (right, b)))
-            best = min(best, (cost, j), key=lambda item: item[0])
-        return best[1]
-
-    def width(self, a: Array, b: Array, of_f: bool) -> float:
-        """How wide the Jacobian is over a cell."""
-        M = self.jacobian(a, b, of_f)
-        if M is None:
-            return 1e200
-        radii = np.array([float(x.rad()) for x in M.entries()]).reshape(M.nrows(), M.ncols())
-        return float(np.square(np.minimum(self.effect(radii, of_f), 1e90)).sum())
-
-    def effect(self, radii: Array, of_f: bool) -> Array:
-        """Radii in units in which P is about the identity."""
-        n = self.c.plant.n
-        left = self.root if of_f else np.ones(radii.shape[0])
-        right = np.concatenate([self.root, np.ones(radii.shape[1] - n)])
-        return np.asarray(radii * left[:, None] / right)
-
-    def jacobian(self, a: Array, b: Array, of_f: bool) -> Matrix | None:
-        """(A, G) or C over a cell; None where it is not finite."""
-        found = self.assembly(a, b, of_f)
-        return None if found is None else found.matrix({})
-
-    def assembly(self, a: Array, b: Array, of_f: bool) -> Assembly | None:
-        """(A, G) or C over a cell as what its slopes make of it; None where it is not finite."""
-        inputs = {key: hull(low, high) for key, low, high in zip(self.keys, a.tolist(), b.tolist(), strict=True)}
-        n, q = self.c.plant.n, self.c.plant.G.shape[1]
-        program = self.region.f if of_f else self.region.h
-        columns = [("x", k) for k in range(n)] + [("w", k) for k in range(q if of_f else 0)]
-        found = Assembly(program.code, program.outputs, columns, differentiated(program.code, inputs))
-        return found if all(x.is_finite() for x in found.matrix({}).entries()) else None
-
-
-class Assembly:
-    """The derivatives of outputs from those of what is not linear in earlier instructions.
-
-    A slope that several outputs share is one and the same number in all of them.
-    """
-
-    def __init__(
-        self,
-        code: tuple[Instruction, ...],
-        outputs: tuple[int, ...],
-        columns: list[tuple[str, int]],
-        done: list[tuple[Ball, Slopes]],
-    ) -> None:
-        self.code, self.outputs, self.columns, self.done = code, outputs, columns, done
-        self.fixed: list[bool] = []
-        for each in code:
-            inner = each.word not in ("x", "u", "w")
-            self.fixed.append(inner and all(self.fixed[k] for k in each.places))
-        self.slopes: dict[tuple[int, tuple[str, int]], Ball] = {
-            (at, column): slope
-            for at, each in enumerate(code)
-            if not self.fixed[at] and each.word not in ("x", "u", "w") and not self.linear(each)
-            for column, slope in done[at][1].items()
-        }
-
-    def linear(self, each: Instruction) -> bool:
-        """Whether an instruction is linear in what is not constant among its arguments."""
-        if each.word == "mul":
-            return any(self.fixed[k] for k in each.places)
-        return each.word in ("neg", "twice", "add", "sub") or (each.word == "div" and self.fixed[each.places[1]])
-
-    def matrix(self, ends: Mapping[tuple[int, tuple[str, int]], Ball]) -> Matrix:
-        """The derivatives, some slopes replaced by an end of theirs."""
-        made: list[Slopes] = []
-        for at, each in enumerate(self.code):
-            if self.fixed[at] or each.word == "u":
-                made.append({})
-            elif each.word in ("x", "w"):
-                made.append({(each.word, each.places[0]): ball(1.0)})
-            elif not self.linear(each):
-                made.append({column: ends.get((at, column), slope) for column, slope in self.done[at][1].items()})
-            elif each.word in ("neg", "twice"):
-                factor = ball(-1.0 if each.word == "neg" else 2.0)
-                made.append({key: factor * part for key, part in made[each.places[0]].items()})
-            else:
-                pair = [(self.done[k][0], made[k]) for k in each.places]
-                made.append(joined(each.word, pair[0], pair[1])[1])
-        zero = ball(0.0)
-        return flint().arb_mat([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
-
-    def widths(self) -> dict[tuple[int, tuple[str, int]], Array]:
-        """By how much each slope moves the derivatives: its radius times what one of it adds."""
-        still = dict.fromkeys(self.slopes, ball(0.0))
-        base = floats(self.matrix(still))
-        found = {}
-        for key, slope in self.slopes.items():
-            if float(slope.rad()) > 0:
-                found[key] = np.abs(floats(self.matrix({**still, key: ball(1.0)})) - base) * float(slope.rad())
-        return found
-
-
-def hull(low: float, high: float) -> Ball:
-    """A ball that holds [low, high]; unbounded ends reach far."""
-    a, b = max(low, -FAR), min(high, FAR)
-    if low == high:
-        return ball(low)
-    lower, upper = ball(a), ball(b)
-    found = lower.union(upper)
-    whole: Ball = flint().arb(0, float("inf"))
-    return found if np.isfinite(low) and np.isfinite(high) else whole
-
-
-def differentiated(code: tuple[Instruction, ...], inputs: dict[tuple[str, int], Ball]) -> list[tuple[Ball, Slopes]]:
-    """Values and derivatives of all instructions, in balls."""
-    done: list[tuple[Ball, Slopes]] = []
-    for each in code:
-        name, places = each.word, each.places
-        if name == "constant":
-            done.append((ball(each.value), {}))
-        elif name in ("x", "u", "w"):
-            key = (name, places[0])
-            done.append((inputs[key], {} if name == "u" else {key: ball(1.0)}))
-        elif name in ("add", "sub", "mul", "div"):
-            done.append(joined(name, done[places[0]], done[places[1]]))
+    def __init__(self, c: Inclusion, seen: Mask) -> None:
+        self.c, self.seen = c, seen
+        self.box = isinstance(c.model, Box)
+        acting = [each for each in c.model.parameters if each.C.any()] if isinstance(c.model, Box) else []
+        self.acting = acting
+        if self.box:
+            corners = list(product(*(sorted({each.low, each.high}) for each in acting)))
+            self.points = np.array(corners).reshape(len(corners), len(acting))
         else:
-            x, slopes = done[places[0]]
-            value, slope = powered(x, each.value) if name == "power" else single(name, x)
-            done.append((value, {key: slope * part for key, part in slopes.items()}))
-    return done
+            assert isinstance(c.model, Vertices)
+            self.points = np.eye(len(c.model.C))
 
+    def at(self, point: Array) -> Matrix:
+        """The rows of C that are seen."""
+        if self.box:
+            found = matrix(self.c.plant.C[self.seen])
+            for each, value in zip(self.acting, point.tolist(), strict=True):
+                found += matrix(each.C[self.seen]) * (ball(value) - ball(each.nominal))
+            return found
+        assert isinstance(self.c.model, Vertices)
+        parts = (matrix(C[self.seen]) * ball(x) for C, x in zip(self.c.model.C, point.tolist(), strict=True))
+        first = next(parts)
+        return sum(parts, first)
 
-def joined(name: str, a: tuple[Ball, Slopes], b: tuple[Ball, Slopes]) -> tuple[Ball, Slopes]:
-    """Sum, difference, product, quotient."""
-    (x, dx), (y, dy) = a, b
-    if name == "add":
-        value, left, right = x + y, ball(1.0), ball(1.0)
-    elif name == "sub":
-        value, left, right = x - y, ball(1.0), ball(-1.0)
-    elif name == "mul":
-        value, left, right = x * y, y, x
-    else:
-        value, left = x / y, 1 / y
-        right = -value / y
-    slopes = {key: left * part for key, part in dx.items()}
-    for key, part in dy.items():
-        slopes[key] = slopes.get(key, ball(0.0)) + right * part
-    return value, slopes
+    def halves(self, points: Array, found: Array) -> list[Array]:
+        """Two sets that together are one: along the side of a box, or of a simplex, that moves C most."""
+        far = np.square(found[:, None] - found[None]).sum(axis=(2, 3))
+        i, j = divmod(int(np.argmax(far)), len(points))
+        if not self.box:
+            first, second = points.copy(), points.copy()
+            first[i] = second[j] = points[i] / 2 + points[j] / 2
+            return [first, second]
+        low, high = points.min(axis=0), points.max(axis=0)
+        sizes = [float(np.abs(each.C[self.seen]).max(initial=0.0)) for each in self.acting]
+        k = int(np.argmax((high - low) * np.array(sizes)))
+        middle = low[k] / 2 + high[k] / 2
+        sides = [sorted({a, b}) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        return [np.array(list(product(*(pair if i == k else own for i, own in enumerate(sides)))))
+                for pair in ([low[k], middle], [middle, high[k]])]  # fmt: skip
 
-
-def squared(x: Ball) -> Ball:
-    """x^2, never negative."""
-    value = x * x
-    return value.nonnegative_part() if hasattr(value, "nonnegative_part") else value
-
-
-def powered(x: Ball, exponent: float) -> tuple[Ball, Ball]:
-    """x to a constant."""
-    if exponent == int(exponent):
-        k = int(exponent)
-        return x**k, ball(exponent) * x ** (k - 1)
-    value = (ball(exponent) * x.log()).exp()
-    return value, ball(exponent) * value / x
-
-
-def single(name: str, x: Ball) -> tuple[Ball, Ball]:
-    """A function of one number, and its slope."""
-    if name == "abs":
-        return abs(x), x.sgn()
-    found = {
-        "neg": lambda: (-x, ball(-1.0)),
-        "twice": lambda: (2 * x, ball(2.0)),
-        "square": lambda: (squared(x), 2 * x),
-        "inverse": lambda: (1 / x, -1 / squared(x)),
-        "sqrt": lambda: (x.sqrt(), 1 / (2 * x.sqrt())),
-        "exp": lambda: (x.exp(), x.exp()),
-        "log": lambda: (x.log(), 1 / x),
-        "sin": lambda: (x.sin(), x.cos()),
-        "cos": lambda: (x.cos(), -x.sin()),
-        "tan": lambda: (x.tan(), 1 + squared(x.tan())),
-        "atan": lambda: (x.atan(), 1 / (1 + squared(x))),
-        "tanh": lambda: (x.tanh(), 1 - squared(x.tanh())),
-        "sinh": lambda: (x.sinh(), x.cosh()),
-        "cosh": lambda: (x.cosh(), x.sinh()),
-    }
-    return found[name]()
+    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: Clock) -> float:
+        """A proven slack of one sample; Unproven where there is none."""
+        later, base, tau = jump
+        gained, slack, every, spent = later - base, 1.0, [self.points], 0
+        while every:
+            clock.check()
+            points = every.pop()
+            spent += 1
+            Cs = [self.at(point) for point in points]
+            exact = [gained + tangent(C, C, Y) for C in Cs]
+            sizes = [later + base + tangent(C, C, Y) for C in Cs]
+            if len(points) == 1:
+                slack = min(slack, positive(JUMP, exact[0], sizes[0], tau))
+                continue
+            least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
+            weakest = int(np.argmin(least))
+            if definite(exact[weakest]) is False:
+                raise Unproven(
+                    REFUTED, JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau
+                )
+            found = np.array([floats(C) for C in Cs])
+            for B in (mid(Cs[weakest]), matrix(found.mean(axis=0))):
+                if all(definite(gained + tangent(C, B, Y)) is True for C in Cs):
+                    slack = 0.0
+                    break
+            else:
+                if spent > MOST_SETS:
+                    raise Unproven(UNDECIDED, JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau)
+                every += self.halves(points, found)
+        return slack

@@ -1,4 +1,4 @@
-"""A larger noise budget never gives a longer horizon, whichever budgets are asked for, alone or as a curve."""
+"""A larger noise gain never gives a longer horizon, whichever budgets are asked for, alone or as a curve."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROUNDING = 1e-6
 
 
 @pytest.mark.parametrize(("plant", "schedule"), CASES, ids=["oscillator", "double", "finite", "four states"])
-def test_horizons_fall_along_any_list_of_budgets(plant, schedule):
+def test_horizons_fall_along_any_list_of_gains(plant, schedule):
     budgets = sorted([1.2, 1.5, 2.0, 3.0, 10.0, *np.exp(np.random.default_rng(7).uniform(0.1, 3.0, 3))])
     found = chosen(plant, schedule, weights_of(plant, None, None, None), 0.4, [float(b) for b in budgets])
     horizons = np.array([made.horizon().minimum for made in found])
@@ -27,15 +27,15 @@ def test_horizons_fall_along_any_list_of_budgets(plant, schedule):
 
 
 @pytest.mark.parametrize("budget", [1.2, 1.5, 2.0, 3.0])
-def test_a_budget_alone_gives_what_it_gives_among_others(budget):
+def test_a_gain_alone_gives_what_it_gives_among_others(budget):
     """And for the oscillator no less than the best that was ever found: 2.71, 2.39, 2.11, 1.88 were reached."""
-    alone = certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4, budget=budget).horizon().minimum
+    alone = certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4, noise_gain=budget).horizon().minimum
     curve = tradeoff_curve(OSCILLATOR, PeriodicSchedule([1.0]), 0.4, [budget, 20.0])
     assert curve.horizons[0] == pytest.approx(alone, rel=1e-9)
     assert alone < {1.2: 2.75, 1.5: 2.4, 2.0: 2.15, 3.0: 1.9}[budget]
 
 
 def test_the_rate_may_be_free():
-    made = [certify(OSCILLATOR, PeriodicSchedule([1.0]), budget=budget) for budget in (1.3, 2.5, 40.0)]
+    made = [certify(OSCILLATOR, PeriodicSchedule([1.0]), noise_gain=budget) for budget in (1.3, 2.5, 40.0)]
     horizons = np.array([one.horizon().minimum for one in made])
     assert np.all(np.diff(horizons) <= ROUNDING * horizons[:-1])

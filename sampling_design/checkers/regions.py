@@ -1,0 +1,218 @@
+"""The Jacobians of a nonlinear plant: its region is cut into cells, which are halved until each of them is proven."""
+
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+
+from .inclusion_file import Inclusion, Region
+from .numbers import EPS
+from .outcome import Refused, Undecided
+from .slopes import Parts, enclosed
+from .strict import Array, Mask, refuse
+from .work import Work
+
+CORNERS = 6  # directions of a cell's Jacobian whose corners are tried; the others are a perturbation
+MORE_CORNERS, FEW = 10, 16  # the same where no more than so many cells are judged at once
+SMALL = 1e-3  # share of the widest direction below which one is left to the perturbation
+MOST_MATRICES = 1_500_000  # matrices of one proof over cells
+BATCH = 40_000
+PRICE = 2  # work of one matrix, in microseconds
+PROJECTIONS, NEAR = 2000, 1e-9  # turns of the search for a point of a region, and how near to it one counts as in it
+
+
+def region_holds_a_point(region: Region, n: int) -> bool:
+    """Whether a state keeps the box and, to rounding, all half-spaces: projected on them in turns."""
+    low, high = region.low["x"], region.high["x"]
+    x = np.clip(np.where(np.isfinite(low) & np.isfinite(high), low / 2 + high / 2, 0.0), low, high)
+    for _ in range(PROJECTIONS):
+        over = region.rows @ x - region.offsets
+        room = NEAR * (np.abs(region.rows) @ np.abs(x) + np.abs(region.offsets))
+        if np.all(over <= room):
+            return True
+        for row, offset in zip(region.rows, region.offsets, strict=True):
+            beyond = row @ x - offset
+            if beyond > 0:
+                x = x - beyond * row / (row @ row) if row.any() else x
+        x = np.clip(x, low, high)
+    return False
+
+
+class Cells:
+    """The region of a nonlinear plant, halved until the Jacobians of every cell are proven."""
+
+    def __init__(self, c: Inclusion, region: Region, P: Array, work: Work) -> None:
+        self.c, self.region, self.work = c, region, work
+        if not region_holds_a_point(region, c.plant.n):
+            raise refuse("model", "has an empty region: no state is in its box and its half-spaces")
+        self.n = c.plant.n
+        root = np.sqrt(np.einsum("kii->i", P) / len(P))
+        self.x = root
+        rate = np.abs(np.diag(c.plant.A)) + c.weights.eta + 1 / c.longest
+        self.pace = np.sqrt(rate)
+        self.push = np.sqrt(np.diag(c.weights.Qw))
+        self.sight = 1 / np.sqrt(1 / np.diag(c.weights.R) + 1 / np.diag(c.weights.Qv))
+
+    def prove(
+        self,
+        name: str,
+        judge: Callable[[Array, Array, Array, Array], Parts],
+        of_f: bool,
+        each: int,
+        robust: Callable[[Array, Array, Array], tuple[Array, int]] | None = None,
+    ) -> float:
+        """Prove that `judge` is positive for every Jacobian in the region; return the least slack.
+
+        `judge` takes A, its radius, G, its radius and bounds a relative slack; for outputs C, its radius, the C in the
+        middle of the cell, and the radius again.
+        """
+        low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])[None]
+        high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])[None]
+        slack, spent = 1.0, 0
+        while len(low):
+            inside = self.inside(low, high)
+            low, high = low[inside], high[inside]
+            if not len(low):
+                break
+            M, E, moving = self.spread(low, high, of_f)
+            good = np.zeros(len(low), bool)
+            most = BATCH if robust is None else max(1, BATCH // (8 * each))
+            for first in range(0, len(low), most):
+                part = slice(first, first + most)
+                parts = M[part], E[part], moving[:, part]
+                if robust is None:
+                    good[part], spent, slack = self.judged(parts, judge, of_f, each, spent, slack)
+                    continue
+                left, tried = robust(*parts)
+                good[part], spent = left > 0, spent + tried
+                self.work.spend(PRICE * tried)
+                slack = min(slack, float(left[left > 0].min(initial=1.0)))
+            if good.all():
+                break
+            low, high = low[~good], high[~good]
+            self.refute(name, low, high, judge, of_f)
+            if spent > MOST_MATRICES or self.work.over:
+                raise Undecided(name, f"{name} could not be decided: {len(low)} cells of the region are left")
+            low, high = self.halved(name, low, high, of_f)
+        return slack
+
+    def inside(self, low: Array, high: Array) -> Mask:
+        """Cells that are not certainly outside of the half-spaces."""
+        found = np.ones(len(low), bool)
+        for row, offset in zip(self.region.rows, self.region.offsets, strict=True):
+            ends = np.where(row > 0, low[:, : self.n] * row, np.where(row < 0, high[:, : self.n] * row, 0.0))
+            room = (self.n + 2) * EPS * (np.abs(ends).sum(axis=1) + abs(offset))
+            found &= ~(ends.sum(axis=1) - room > offset)
+        return found
+
+    def jacobians(self, low: Array, high: Array, of_f: bool) -> Parts:
+        """Middles and radii of (A, G) side by side, or of C, over each cell."""
+        M, E, moving = self.spread(low, high, of_f)
+        return M, E + np.abs(moving).sum(axis=0)
+
+    def spread(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
+        """Middles, radii, and matrices of which any multiples in [-1, 1] may be added; see `slopes.py`."""
+        return enclosed(self.region, low, high, of_f)
+
+    def effect(self, E: Array, of_f: bool) -> Array:
+        """Sizes of the radii in units in which the diagonals of what is proven are about 1."""
+        if not of_f:
+            return np.asarray(E * self.sight[:, None] / self.x)
+        left, right = self.x / self.pace, np.concatenate([self.x * self.pace, self.push])
+        return np.asarray(E * left[:, None] / right)
+
+    def judged(
+        self,
+        parts: tuple[Array, Array, Array],
+        judge: Callable[[Array, Array, Array, Array], Parts],
+        of_f: bool,
+        each: int,
+        spent: int,
+        slack: float,
+    ) -> tuple[Mask, int, float]:
+        """Which cells are proven; the corners of the widest directions, and the others as a perturbation."""
+        M, E, moving = parts
+        finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
+        good = np.zeros(len(M), bool)
+        if not finite.any():
+            return good, spent, slack
+        E, M, moving = E[finite], M[finite], moving[:, finite]
+        worth = np.array([self.effect(np.abs(D), of_f).max() for D in moving])
+        order = np.argsort(-worth)
+        most = CORNERS if len(M) > FEW else MORE_CORNERS
+        wide = [int(k) for k in order[:most] if worth[k] > SMALL * worth.max(initial=0.0)]
+        others = [k for k in range(len(moving)) if k not in wide]
+        signs = np.array(list(product((-1.0, 1.0), repeat=len(wide)))).reshape(2 ** len(wide), len(wide))
+        size = np.abs(moving[wide]).sum(axis=0)
+        off = E + np.abs(moving[others]).sum(axis=0) + np.where(size > 0, EPS * (len(wide) + 2) * (np.abs(M) + size), 0)
+        least_of = np.full(len(M), np.inf)
+        for sign in signs:
+            at = M + np.tensordot(sign, moving[wide], 1)
+            spent += each * len(M)
+            self.work.spend(PRICE * each * len(M))
+            for first in range(0, len(M), max(1, BATCH // each)):
+                part = slice(first, first + max(1, BATCH // each))
+                below, _ = judge(*self.split(at[part], off[part], M[part], of_f))
+                least_of[part] = np.minimum(least_of[part], below)
+        good[finite] = least_of > 0
+        kept = least_of[least_of > 0]
+        return good, spent, min(slack, float(kept.min(initial=1.0)))
+
+    def split(self, M: Array, E: Array, middle: Array, of_f: bool) -> tuple[Array, Array, Array, Array]:
+        """A, its radius, G, its radius; or C, its radius, the middle of the cell, and the radius."""
+        n = self.n
+        return (M[:, :, :n], E[:, :, :n], M[:, :, n:], E[:, :, n:]) if of_f else (M, E, middle, E)
+
+    def refute(
+        self, name: str, low: Array, high: Array, judge: Callable[[Array, Array, Array, Array], Parts], of_f: bool
+    ) -> None:
+        """Refused if the inequality fails at the Jacobian in the middle of some cell that lies in the region."""
+        with np.errstate(invalid="ignore"):
+            at = np.where(np.isfinite(low) & np.isfinite(high), low / 2 + high / 2, np.clip(0.0, low, high))
+        at = at[:64]
+        held = np.all(self.region.rows @ at[:, : self.n].T <= self.region.offsets[:, None], axis=0)
+        if not held.any():
+            return
+        M, E = self.jacobians(at[held], at[held], of_f)
+        fine = np.isfinite(E).all(axis=(1, 2))
+        if not fine.any():
+            return
+        _, above = judge(*self.split(M[fine], E[fine], M[fine], of_f))
+        k = int(np.argmin(above))
+        if above[k] < 0:
+            x = at[held][fine][k, : self.n]
+            where = ", ".join(f"{v:.6g}" for v in x)
+            amount, reason = float(above[k]), f"{name} fails by {-above[k]:.3g} of its terms at x = [{where}]"
+            raise Refused(name, reason, amount, direction=x.tolist())
+
+    @staticmethod
+    def finite(low: Array, high: Array) -> Mask:
+        """Sides of cells that can be halved."""
+        found: Mask = np.isfinite(low) & np.isfinite(high) & (low < high)
+        return found
+
+    def halved(self, name: str, low: Array, high: Array, of_f: bool) -> Parts:
+        """Both halves of each cell, along the side that narrows the Jacobian most."""
+        best, side = np.full(len(low), np.inf), np.full(len(low), -1)
+        sides = [j for j in range(low.shape[1]) if np.any(self.finite(low, high)[:, j])]
+        pairs = []
+        for j in sides:
+            finite = self.finite(low, high)[:, j]
+            middle = np.where(finite, low[:, j] / 2 + high[:, j] / 2, 0.0)
+            left, right = high.copy(), low.copy()
+            left[:, j], right[:, j] = np.where(finite, middle, high[:, j]), np.where(finite, middle, low[:, j])
+            pairs += [(low, left), (right, high)]
+        if pairs:
+            lows, highs = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+            size = np.minimum(self.effect(self.jacobians(lows, highs, of_f)[1], of_f), 1e100)
+            costs = np.square(size).sum(axis=(1, 2)).reshape(len(sides), 2, len(low)).sum(axis=1)
+            for j, cost in zip(sides, costs, strict=True):
+                better = self.finite(low, high)[:, j] & (cost < best)
+                best, side = np.where(better, cost, best), np.where(better, j, side)
+        if np.any(side < 0):
+            raise Undecided(name, f"{name} could not be decided: a cell of the region cannot be halved")
+        rows = np.arange(len(low))
+        middle = low[rows, side] / 2 + high[rows, side] / 2
+        left, right = high.copy(), low.copy()
+        left[rows, side], right[rows, side] = middle, middle
+        return np.concatenate([low, right]), np.concatenate([left, high])

@@ -213,18 +213,9 @@ def certify(
         from sampling_design.certificates.families.certify_family import certify_family
 
         return certify_family(
-            plant,
-            schedule,
-            eta=eta,
-            P2=P2,
-            Qw=Qw,
-            R=R,
-            Qv=Qv,
-            noise_gain=noise_gain,
-            budget=budget,
-            memory=memory,
+            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
             progress=progress,
-        )
+        )  # fmt: skip
     if schedule is None:
         raise ArgumentError(
             "`schedule` is None, as in a design with nothing to observe: "
@@ -232,27 +223,11 @@ def certify(
         )
     if memory is not None:
         raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
-    schedule = met(plant, schedule)
-    weights = weights_of(plant, Qw, R, Qv)
-    prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
-    rate = None if eta is None else _checks.positive("eta", eta)
     if not _checks.number("noise_gain", noise_gain) > 1:
         raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
     limit = TimeLimit(None if budget is None else _checks.positive("budget", budget))
-    if not plant.n_states:
-        prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
     try:
-        if prior is None:
-            return chosen(plant, schedule, weights, rate, [float(noise_gain)], progress, limit)[0]
-        how, searched = "given weights", rate is None
-        if rate is None:
-            canon = canonical(plant, schedule, weights, prior)
-            with np.errstate(all="ignore"):
-                bounds = _bounds(plant, schedule, canon)
-                rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.half) / canon.time
-            how = "least horizon for given P2"
-        solver, known = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how}), bool(plant.n_states)
-        return certify_given(plant, schedule, prior, *weights, rate, solver, searched and known, limit)
+        return _of_schedule(plant, met(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
     except UndecidedError as error:
         if not limit.over():
             raise
@@ -260,6 +235,35 @@ def certify(
             f"undecided: no certificate was proven within `budget` = {limit.budget:g} s. Give it more time, or a rate "
             "`eta`.", **{**error.details, "status": "budget"},
         ) from None  # fmt: skip
+
+
+def _of_schedule(
+    plant: Plant,
+    schedule: AnySchedule,
+    given: tuple[object, object, object],
+    P2: object,
+    eta: float | None,
+    noise_gain: float,
+    progress: Progress | None,
+    limit: TimeLimit,
+) -> Certificate:
+    """The certificate of one schedule: for the weights that are given, others chosen."""
+    weights = weights_of(plant, *given)
+    prior = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
+    rate = None if eta is None else _checks.positive("eta", eta)
+    if not plant.n_states:
+        prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
+    if prior is None:
+        return chosen(plant, schedule, weights, rate, [float(noise_gain)], progress, limit)[0]
+    how, searched = "given weights", rate is None
+    if rate is None:
+        canon = canonical(plant, schedule, weights, prior)
+        with np.errstate(all="ignore"):
+            bounds = _bounds(plant, schedule, canon)
+            rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.half) / canon.time
+        how = "least horizon for given P2"
+    solver, known = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how}), bool(plant.n_states)
+    return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and known, limit=limit)
 
 
 def chosen(

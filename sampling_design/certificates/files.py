@@ -114,9 +114,12 @@ def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertifica
     model = None
     if not isinstance(found.model, Region):
         model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
+    periodic = data["times"]["kind"] == "periodic"
+    times = times_from_dict(data["times"]) if periodic else family_from_dict(data["times"])
+    assert not isinstance(times, Schedule)
     return InclusionCertificate(
         plant,
-        times_from_dict(data["times"]) if data["times"]["kind"] == "periodic" else family_from_dict(data["times"]),
+        times,
         **_values(data),
         graph=graph_from(data["graph"]["words"], found.graph) if "graph" in data else None,
         model=model,

@@ -144,8 +144,11 @@ def at_corners(c: Inclusion, found: Members, both: Array, slope: Array, size: Ar
     for point, M, E in zip(found.points, *found.at(found.points), strict=True):
         stacks = [np.broadcast_to(X, (len(both), *X.shape)) for X in (M[:, :n], E[:, :n], M[:, n:], E[:, n:])]
         form, terms = flow_forms(both, slope, size, stacks[0], stacks[2], Qw, c.weights.eta)
-        name = found.name(point)
-        slack = min(slack, least(FLOW, form, terms, taus, spread(both, stacks[1], stacks[3]), lambda k, w=name: w))
+
+        def who(_: int, where: str = found.name(point)) -> str:
+            return where
+
+        slack = min(slack, least(FLOW, form, terms, taus, spread(both, stacks[1], stacks[3]), who))
     return slack
 
 

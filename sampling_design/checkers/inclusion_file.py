@@ -162,14 +162,15 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
     starts = np.flatnonzero(nodes == 0)
     if not 2 <= nodes.size <= MOST_NODES or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
         raise refuse("nodes", f"must be 2 to {MOST_NODES} times that increase from 0, for each word of the graph")
-    graph = graph_of(read.get("graph"), family, plant)
+    stated = read.get("graph", {})
+    graph = graph_of(stated.get("words"), stated.get("edges", []), family, plant)
     if len(starts) not in (len(graph.words), len(graph.words) - 1):
         raise refuse("nodes", "must begin at 0 once for each word of the graph; for the start too, or not")
     if len(read["P"]) != nodes.size:
         raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
     P = np.array([sized(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
     model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts)
-    found = Inclusion(plant, weights, model, family, graph, nodes, P, jumps, None)
+    found = Inclusion(plant, weights, model, family, graph, nodes=nodes, P=P, jumps=jumps, multipliers=None)
     return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
 
 
@@ -180,18 +181,18 @@ def schedules_of(value: object, plant: Plant) -> Family:
     return family_of(value, plant)
 
 
-def graph_of(read: Tree | None, family: Family, plant: Plant) -> Graph:
+def graph_of(stated: list[list[float]] | None, listed: list[list[object]], family: Family, plant: Plant) -> Graph:
     """Words and edges, of sizes that fit each other; a range of gaps needs but one word, and need not say so."""
-    if read is None:
+    if stated is None:
         if not isinstance(family, GapRange):
             raise refuse("graph", "is missing: only a range of gaps goes without")
         seen = (True,) * len(plant.C)
         both = Edge(0, 1, 0.0, family.longest, seen), Edge(1, 1, family.shortest, family.longest, seen)
         return Graph(((), ()), both, ())
-    words = tuple(tuple(entries) for entries in read["words"])
+    words = tuple(tuple(entries) for entries in stated)
     if len(words) < 2 or words[0] != ():
         raise refuse("graph.words", "must begin with an empty word for the start, and hold another one")
-    edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(read["edges"])]
+    edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(listed)]
     return Graph(words, tuple(edges), ())
 
 

@@ -106,9 +106,10 @@ class Members:
             return
         M = self.at(points)[0]
         far = np.square(M[:, None] - M[None]).sum(axis=(2, 3))
-        for i, j in (sides := divmod(int(np.argmax(far)), len(points))), sides[::-1]:
+        i, j = divmod(int(np.argmax(far)), len(points))
+        for one in (i, j):
             other = points.copy()
-            other[i] = points[i] / 2 + points[j] / 2
+            other[one] = points[i] / 2 + points[j] / 2
             yield other
 
 

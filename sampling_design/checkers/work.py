@@ -12,7 +12,8 @@ class Work:
         self, most: float, whole: "Work | None" = None, price: float = 1.0, stop: Callable[[], bool] | None = None
     ) -> None:
         self.left, self.whole, self.price = most, whole, price  # what one unit costs the whole
-        self.stop = stop if stop is not None or whole is None else whole.stop  # says when time is over
+        inherited: Callable[[], bool] | None = None if whole is None else whole.stop
+        self.stop: Callable[[], bool] | None = inherited if stop is None else stop  # says when time is over
 
     def spend(self, amount: float) -> None:
         """Count what is about to be done."""

@@ -7,6 +7,7 @@ import pytest
 
 from sampling_design import (
     Certificate,
+    GapRange,
     PeriodicSchedule,
     Plant,
     Schedule,
@@ -343,3 +344,12 @@ def test_a_certificate_is_saved_as_json_and_as_nothing_else(tmp_path):
         with pytest.raises(ArgumentError, match=r"`path` of a certificate must end in \.json, got .*to_latex"):
             given().save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_budget_of_seconds_ends_the_search_and_then_the_proof():
+    assert certify(DOUBLE, EVERY, budget=60.0).verify().passed
+    with pytest.raises(UndecidedError, match=r"was proven within `budget` = 1e-06 s\. Give it more time"):
+        certify(DOUBLE, EVERY, budget=1e-6)
+    with pytest.raises(UndecidedError, match="no certificate was proven within the budget") as seen:
+        certify(DOUBLE, GapRange(0.5, 1.5), budget=1e-6)
+    assert seen.value.details["status"] == "budget"

@@ -19,6 +19,7 @@ from sampling_design import (
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.certificates.inclusion.program import InclusionProgram
+from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
@@ -252,7 +253,10 @@ def test_a_first_sample_that_comes_late_has_a_start_of_its_own():
             lambda d: {key: d[key] for key in d if key != "graph"},
             "`graph` is missing: only a range of gaps goes without",
         ),
-        (lambda d: {**d, "graph": {**d["graph"], "words": [[0]]}}, "`graph.words` must begin with an empty word"),
+        (
+            lambda d: {**d, "graph": {**d["graph"], "words": [[0]]}},
+            "`graph.words` must begin with an empty word for the start, and hold another one",
+        ),
         (lambda d: {**d, "nodes": [0.0, 0.0, 0.5, 0.0, 0.0, 0.7]}, "must begin at 0 once for each word"),
     ],
 )
@@ -306,6 +310,25 @@ def test_sets_of_outputs_are_halved_until_nothing_is_lost():
     assert check(made.to_dict())["verdict"] == "proven"
     wide = UncertainPlant(OSCILLATOR, [UncertainParameter("c", 0.3, 1.7, C=[[1.0, 0.0]], nominal=1.0), STIFFNESS])
     assert certify_inclusion(wide, GapRange(0.5, 1.0), eta=0.1, pieces=8).verify(rigorous=True).passed
+
+
+def test_what_is_proven_by_the_end_of_the_budget_is_returned_and_less_is_undecided(monkeypatch):
+    with pytest.raises(UndecidedError, match=r"was proven within `budget` = 1e-06 s\. Give it more time") as seen:
+        certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1, budget=1e-6)
+    assert seen.value.details["status"] == "budget"
+    assert certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1, budget=60.0).lam < 4.5
+    kept, calls = InclusionSearch.proven, []
+
+    def interrupted(self, *given):
+        calls.append(given)
+        if len(calls) > 1:
+            raise KeyboardInterrupt
+        return kept(self, *given)
+
+    monkeypatch.setattr(InclusionSearch, "proven", interrupted)
+    assert certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1).verify().passed
+    with pytest.raises(KeyboardInterrupt):
+        certify(UNCERTAIN, GapRange(0.5, 1.5), eta=0.1)
 
 
 def test_multipliers_that_prove_nothing_refute_nothing():

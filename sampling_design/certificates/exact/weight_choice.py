@@ -347,7 +347,7 @@ def choose_weights(
     UndecidedError
         If the windows of every rate are lost in rounding.
     """
-    search = WeightSearch(canon, Work(SEARCH_WORK, stop=stop))
+    search = WeightSearch(canon, work=Work(SEARCH_WORK, stop=stop))
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]

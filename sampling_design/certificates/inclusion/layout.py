@@ -55,7 +55,8 @@ def primitive(schedule: PeriodicSchedule) -> PeriodicSchedule:
     for part in (k for k in range(1, count) if count % k == 0):
         gaps, masks = schedule.gaps[:part], None if schedule.outputs is None else schedule.outputs[:part]
         same = np.array_equal(np.tile(gaps, count // part), schedule.gaps)
-        same = same and (masks is None or np.array_equal(np.tile(masks, (count // part, 1)), schedule.outputs))
+        if masks is not None and schedule.outputs is not None:
+            same = same and np.array_equal(np.tile(masks, (count // part, 1)), schedule.outputs)
         if same and schedule.first <= gaps.sum():
             return PeriodicSchedule(gaps, schedule.first, masks, time_unit=schedule.time_unit)
     return schedule
@@ -76,11 +77,12 @@ def layout_of(graph: PathCompleteGraph, pieces: int) -> Layout:
     words = range(0 if own else 1, graph.count)
     edges = own + edges
     tops = {word: max((edge.high for edge in edges if edge.source == word), default=0.0) for word in words}
-    longest, nodes, begins = max(tops.values()), [], {}
+    longest, begins = max(tops.values()), dict[int, int]()
+    nodes: list[Array] = []
     for word in words:
         ends = {end for edge in edges if edge.source == word for end in (edge.low, edge.high)}
         count = max(int(np.ceil(pieces * tops[word] / longest - 1e-9)), min(LEAST_PIECES, pieces))
-        begins[word] = sum(map(len, nodes))
+        begins[word] = sum(part.size for part in nodes)
         nodes.append(grid(tops[word], sorted(ends), count))
     found: dict[tuple[int, int, tuple[bool, ...]], None] = {}
     for edge in edges:
@@ -98,8 +100,8 @@ def grid(top: float, ends: list[float], count: int) -> Array:
         if not 0 < end < top:
             continue
         free = [t for t, taken in nodes.items() if not taken]
-        near = min(free, key=lambda t, end=end: abs(t - end), default=None)
-        if near is not None and abs(near - end) <= top / count / 2:
-            del nodes[near]
+        near = min((abs(t - end), t) for t in [*free, np.inf])
+        if near[0] <= top / count / 2:
+            del nodes[near[1]]
         nodes[end] = True
     return np.array([0.0, *sorted(nodes), top])

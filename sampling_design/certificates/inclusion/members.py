@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import product
 from typing import NamedTuple
 
@@ -51,8 +52,10 @@ class PosedMembers:
         schedules: Schedules,
         graph: PathCompleteGraph,
         weights: InclusionWeights,
+        deadline: float = np.inf,
         seed: int = 0,
     ) -> None:
+        self.deadline = deadline
         self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
         self.centre = plant.centre
         self.longest = float(graph.tops.max())
@@ -93,6 +96,16 @@ class PosedMembers:
             columns=columns, seen=seen,
         )  # fmt: skip
         return posed, T
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left; None: no end."""
+        return None if np.isinf(self.deadline) else max(self.deadline - time.perf_counter(), 0.0)
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() > self.deadline
 
     @property
     def mean(self) -> float:

@@ -218,7 +218,7 @@ class InclusionProgram:
     def gains(self, x: Array) -> Array:
         """K of each jump, (jumps, p, n)."""
         if not self.open:
-            return self.posed.outputs[self.posed.pattern, 0]
+            return np.asarray(self.posed.outputs[self.posed.pattern, 0])
         shape = self.posed.later.size, self.rows, self.posed.n
         return np.asarray(x[self.gains_at : self.gains_at + int(np.prod(shape))].reshape(shape))
 

@@ -69,18 +69,8 @@ class InclusionSearch(PosedMembers):
         deadline: float = np.inf,
         seed: int = 0,
     ) -> None:
-        super().__init__(plant, schedules, graph, weights, seed)
-        self.noise_gain, self.deadline = noise_gain, deadline
-
-    @property
-    def left(self) -> float | None:
-        """Seconds that are left; None: no end."""
-        return None if np.isinf(self.deadline) else max(self.deadline - time.perf_counter(), 0.0)
-
-    @property
-    def late(self) -> bool:
-        """Whether the time is over."""
-        return time.perf_counter() > self.deadline
+        super().__init__(plant, schedules, graph, weights, deadline, seed)
+        self.noise_gain = noise_gain
 
     def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
         """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""

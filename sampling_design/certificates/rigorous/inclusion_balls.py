@@ -20,8 +20,9 @@ from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDE
 from sampling_design.certificates.rigorous.region_balls import Cells, mid, parted
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import judge
-from sampling_design.checkers.inclusion import FLOW, JUMP, SUBJECT, broken, pieces
+from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
+from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import Refused
 
 Array = npt.NDArray[np.float64]

@@ -108,7 +108,7 @@ def estimate(
     known = None if first is None else np.atleast_1d(first)
     estimator = _estimator(settings, plant, certificate, record, start, horizon, known, bounds)
     tally = followed(settings, estimator, record, radii, words)
-    if any(status == "bounds disproved" for status in tally.status):
+    if tally.contradictions or tally.status["bounds disproved"]:
         raise typer.Exit(1)
 
 

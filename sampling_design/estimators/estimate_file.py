@@ -208,12 +208,14 @@ class EstimateBlock(NamedTuple):
     def of(cls, estimates: list[Estimate], kind: str, times: Sequence[float] | Array | None = None) -> EstimateBlock:
         """Return the block of estimates as they are written, radii of a kind (`RADII`), at their times or others."""
         when = np.array([e.t for e in estimates] if times is None else times, dtype=np.float64)
-        x, radius = np.array([e.x for e in estimates]), np.array([e.radius for e in estimates])
+        x = np.array([e.x for e in estimates])
+        radii = [] if kind == "ellipsoids" else [e.radii for e in estimates]  # first: they may disprove the bounds
+        radius = np.array([e.radius for e in estimates])
         if kind == "ellipsoids":
             variance = np.array([e.covariance.diagonal() for e in estimates])
             around = half_widths(np.repeat(radius[:, None], x.shape[1], axis=1), variance)
         else:
-            around = np.array([e.radii for e in estimates])
+            around = np.array(radii)
         return cls(
             estimates,
             times=when,
@@ -233,7 +235,12 @@ def _texts(numbers: Array) -> list[str]:
 
 
 def as_written(estimate: Estimate, kind: str) -> Estimate:
-    """Return the estimate that stands beside radii of a kind (`RADII`): itself, or moved into its interval's middle."""
+    """Return the estimate that stands beside radii of a kind (`RADII`): itself, or moved into its interval's middle.
+
+    Where they are those of intervals it is judged by these, whether they are written or not.
+    """
+    if kind == "intervals" and estimate.proof is not None:
+        estimate.interval()
     return estimate.centred() if kind == "centred" else estimate
 
 

@@ -127,7 +127,7 @@ class KalmanFilter(WindowedEstimator):
         cost = float(half @ half)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
         found = self._judged(terms, cost * (1 - ROUNDING), last)
-        if found.status == "bounds disproved" and last.sound:
+        if found.status == "bounds disproved" and last.stands:
             found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
         details["cost"] = past + cost
         return self._node(state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details)
@@ -154,7 +154,7 @@ class KalmanFilter(WindowedEstimator):
         terms = faded(first.beta, passed) + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
         terms += window.total(self._sample_energy(window.masks)) + self._heard_means(window)
         found = self._judged(terms, solution.dual, last)
-        if found.status == "bounds disproved" and last.sound:
+        if found.status == "bounds disproved" and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
             mask[0, [output for output, _, _ in means]] = 1.0
             room = float(self._sample_energy(mask)[0]) or terms
@@ -173,11 +173,15 @@ class KalmanFilter(WindowedEstimator):
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""
         (half, cost), (terms, own) = innovation, bounds
-        shown = np.where(np.isfinite(sample.y), np.abs(half), -1.0)
-        room = own if own > 0 else terms
+        seen = np.isfinite(sample.y)
+        output = int(np.argmax(np.where(seen, np.abs(half), -1.0)))
+        rest = np.where(np.arange(seen.size) == output, 0.0, seen)
+        # a bound on the norm is that of the sample: what one output leaves of it is all of it
+        alone = own - float(self._sample_energy(rest[None])[0])
+        room = alone if alone > 0 else own
         with np.errstate(divide="ignore", over="ignore"):
             factor = float(np.sqrt((cost - terms + room) / np.float64(room)))
-        return Contradiction(number, sample.t, self.plant.outputs.names[int(np.argmax(shown))], factor)
+        return Contradiction(number, sample.t, self.plant.outputs.names[output], factor)
 
     def smooth(self, record: object) -> EstimateRecord:
         """Return the estimates at all samples given all samples (fixed-interval smoother); the filter stays as it is.

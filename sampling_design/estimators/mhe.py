@@ -236,12 +236,12 @@ class MovingHorizonEstimator(WindowedEstimator):
                 terms += self._rounded(window.means.y, window.reference)
             solution = self._solve(window)
             engine, note = solution.engine, solution.note or self._left_out(sample, start)
-            found = Verdict(np.nan, solution.status, last.sound, last.estimate.contradiction)
+            found = Verdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
                 terms += self._heard(window, solution)
                 found, cost = self._judged(terms, solution.dual, last), solution.cost
-                if found.status == "bounds disproved" and last.sound:
+                if found.status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
                     found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
         if np.isnan(cost):
@@ -255,22 +255,28 @@ class MovingHorizonEstimator(WindowedEstimator):
         if not np.isfinite(terms):
             return None
         energies = self._kept_energy(window.masks) * window.discount
-        found: list[tuple[float, int, int, float]] = []
+        found: list[tuple[float, int, int, float, float]] = []
         for j in map(int, window.samples):
             for i in map(int, np.flatnonzero(window.masks[j])):
                 rest = _without(window, j, i)
                 own = float(energies[j] - self._kept_energy(rest.masks[j : j + 1])[0] * window.discount[j])
-                found.append((smooth(rest).dual - (terms - own), j, i, own))
+                # a bound on the norm is that of the sample: what one output leaves of it is all of it
+                room = own if own > 0 else float(energies[j])
+                found.append((smooth(rest).dual - (terms - own), j, i, own, room))
         if self.constraints.active or window.limits is not None:
             found.sort()
-            found = [(self._over(_without(window, j, i), terms - own), j, i, own) for _, j, i, own in found[:SUSPECTS]]
+            found = [
+                (self._over(_without(window, j, i), terms - own), j, i, own, room)
+                for _, j, i, own, room in found[:SUSPECTS]
+            ]
         for k, mean in enumerate(() if window.means is None else window.means.readings):
             rest = replace(window, means=window.means and window.means.without(k))
-            own = self._heard_means(window) - self._heard_means(rest)
-            found.append((self._over(rest, terms - own), mean.end, mean.output, own))
-        over, j, i, own = min(found)
+            own, end = self._heard_means(window) - self._heard_means(rest), mean.end
+            room = own if own > 0 else self._heard_means(window, end)
+            found.append((self._over(rest, terms - own), end, mean.output, own, room))
+        over, j, i, _, room = min(found)
         alone = over <= CONTRADICTION * terms
-        room = np.float64(own if alone else terms)
+        room = np.float64(room if alone else terms)
         with np.errstate(divide="ignore", over="ignore"):
             factor = float(np.sqrt((dual - terms + room) / room)) if np.isfinite(dual) else np.inf
         t = float(window.times[j])

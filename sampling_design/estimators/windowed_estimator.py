@@ -185,7 +185,7 @@ class WindowedEstimator(OpenLoopEstimator):
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self._lost(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
         found = self._judged(terms, optimum.dual, nodes[-1])
-        if found.status == "bounds disproved" and nodes[-1].sound:
+        if found.status == "bounds disproved" and nodes[-1].stands:
             return None
         return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
 
@@ -193,13 +193,18 @@ class WindowedEstimator(OpenLoopEstimator):
         """What is said of a mean that began before the window."""
         return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
 
-    def _heard_means(self, window: Window) -> float:
-        """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside."""
+    def _heard_means(self, window: Window, end: int | None = None) -> float:
+        """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside.
+
+        With `end` only of those that end at that node.
+        """
         if window.means is None:
             return 0.0
         masks = window.means.masks
         if not self.weights.diagonal_noise:
             masks = masks + window.masks * masks.any(axis=1, keepdims=True)
+        if end is not None:
+            masks = masks * (np.arange(len(masks)) == end)[:, None]
         return window.total(self._sample_energy(masks))
 
     def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:

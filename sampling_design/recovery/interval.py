@@ -64,16 +64,17 @@ class Disproof(Record):
     @property
     def times(self) -> Array:
         """Times of the samples that make nine tenths of it, the strongest first."""
-        return freeze(self.readings.times[self._strongest])
+        return freeze(self.readings.times[self.strongest])
 
     @property
     def samples(self) -> npt.NDArray[np.intp]:
         """The same samples, counted from 0 among all times at which something was read."""
         sampled = np.cumsum(np.diff(self.readings.offsets) > 0) - 1
-        return np.asarray(sampled[self._strongest])
+        return np.asarray(sampled[self.strongest])
 
     @property
-    def _strongest(self) -> npt.NDArray[np.intp]:
+    def strongest(self) -> npt.NDArray[np.intp]:
+        """Places of those times among all of the readings."""
         shares = np.zeros(len(self.readings.times))
         np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
         if not shares.any():

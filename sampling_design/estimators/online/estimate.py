@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -55,6 +55,10 @@ class Contradiction(NamedTuple):
     factor: float
     alone: bool = True
 
+    def told(self) -> str:
+        """What every estimate from it on says of it."""
+        return _told(self)
+
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; an infinite factor becomes None."""
         return {**self._asdict(), "factor": finite_or_none(self.factor)}
@@ -66,8 +70,18 @@ class Contradiction(NamedTuple):
         return f"{sample}, and not it alone: all bounds would have to be {self.factor:.3g} times as large"
 
 
+@lru_cache(maxsize=8)
+def _told(contradiction: Contradiction) -> str:
+    return f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
+
+
 class ProvesIntervals(Protocol):
     """What an interval is proven from."""
+
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """What the samples are known to contradict the bounds by, after the interval was asked for."""
+        ...
 
     def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array, float] | None) -> Interval:
         """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, covariance, radius)."""
@@ -98,7 +112,9 @@ class Estimate(Record):
     cost : float
         Optimal cost of the window problem (NaN where none was solved).
     certified : bool
-        The ellipsoid is proven, provided that w, v and the initial error keep their bounds.
+        The ellipsoid is proven, provided that w, v and the initial error keep their bounds. What the interval proves to
+        contradict the bounds is known once it is asked for (`interval`, `radii`, `centred`): from then on this estimate
+        and all that are made after it are not certified and have no radius, until `reset`.
     on_schedule : bool
         The certificate's a-priori claim covers this estimate: its own weights, cost and horizon, and no
         sample off its schedule so far.
@@ -159,7 +175,9 @@ class Estimate(Record):
             raise ArgumentError(
                 "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
             )
-        return self.proof.interval(self.t, of, (self.x, self.covariance, self.radius) if self.certified else None)
+        found = self.proof.interval(self.t, of, (self.x, self.covariance, self.radius) if self.certified else None)
+        _disprove(self.__dict__, self.proof.contradiction)
+        return found
 
     def centred(self) -> Estimate:
         """Return this estimate moved into the middle of its interval: no other has a smaller largest error.
@@ -179,15 +197,8 @@ class Estimate(Record):
             If the estimator was given no bound on w or on v.
         """
         found = self.interval()
-        if found.disproof is not None:
-            return changed(
-                self,
-                status="bounds disproved",
-                radius=np.nan,
-                certified=False,
-                on_schedule=False,
-                note=found.explain(),
-            )
+        if np.isnan(self.radius):
+            return changed(self, on_schedule=False)
         known = np.isfinite(found.lower) & np.isfinite(found.upper)
         if not known.all():
             x = freeze(np.where(known, found.centre, self.x))
@@ -208,9 +219,11 @@ class Estimate(Record):
 
         NaN where the data contradict the bounds, also where only the interval proves it.
         """
-        if self.proof is None or np.isnan(self.radius):
-            return self.ellipsoid_radii
-        return self.interval().radii_from(self.x)
+        if self.proof is not None and not np.isnan(self.radius):
+            found = self.interval().radii_from(self.x)
+            if not np.isnan(self.radius):
+                return found
+        return freeze(half_widths(np.asarray(self.radius), self.covariance.diagonal()))
 
     @cached_property
     def ellipsoid_radii(self) -> Array:
@@ -250,11 +263,10 @@ class Estimate(Record):
 
     def explain(self) -> str:
         """Say what this estimate promises."""
+        radii = self.radii  # before the status: what they disprove stands in it
         text = f"At {short(self.t)} the state is {short(self.x)} ({self.status})."
-        if self.certified and np.isnan(self.radii).any():
-            text += f" {self.interval().explain()}"
-        elif np.isfinite(self.radii).any():
-            text += f" It is within {short(self.radii)} of the truth, state by state, if the given bounds hold."
+        if np.isfinite(radii).any():
+            text += f" It is within {short(radii)} of the truth, state by state, if the given bounds hold."
         else:
             text += " No radius is proven."
         return text + (f" {self.note}" if self.note else "")
@@ -290,7 +302,18 @@ def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
     if "radii" in entries or "_of_states" in entries:
         for kept in ("radii", "_of_states"):
             entries.pop(kept, None)
+    if proof is not None:
+        _disprove(entries, proof.contradiction)
     return found
+
+
+def _disprove(entries: dict[str, object], contradiction: Contradiction | None) -> None:
+    """Take back what the entries of an estimate promise, if its samples are known to contradict the bounds."""
+    if contradiction is None or entries.get("contradiction") is not None:
+        return
+    note = f"{contradiction.told()} {entries.get('note', '')}".strip()
+    entries.update(status="bounds disproved", radius=np.nan, certified=False, contradiction=contradiction, note=note)
+    entries.pop("ellipsoid_radii", None)
 
 
 def changed(estimate: Estimate, **entries: object) -> Estimate:

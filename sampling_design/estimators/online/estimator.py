@@ -117,7 +117,15 @@ class EstimateRecord(Table, Gridded):
     @cached_property
     def radii(self) -> Array:
         """What each entry is off at most, (N, n): see `Estimate.radii`; computed when first asked for."""
-        return freeze(np.array([e.radii for e in self.estimates]).reshape(self.x.shape))
+        found = freeze(np.array([e.radii for e in self.estimates]).reshape(self.x.shape))
+        self._judge()
+        return found
+
+    def _judge(self) -> None:
+        """Take over what the intervals disproved when they were asked for: one verdict for both proofs."""
+        judged = self.collect(self.plant, self.estimates)
+        for key in ("radius", "status", "certified", "notes", "contradictions"):
+            object.__setattr__(self, key, getattr(judged, key))
 
     @cached_property
     def ellipsoid_radii(self) -> Array:

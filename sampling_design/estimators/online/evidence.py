@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import InputHistory, Node
 from sampling_design.estimators.online.tube import Tube, open_tube
 from sampling_design.plants.plant import Plant
 from sampling_design.recovery.gap_table import GapTable
-from sampling_design.recovery.interval import Interval, prove
+from sampling_design.recovery.interval import Disproof, Interval, prove
 from sampling_design.recovery.readings import Push, Readings, Row, StartError, gathered, rows_told
 from sampling_design.recovery.record_program import RecordProgram
 from sampling_design.recovery.rows import Wanted, wanted_rows
 
 Array = npt.NDArray[np.float64]
+
+SUSPECTS = 5
+"""Samples that are left out in turn to find the one that contradicts the bounds."""
+
+TOLD_TO = 1e-3
+"""Share within which the factor is told by which the noise of a sample would have to be larger."""
+
+FARTHEST = 1e12
+"""Factor beyond which no noise explains a sample."""
 
 REMEMBERED = 24
 """Samples that an interval looks back; what came before them is what their first one knew."""
@@ -69,6 +79,11 @@ class Evidence:
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """What is known to contradict the bounds among the samples behind it."""
+        return self.nodes[-1].contradiction
+
     def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array, float] | None = None) -> Interval:
         """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
         if self._program is None:
@@ -81,20 +96,67 @@ class Evidence:
             x, covariance, radius = ellipsoid
             z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
             outer = np.array([z - reach, z + reach]).T
-        return prove(program, t, rows, outer)
+        found = prove(program, t, rows, outer)
+        last = self.nodes[-1]
+        if found.disproof is not None and last.course is not None and last.contradiction is None:
+            last.course.tell(last.number, self._blamed(found.disproof))
+        return found
+
+    def _blamed(self, found: Disproof) -> Contradiction:
+        """Return the sample without which the rest agrees and what its noise would have to be; else the strongest."""
+        readings, names = found.readings, self.assumed.plant.outputs.names
+        numbers = {node.t: node.number for node in self.nodes}
+        suspects = [k for k in found.strongest.tolist() if numbers.get(float(readings.times[k])) and readings.rows[k]]
+
+        def named(k: int, factor: float, alone: bool) -> Contradiction:
+            first, rows = int(readings.offsets[k]), readings.rows[k]
+            j = int(np.argmax(np.abs(found.gains["all"][first : first + len(rows)]) * [row.size for row in rows]))
+            output = int(np.argmax(np.abs(self.assumed.plant.C @ rows[j].H)))
+            t = float(readings.times[k])
+            return Contradiction(numbers[t], t, names[output], factor, alone)
+
+        for k in suspects[:SUSPECTS]:
+            if self._agrees(readings, k, np.inf):
+                return named(k, self._least(readings, k), True)
+        if suspects:
+            return named(suspects[0], found.factors["all"], False)
+        last = self.nodes[-1]
+        return Contradiction(last.number, last.t, names[0], found.factors["all"], False)
+
+    def _least(self, readings: Readings, k: int) -> float:
+        """The least factor of the noise of the sample at a time with which the readings agree, to `TOLD_TO`."""
+        low, high = 1.0, 2.0
+        while not self._agrees(readings, k, high):
+            low, high = high, 2 * high
+            if high > FARTHEST:
+                return np.inf
+        while high > low * (1 + TOLD_TO):
+            middle = float(np.sqrt(low * high))
+            low, high = (low, middle) if self._agrees(readings, k, middle) else (middle, high)
+        return high
+
+    def _agrees(self, readings: Readings, k: int, factor: float) -> bool:
+        """Whether the readings agree with the bounds if the noise of the sample at a time may be so much larger."""
+        kept = () if np.isinf(factor) else tuple(row._replace(size=row.size * factor) for row in readings.rows[k])
+        rows = (*readings.rows[:k], kept, *readings.rows[k + 1 :])
+        return not any(rows) or not self.assumed.program(replace(readings, rows=rows)).contradicted
 
     def tube(self, times: Array, x: Array) -> Tube:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
         if self._program is None:
             self._program = self.assumed.program(self._readings())
-        return open_tube(self._program, times, x)
+        found = open_tube(self._program, times, x)
+        if self.contradiction is None:
+            return found
+        nothing = np.full(found.lower.shape, np.nan)
+        return Tube(found.times, nothing, nothing)
 
     def _readings(self, until: float | None = None) -> Readings:
         nodes = self.nodes[-(REMEMBERED + 1) :]
         first = nodes[0]
         start = self.assumed.error
         if first.number:
-            known = self.radius_known and first.sound and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
+            known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
             start = StartError(_root(first.beta * first.Y), True) if known else StartError()
         rows: dict[float, tuple[Row, ...]] = {}
         for node in nodes:

@@ -14,10 +14,45 @@ import numpy.typing as npt
 
 from sampling_design._checks import freeze
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
-from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import Taken
 
 Array = npt.NDArray[np.float64]
+
+
+class Course:
+    """Samples one after the other, and since which of them they are proven to contradict the bounds.
+
+    States never change, but what an interval of one of them proves, when it is asked for, holds for all that come after
+    it. So every node knows its course. A course goes on with the node after its last one; another future of an earlier
+    node is a course of its own, which knows where it left its `parent`.
+    """
+
+    __slots__ = ("_at", "_last", "_parent", "_proven")
+
+    def __init__(self, parent: Course | None = None, at: int = 0):
+        self._parent, self._at, self._last = parent, at, at
+        self._proven: tuple[int, Contradiction] | None = None
+
+    def after(self, number: int) -> Course:
+        """Return the course of the node that comes after a node of this one."""
+        course = self if number == self._last else Course(self, number)
+        course._last = number + 1
+        return course
+
+    def tell(self, number: int, contradiction: Contradiction) -> None:
+        """Take down what the samples up to a node prove."""
+        if self._proven is None or number < self._proven[0]:
+            self._proven = number, contradiction
+
+    def contradiction(self, number: int) -> Contradiction | None:
+        """Return what is known to be proven by the samples up to a node."""
+        course = self
+        while course._proven is None or course._proven[0] > number:
+            if course._parent is None:
+                return None
+            course, number = course._parent, min(number, course._at)
+        return course._proven[1]
 
 
 class Node(NamedTuple):
@@ -27,7 +62,8 @@ class Node(NamedTuple):
     on schedule, `sound` that no assumption was contradicted up to here; `y` is 0 where `mask` is 0; `number` counts
     the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
     `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
-    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off.
+    left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off;
+    `course` knows what intervals have proven of the samples up to here.
     """
 
     t: float
@@ -49,6 +85,18 @@ class Node(NamedTuple):
     limited: float = -np.inf
     held: float = 0.0
     loose: float = 0.0
+    course: Course | None = None
+
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """What contradicts the bounds up to here, whichever proof said so."""
+        own = self.estimate.contradiction
+        return own if own is not None or self.course is None else self.course.contradiction(self.number)
+
+    @property
+    def stands(self) -> bool:
+        """Whether nothing is known to contradict what is assumed."""
+        return self.sound and (self.course is None or self.course.contradiction(self.number) is None)
 
 
 class InputHistory(Sequence[tuple[float, Array]]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -19,7 +18,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
-from sampling_design.estimators.online.history import Drift, Node, State
+from sampling_design.estimators.online.history import Course, Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.rounded import Precision, faded, in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
@@ -222,6 +221,7 @@ class OpenLoopEstimator(OnlineEstimator):
             sound=True,
             estimate=estimate,
             sample=Taken(t),
+            course=Course(),
         )
         return State((node,))
 
@@ -244,7 +244,7 @@ class OpenLoopEstimator(OnlineEstimator):
             beta = np.nan
         certified = sound and not self.radius_note and math.isfinite(beta) and _is_finite(Y)
         if contradiction is not None:
-            note = f"{note} {_contradicted(contradiction)}"
+            note = f"{note} {contradiction.told()}"
         elif self.radius_note:
             note = f"{note} {self.radius_note}"
         elif not certified:
@@ -280,10 +280,11 @@ class OpenLoopEstimator(OnlineEstimator):
         )
         limited = t if sample.told else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
+        course = None if last.course is None else last.course.after(last.number)
         return Node(
             t=t, y=y, mask=mask, feedthrough=feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
             scheduled=scheduled, sound=sound, estimate=estimate, sample=sample, number=last.number + 1, limits=limits,
-            limited=limited, held=size, loose=loose,
+            limited=limited, held=size, loose=loose, course=course,
         )  # fmt: skip
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
@@ -315,9 +316,15 @@ class OpenLoopEstimator(OnlineEstimator):
         size, condition = in_units_of(Y, passed(node, flow, drift, x))
         beta = beta * (1 + FLOWN * condition + self.weights.loose) + moved(beta, size)
         scheduled = node.scheduled and self._nothing_missed(state.nodes[: at + 1], t)
-        told = node.estimate.contradiction
         found = self._estimate(
-            t, freeze(x), freeze(Y), beta, "predicted", sound=node.sound, scheduled=scheduled, contradiction=told
+            t,
+            freeze(x),
+            freeze(Y),
+            beta,
+            "predicted",
+            sound=node.stands,
+            scheduled=scheduled,
+            contradiction=node.contradiction,
         )
         return self._known(state, at, found)
 
@@ -415,9 +422,9 @@ class OpenLoopEstimator(OnlineEstimator):
     def _overflowed(self, state: State, sample: Taken, residual: Array, terms: float) -> tuple[Verdict, str]:
         """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
         last = state.last
-        contradiction, words = last.estimate.contradiction, "A measurement is too large to be weighed."
+        contradiction, words = last.contradiction, "A measurement is too large to be weighed."
         if np.isinf(terms):
-            return Verdict(np.nan, "solver failed", last.sound, contradiction), words
+            return Verdict(np.nan, "solver failed", last.stands, contradiction), words
         if contradiction is None:
             seen = np.isfinite(sample.y)
             output = int(np.argmax(np.where(seen, np.abs(residual), -1.0)))
@@ -431,20 +438,14 @@ class OpenLoopEstimator(OnlineEstimator):
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""
         beta = terms - dual
         if beta < -CONTRADICTION * terms:
-            return Verdict(0.0, "bounds disproved", False, last.estimate.contradiction)
+            return Verdict(0.0, "bounds disproved", False, last.contradiction)
         rest = (ROUNDING + self.weights.loose) * terms + moved(terms, last.held)
-        return Verdict(max(beta, 0.0) + rest, "ok", last.sound, last.estimate.contradiction)
+        return Verdict(max(beta, 0.0) + rest, "ok", last.stands, last.contradiction)
 
 
 def _counts(node: Node) -> bool:
     """Whether a node is the prior or holds a number: what a certificate's schedule is about."""
     return not node.sample.told or bool(node.mask.any())
-
-
-@lru_cache(maxsize=8)
-def _contradicted(contradiction: Contradiction) -> str:
-    """What every estimate from a contradiction on says of it."""
-    return f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
 
 
 def _is_finite(Y: Array) -> bool:

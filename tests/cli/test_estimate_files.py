@@ -1,5 +1,6 @@
-"""The command `estimate` on a file and on its shift: the same answers, times and radii; and the truth within them."""
+"""The command `estimate` says of a file what holds, whatever its clock, and never certifies what its data disprove."""
 
+import csv
 import json
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.recovery.readings import Told
+from tests.laws.test_what_contradicts_the_bounds_is_never_certified_again import ROWS, WALK
 from tests.laws.test_where_the_clock_has_its_zero_changes_no_answer import RECORDS, STILL, TIMES
 
 
@@ -71,3 +73,27 @@ def test_a_file_may_begin_with_a_mean(shell, tmp_path):
     early = sd.Measurements(STILL, [2.0], [[np.nan, -0.9]], told=((Told(0, 0.4, 0.4, 0.75),),))
     assert early.start == 0.75
     assert asked(shell, tmp_path, early)[1]["times"] == [2.0]
+
+
+@pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
+@pytest.mark.parametrize("written", [True, False])
+def test_files_and_exit_code_say_it_too(shell, tmp_path, radii, written):
+    sd.write_plant(WALK, tmp_path / "walk.toml")
+    (tmp_path / "y.csv").write_text("time,gauge\n" + "".join(f"{t},{y}\n" for t, (y,) in ROWS))
+    flags = ["--w-bound", "0.1", "--v-bound", "0.2", "--initial-error", "5", "--eta", "0.2", "--radii", radii]
+    flags += ["-o", tmp_path] if written else []
+    found = shell("estimate", tmp_path / "walk.toml", tmp_path / "y.csv", *flags)
+    assert found.code == 1
+    words = " ".join(found.out.split())
+    assert "2 of 43" in words
+    assert "contradict the bounds" in words
+    if not written:
+        return
+    data = json.loads((tmp_path / "estimates.json").read_text())
+    with open(tmp_path / "estimates.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    for k, row in enumerate(lines):
+        standing = k < 2
+        assert (row["certified"] == "1") == data["certified"][k] == standing
+        assert (row["level_radius"] != "") == (data["radii"][k] != [None]) == standing
+    assert len(data["contradictions"]) == 1

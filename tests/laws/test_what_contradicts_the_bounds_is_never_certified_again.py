@@ -1,0 +1,158 @@
+"""Both proofs have one verdict: what ellipsoid or interval disproves is certified nowhere until `reset`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.estimators.online.curve import estimate_curve
+from sampling_design.estimators.online.history import Course
+from sampling_design.recovery.record_program import RecordProgram
+
+WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
+SPRING = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["level", "rate"], outputs=["gauge"])
+BOUNDS = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 5.0}
+ROWS = [(1.0, [1.0]), (3.0, [0.5]), (4.2, [2.0]), *((4.2 + 0.5 * k, [2.0]) for k in range(1, 41))]
+"""The third sample contradicts the bounds, and no ellipsoid sees it."""
+FAR = [(1.0, [1.0]), (2.0, [90.0]), *((2.0 + 0.5 * k, [1.0]) for k in range(1, 41))]
+"""The second one does for any proof."""
+
+MAKERS = {
+    "moving horizon": lambda: sd.MovingHorizonEstimator(WALK, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDS),
+    "filter": lambda: sd.KalmanFilter(WALK, cost=sd.CostFunction(eta=0.2), maximum_delay=3.0, **BOUNDS),
+    "set": lambda: sd.SetMembershipEstimator(WALK, maximum_delay=3.0, **BOUNDS),
+}
+
+
+def stands(estimate):
+    """Whether an estimate claims anything, in any of its forms."""
+    radii, data = estimate.radii, estimate.to_dict()
+    nothing = bool(np.isnan(radii).all())
+    assert nothing == bool(np.isnan(radii).any()) == (data["radii"] == [None] * len(radii))
+    assert data["certified"] == estimate.certified == (not nothing)
+    assert nothing == (estimate.contradiction is not None) == (data["contradiction"] is not None)
+    assert nothing == np.isnan(estimate.radius) == ("contradict the bounds" in estimate.note)
+    assert nothing == ("contradict the bounds" in estimate.explain())
+    assert ("certified yes" in " ".join(str(estimate).split())) == (not nothing)
+    moved = estimate.centred()
+    assert moved.certified == (not nothing)
+    assert bool(np.isnan(moved.radii).all()) == nothing
+    return not nothing
+
+
+@pytest.mark.parametrize("rows", [ROWS, FAR], ids=["interval", "ellipsoid"])
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_contradiction_stays_until_reset(maker, rows):
+    estimator = MAKERS[maker]()
+    broken = 2 if rows is ROWS else 1
+    for k, row in enumerate(rows):
+        estimate = estimator.update(*row)
+        assert stands(estimate) == (k < broken)
+        assert stands(estimator.predict(row[0] + 0.3)) == (k < broken)
+        assert stands(estimator.predict(row[0])) == (k < broken)
+    estimator.reset([2.0], rows[-1][0])
+    assert stands(estimator.update(rows[-1][0] + 1.0, [2.0]))
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_the_record_says_one_thing_in_all_its_forms(maker):
+    record = MAKERS[maker]().run(ROWS)
+    data, frame = record.to_dict(), record.to_frame()
+    known = np.isfinite(record.radii).all(axis=1)
+    assert known.tolist() == [True, True, *[False] * (len(ROWS) - 2)]
+    assert record.certified.tolist() == data["certified"] == frame["certified"].tolist() == known.tolist()
+    assert [radii == [None] for radii in data["radii"]] == (~known).tolist()
+    assert np.isnan(record.radius[2:]).all()
+    assert record.status[2] == data["status"][2] == "bounds disproved"
+    assert "2 of them with a proven radius" in record.explain()
+    assert "contradict" in record.explain()
+    assert len(record.first_contradictions) == len(data["contradictions"]) == 1
+    assert record.centred().certified.tolist() == known.tolist()
+
+
+def test_the_sample_that_is_named_would_do_with_so_much_more_noise():
+    """Alone: with its noise times the factor the rest agrees, with a hundredth less it does not."""
+    estimator = sd.KalmanFilter(SPRING, w_bound=0.02, v_bound=0.1, initial_error=2.0)
+    truth = [(t, [float(np.cos(t)) + (0.9 if t == 3.0 else 0.0)]) for t in (0.5, 1.2, 2.1, 3.0, 3.6, 4.1)]
+    for count, row in enumerate(truth, 1):
+        estimate = estimator.update(*row)
+        estimate.interval()
+        if (found := estimate.contradiction) is not None:
+            truth = truth[:count]
+            break
+    assert (found.t, found.number, found.output, found.alone) == (3.0, 4, "gauge", True)
+    told = sd.interval(SPRING, truth, w_bound=0.02, v_bound=0.1, initial_error=2.0, prior_time=0.0).readings
+    for factor, agrees in ((found.factor, True), (0.99 * found.factor, False)):
+        rows = tuple(
+            tuple(row._replace(size=0.1 * (factor if t == 3.0 else 1.0)) for row in rows)
+            for t, rows in zip(told.times, told.rows, strict=True)
+        )
+        assert RecordProgram(replace(told, rows=rows)).contradicted == (not agrees)
+
+
+def test_a_curve_shows_nothing_from_there_on():
+    rows = sd.Measurements(WALK, [t for t, _ in ROWS[:8]], [y for _, y in ROWS[:8]])
+    curve = estimate_curve(MAKERS["filter"](), rows, 3)
+    lost = curve.tube.times > ROWS[2][0]
+    assert np.isfinite(curve.tube.upper[~lost]).sum() > 3
+    assert np.isnan(curve.tube.upper[lost]).all()
+
+
+def test_another_future_of_the_same_past_knows_nothing_of_it():
+    estimator = MAKERS["filter"]()
+    for row in ROWS[:2]:
+        state = estimator.update(*row) and estimator.state
+    wrong, estimate = estimator.step(state, ROWS[2])
+    right, other = estimator.step(state, (4.2, [0.5]))
+    assert not stands(estimate)
+    assert stands(other)
+    assert not stands(estimator.step(wrong, (5.0, [0.5]))[1])
+    assert stands(estimator.step(right, (5.0, [0.5]))[1])
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_late_sample_does_not_make_it_forgotten(maker):
+    estimator = MAKERS[maker]()
+    for row in ROWS[:5]:
+        estimate = estimator.update(*row)
+        estimate.interval()
+    assert not stands(estimator.update(4.5, [2.0]))
+
+
+def test_courses_branch():
+    whole = Course()
+    first = whole.after(0)
+    assert first is whole
+    assert first.after(1) is whole
+    branch = first.after(1)
+    assert branch is not whole
+    assert branch.after(2) is branch
+    whole.tell(2, "late")
+    assert [whole.contradiction(k) for k in (1, 2, 9)] == [None, "late", "late"]
+    assert branch.contradiction(9) is None
+    whole.tell(1, "early")
+    assert branch.contradiction(2) == "early"
+    branch.tell(3, "own")
+    assert [branch.contradiction(k) for k in (0, 1, 3)] == [None, "early", "own"]
+
+
+@pytest.mark.parametrize("bound", [0.5, [0.5, 0.25]], ids=["norm", "entries"])
+@pytest.mark.parametrize("kind", ["moving horizon", "filter"])
+def test_the_factor_of_one_output_of_several_is_the_least_that_serves(kind, bound):
+    """A bound on the norm is that of the whole sample; it had to be "inf times as large"."""
+
+    def followed(v_bound):
+        cost = sd.CostFunction(eta=0.1)
+        given = {"cost": cost, "w_bound": 0.1, "v_bound": v_bound, "initial_error": 1.0}
+        plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), outputs=["a", "b"])
+        if kind == "filter":
+            return sd.KalmanFilter(plant, **given).update(1.0, [100.0, 0.0])
+        return sd.MovingHorizonEstimator(plant, horizon=5.0, **given).update(1.0, [100.0, 0.0])
+
+    found = followed(bound).contradiction
+    assert (found.output, found.number, found.alone) == ("a", 1, True)
+    assert np.isfinite(found.factor)
+    share = np.array([found.factor, 1.0]) if np.ndim(bound) else found.factor
+    assert followed(np.multiply(bound, share * (1 + 1e-6))).contradiction is None
+    assert followed(np.multiply(bound, 0.99 * share)).contradiction is not None

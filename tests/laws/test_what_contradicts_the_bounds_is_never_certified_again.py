@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.estimators.online.curve import estimate_curve
-from sampling_design.estimators.online.history import Course
+from sampling_design.estimators.online.history import DEEPEST, Branch
 from sampling_design.recovery.record_program import RecordProgram
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
@@ -120,8 +120,8 @@ def test_a_late_sample_does_not_make_it_forgotten(maker):
     assert not stands(estimator.update(4.5, [2.0]))
 
 
-def test_courses_branch():
-    whole = Course()
+def test_branches_know_where_they_left():
+    whole = Branch()
     first = whole.after(0)
     assert first is whole
     assert first.after(1) is whole
@@ -135,6 +135,10 @@ def test_courses_branch():
     assert branch.contradiction(2) == "early"
     branch.tell(3, "own")
     assert [branch.contradiction(k) for k in (0, 1, 3)] == [None, "early", "own"]
+    for _ in range(2 * DEEPEST):
+        branch, old = Branch(branch, 3), branch
+    assert old._depth <= DEEPEST
+    assert branch.contradiction(4) == "own"
 
 
 @pytest.mark.parametrize("bound", [0.5, [0.5, 0.25]], ids=["norm", "entries"])

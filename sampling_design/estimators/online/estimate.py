@@ -83,6 +83,11 @@ class ProvesIntervals(Protocol):
         """What the samples are known to contradict the bounds by, after the interval was asked for."""
         ...
 
+    @property
+    def newly(self) -> bool:
+        """Whether the last of the samples is what made them do so."""
+        ...
+
     def interval(self, t: float, of: Wanted, ellipsoid: tuple[Array, Array, float] | None) -> Interval:
         """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, covariance, radius)."""
         ...
@@ -176,7 +181,7 @@ class Estimate(Record):
                 "`w_bound` and `v_bound` must be given to the estimator: without them no interval can be proven."
             )
         found = self.proof.interval(self.t, of, (self.x, self.covariance, self.radius) if self.certified else None)
-        _disprove(self.__dict__, self.proof.contradiction)
+        _disprove(self.__dict__, self.proof)
         return found
 
     def centred(self) -> Estimate:
@@ -303,16 +308,19 @@ def with_proof(estimate: Estimate, proof: ProvesIntervals | None) -> Estimate:
         for kept in ("radii", "_of_states"):
             entries.pop(kept, None)
     if proof is not None:
-        _disprove(entries, proof.contradiction)
+        _disprove(entries, proof)
     return found
 
 
-def _disprove(entries: dict[str, object], contradiction: Contradiction | None) -> None:
+def _disprove(entries: dict[str, object], proof: ProvesIntervals) -> None:
     """Take back what the entries of an estimate promise, if its samples are known to contradict the bounds."""
+    contradiction = proof.contradiction
     if contradiction is None or entries.get("contradiction") is not None:
         return
     note = f"{contradiction.told()} {entries.get('note', '')}".strip()
-    entries.update(status="bounds disproved", radius=np.nan, certified=False, contradiction=contradiction, note=note)
+    entries.update(radius=np.nan, certified=False, contradiction=contradiction, note=note)
+    if proof.newly and entries["status"] == "ok":
+        entries["status"] = "bounds disproved"
     entries.pop("ellipsoid_radii", None)
 
 

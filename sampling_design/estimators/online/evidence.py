@@ -84,6 +84,12 @@ class Evidence:
         """What is known to contradict the bounds among the samples behind it."""
         return self.nodes[-1].contradiction
 
+    @property
+    def newly(self) -> bool:
+        """Whether the last of the samples is what made them do so."""
+        last = self.nodes[-1]
+        return last.branch is not None and last.branch.proven_at(last.number)
+
     def interval(self, t: float, of: Wanted = None, ellipsoid: tuple[Array, Array, float] | None = None) -> Interval:
         """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
         if self._program is None:
@@ -98,8 +104,8 @@ class Evidence:
             outer = np.array([z - reach, z + reach]).T
         found = prove(program, t, rows, outer)
         last = self.nodes[-1]
-        if found.disproof is not None and last.course is not None and last.contradiction is None:
-            last.course.tell(last.number, self._blamed(found.disproof))
+        if found.disproof is not None and last.branch is not None and last.contradiction is None:
+            last.branch.tell(last.number, self._blamed(found.disproof))
         return found
 
     def _blamed(self, found: Disproof) -> Contradiction:

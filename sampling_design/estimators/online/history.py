@@ -20,39 +20,54 @@ from sampling_design.estimators.online.estimator import Taken
 Array = npt.NDArray[np.float64]
 
 
-class Course:
+DEEPEST = 32
+"""Branches of a history one within the other."""
+
+
+class Branch:
     """Samples one after the other, and since which of them they are proven to contradict the bounds.
 
     States never change, but what an interval of one of them proves, when it is asked for, holds for all that come after
-    it. So every node knows its course. A course goes on with the node after its last one; another future of an earlier
-    node is a course of its own, which knows where it left its `parent`.
+    it. So every node knows its branch. A branch goes on with the node after its last one; another future of an earlier
+    node is a branch of its own, which knows where it left its `parent`; of more than `DEEPEST` one within the other, as
+    many late samples make them, the last goes on by itself with what is known by then.
     """
 
-    __slots__ = ("_at", "_last", "_parent", "_proven")
+    __slots__ = ("_at", "_depth", "_last", "_parent", "_proven")
 
-    def __init__(self, parent: Course | None = None, at: int = 0):
-        self._parent, self._at, self._last = parent, at, at
+    def __init__(self, parent: Branch | None = None, at: int = 0):
+        self._at = self._last = at
+        self._depth: int = 0 if parent is None else parent._depth + 1
         self._proven: tuple[int, Contradiction] | None = None
+        if parent is not None and self._depth > DEEPEST:
+            if (known := parent.contradiction(at)) is not None:
+                self._proven = at, known
+            parent, self._depth = None, 0
+        self._parent = parent
 
-    def after(self, number: int) -> Course:
-        """Return the course of the node that comes after a node of this one."""
-        course = self if number == self._last else Course(self, number)
-        course._last = number + 1
-        return course
+    def after(self, number: int) -> Branch:
+        """Return the branch of the node that comes after a node of this one."""
+        branch = self if number == self._last else Branch(self, number)
+        branch._last = number + 1
+        return branch
 
     def tell(self, number: int, contradiction: Contradiction) -> None:
         """Take down what the samples up to a node prove."""
         if self._proven is None or number < self._proven[0]:
             self._proven = number, contradiction
 
+    def proven_at(self, number: int) -> bool:
+        """Whether the samples up to this node are the first that are known to prove it."""
+        return self._proven is not None and self._proven[0] == number
+
     def contradiction(self, number: int) -> Contradiction | None:
         """Return what is known to be proven by the samples up to a node."""
-        course = self
-        while course._proven is None or course._proven[0] > number:
-            if course._parent is None:
+        branch = self
+        while branch._proven is None or branch._proven[0] > number:
+            if branch._parent is None:
                 return None
-            course, number = course._parent, min(number, course._at)
-        return course._proven[1]
+            branch, number = branch._parent, min(number, branch._at)
+        return branch._proven[1]
 
 
 class Node(NamedTuple):
@@ -63,7 +78,7 @@ class Node(NamedTuple):
     the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
     `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
     left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off;
-    `course` knows what intervals have proven of the samples up to here.
+    `branch` knows what intervals have proven of the samples up to here.
     """
 
     t: float
@@ -85,18 +100,18 @@ class Node(NamedTuple):
     limited: float = -np.inf
     held: float = 0.0
     loose: float = 0.0
-    course: Course | None = None
+    branch: Branch | None = None
 
     @property
     def contradiction(self) -> Contradiction | None:
         """What contradicts the bounds up to here, whichever proof said so."""
         own = self.estimate.contradiction
-        return own if own is not None or self.course is None else self.course.contradiction(self.number)
+        return own if own is not None or self.branch is None else self.branch.contradiction(self.number)
 
     @property
     def stands(self) -> bool:
         """Whether nothing is known to contradict what is assumed."""
-        return self.sound and (self.course is None or self.course.contradiction(self.number) is None)
+        return self.sound and (self.branch is None or self.branch.contradiction(self.number) is None)
 
 
 class InputHistory(Sequence[tuple[float, Array]]):

@@ -118,7 +118,7 @@ class OnlineEstimator(ABC):
         for item in [*first, *later]:
             replayed = State((*replayed.nodes, self._advance(replayed, item)), state.inputs)
         replayed = replayed.trimmed(self.memory, self.remembered)
-        old, new = state.last.course, replayed.last.course
+        old, new = state.last.branch, replayed.last.branch
         if old is not None and new is not None and (proven := old.contradiction(state.last.number)) is not None:
             new.tell(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)

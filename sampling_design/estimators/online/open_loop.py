@@ -18,7 +18,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
 from sampling_design.estimators.online.estimator import Taken
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
-from sampling_design.estimators.online.history import Course, Drift, Node, State
+from sampling_design.estimators.online.history import Branch, Drift, Node, State
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.rounded import Precision, faded, in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
@@ -221,7 +221,7 @@ class OpenLoopEstimator(OnlineEstimator):
             sound=True,
             estimate=estimate,
             sample=Taken(t),
-            course=Course(),
+            branch=Branch(),
         )
         return State((node,))
 
@@ -244,7 +244,7 @@ class OpenLoopEstimator(OnlineEstimator):
             beta = np.nan
         certified = sound and not self.radius_note and math.isfinite(beta) and _is_finite(Y)
         if contradiction is not None:
-            note = f"{note} {contradiction.told()}"
+            note = f"{contradiction.told()} {note}".strip()
         elif self.radius_note:
             note = f"{note} {self.radius_note}"
         elif not certified:
@@ -280,11 +280,11 @@ class OpenLoopEstimator(OnlineEstimator):
         )
         limited = t if sample.told else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
-        course = None if last.course is None else last.course.after(last.number)
+        branch = None if last.branch is None else last.branch.after(last.number)
         return Node(
             t=t, y=y, mask=mask, feedthrough=feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
             scheduled=scheduled, sound=sound, estimate=estimate, sample=sample, number=last.number + 1, limits=limits,
-            limited=limited, held=size, loose=loose, course=course,
+            limited=limited, held=size, loose=loose, branch=branch,
         )  # fmt: skip
 
     def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:

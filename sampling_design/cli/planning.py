@@ -50,7 +50,8 @@ def plan(
     """Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.
 
     With -o DIR: calendar (plan.ics), sheet, form to fill in, picture, and files for the other commands; the page "From
-    opening hours to a calendar" of the documentation goes through them.
+    opening hours to a calendar" of the documentation goes through them. Ctrl-C ends the search: files of the best plan
+    that it holds are written, if there is one (exit code 130).
 
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
@@ -92,7 +93,8 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     if result.certificate is not None:
         settings.wrote(result.certificate.save(folder / "certificate.json"))
     elif "certificate" in result.left_out:
-        settings.notice("certificate.json is not written: `--search-seconds` were spent before it was made.")
+        why = "interrupted" if result.status == "interrupted" else "`--search-seconds` were spent before it was made"
+        settings.notice(f"certificate.json is not written: {why}.")
     settings.wrote(save_picture(result, folder / "plan.png"))
     if dates is not None and dates.entries and result.requirement.calendar is not None:
         real, zone = dates.schedule(), result.requirement.calendar.zone

@@ -72,7 +72,7 @@ _ROBUSTNESS = table(
 _TREE: Reader = table(
     {
         "format": word(FORMAT),
-        "status": word("complete", "budget"),
+        "status": word("complete", "budget", "interrupted"),
         "plant": anything,
         "requirement": anything,
         "schedule": anything,

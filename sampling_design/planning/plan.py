@@ -100,7 +100,8 @@ def plan(
     Returns
     -------
     Plan
-        With `verify()`, which works out everything anew without a solver.
+        With `verify()`, which works out everything anew without a solver. An interrupt (KeyboardInterrupt) after the
+        search holds something ends it: the best of that by proof, with the status "interrupted", and what is left out.
 
     Raises
     ------
@@ -134,20 +135,28 @@ def plan(
     problem = pose_plan(plant, requirement)
     seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
     run = _Planning(problem, seconds, progress)
-    found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
+    try:
+        found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
+    except KeyboardInterrupt:
+        found = run.interrupted()
     work, left_out = run.oracle.work, list[str]()
-    if found.bound.ratio is None and work.over:
+    if found.bound.ratio is None and (work.over or found.status == "interrupted"):
         left_out.append("bound")
     work.until(*AFTER[2], firm=True)
 
     def room_for(name: str, make: Callable[[Plan, Work], Made | None]) -> Made | None:
-        if progress:
-            progress(0.9, name)
+        nonlocal found
         try:
-            return make(found, work)
+            if found.status != "interrupted":
+                if progress:
+                    progress(0.9, name)
+                return make(found, work)
         except WorkSpentError:
-            left_out.append(name)
-            return None
+            pass
+        except KeyboardInterrupt:
+            found = replace(found, status="interrupted")
+        left_out.append(name)
+        return None
 
     certified = room_for("certificate", plan_certificate) if certificate else None
     bears = room_for("robustness", plan_robustness) if robustness else None
@@ -218,6 +227,24 @@ class _Planning:
             frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
         )
         return self._record(best, gathered(search.pool, ratio, least), sure)
+
+    def interrupted(self) -> Plan:
+        """The best of what the search holds, by proof; what else is known of it is left out.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If it holds nothing yet.
+        """
+        held, work = self.search.held, self.oracle.work
+        if not held:
+            raise KeyboardInterrupt
+        work.limit, work.firm = 0.0, False
+        if self.problem.requirement.aim == "cheapest":
+            best = self.held.cheapest([chosen for chosen, _ in held], self._densest())
+        else:
+            best = self.held.sharpest(held, self.held.proven(held[-1][0]))
+        return _plan(self.problem, best.chosen, best.proof, PlanBound((), None, None), "interrupted")
 
     def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""

@@ -58,7 +58,8 @@ class Plan(PlanFigures):
         What the plan proves for each goal, in the goal's unit, at the times that it asks for.
     bound : PlanBound
     status : str
-        "complete" where nothing better can be found on the raster (to the search's accuracy), else "budget".
+        "complete" where nothing better can be found on the raster (to the search's accuracy), "interrupted" where the
+        call was, else "budget".
     certificate : Certificate or None
         That the samples show the whole state, with a rate; None where they do not, or where it was not asked for.
     robustness : PlanRobustness or None
@@ -152,7 +153,8 @@ class Plan(PlanFigures):
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""
-        return f"{self.missing()}: `search_seconds` were spent; give more"
+        why = "interrupted" if self.status == "interrupted" else "`search_seconds` were spent; give more"
+        return f"{self.missing()}: {why}"
 
     def missing(self) -> str:
         """The same for whoever has no command to give."""

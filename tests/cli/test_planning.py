@@ -1,6 +1,7 @@
 """plan: from one file to a plan, its files and its picture."""
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.planning import plan
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.search import PlanSearch
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SMALL = """format = "sampling-design/plan-requirement/1"
@@ -57,3 +59,21 @@ def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
     assert "`PLANT` is missing" in result.err
     with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
         plan(Settings("plan"), tmp_path / "wanted.toml")
+
+
+def test_an_interrupt_writes_the_files_of_what_the_search_holds(shell, tmp_path, monkeypatch):
+    keep = PlanSearch.keep
+
+    def kept(search, chosen, worst):
+        keep(search, chosen, worst)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(PlanSearch, "keep", kept)
+    (tmp_path / "wanted.toml").write_text(SMALL)
+    before = signal.getsignal(signal.SIGINT)
+    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", tmp_path / "out")
+    signal.signal(signal.SIGINT, before)
+    assert result.code == 130
+    assert "certificate.json is not written: interrupted." in " ".join(result.err.split())
+    assert json.loads((tmp_path / "out" / "plan.json").read_text())["status"] == "interrupted"
+    assert (tmp_path / "out" / "plan.png").read_bytes().startswith(b"\x89PNG")

@@ -8,6 +8,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.oracle import Oracle
 from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}
@@ -111,6 +113,33 @@ def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     assert best.samples == 2
     assert best.status == "budget"  # motions that w drives are what the search goes by, and here there are none
     assert best.bound.ratio is None or best.bound.ratio.level <= best.ratio
+
+
+@pytest.mark.parametrize("words", ["samples", "certificate"])
+@pytest.mark.parametrize("limit", [{}, {"samples": 4}])
+def test_an_interrupt_leaves_what_the_search_holds(words, limit, tmp_path):
+    def interrupt(_, message):
+        if words in message:
+            raise KeyboardInterrupt
+
+    wanted = sd.PlanRequirement({"position": 0.5}, **{**GIVEN, "raster": 0.4}, **limit)
+    found = sd.plan(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
+    assert found.status == "interrupted"
+    assert found.keeps
+    assert found.left_out == (("bound",) if words == "samples" else ()) + ("certificate", "robustness")
+    assert found.explain().endswith("may be lost: interrupted.")
+    back = sd.load_plan(save_plan(found, tmp_path / "plan.json"))
+    assert back.verify()
+    assert back.status == "interrupted"
+
+
+def test_an_interrupt_before_anything_is_held_is_one(monkeypatch):
+    def rung(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Oracle, "judge", rung)
+    with pytest.raises(KeyboardInterrupt):
+        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.5}, **GIVEN), **BARE)
 
 
 def test_what_nobody_can_afford_is_refused():

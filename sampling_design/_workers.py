@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import pickle
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+    wait,
+)
 from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
@@ -17,7 +29,10 @@ MOST_KILLED = 3
 """Times that processes may be killed in a row before any of them has finished a job."""
 
 PATIENCE = 5.0
-"""Seconds after which an address where no scheduler answers is said to be none."""
+"""Seconds after which an address where no scheduler answers is said to be none, and a silent one is asked."""
+
+LONGEST_WITHOUT = 60.0
+"""Seconds for which a cluster may have no worker: one that grows with its work needs some of them to begin."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -25,10 +40,16 @@ Result = TypeVar("Result")
 
 @runtime_checkable
 class Client(Protocol):
-    """What hands out an executor: a Dask client."""
+    """What hands out an executor and knows who works there: a Dask client."""
+
+    status: str
 
     def get_executor(self) -> Executor:
         """Return the executor that runs on the client's machines."""
+        ...
+
+    def nthreads(self) -> Mapping[str, int]:
+        """Return the workers that are there, with their threads."""
         ...
 
     def close(self) -> None:
@@ -68,15 +89,16 @@ def mapped(
 ) -> Iterator[Result]:
     """Yield function(item) for every item, computed by `workers`; in order, or as they are finished.
 
-    A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, or by
-    this one where the executor is not ours to renew.
+    A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, by this
+    one where the executor is not ours to renew, or by the other workers of a Dask cluster.
 
     Raises
     ------
     ArgumentError
         As `check_workers`.
     SolverError
-        If processes keep being killed before they finish anything.
+        If processes keep being killed before they finish anything; if the scheduler of a cluster is lost, or its last
+        worker, or a job kills every worker that takes it up. What was finished by then has been yielded.
     """
     found = numbered(function, items, workers)
     if not ordered:
@@ -110,6 +132,9 @@ def numbered(
         return ((k, function(item)) for k, item in todo.items())
     if isinstance(workers, (Executor, Client)):
         given = workers if isinstance(workers, Executor) else workers.get_executor()
+        client = getattr(given, "_client", None) if isinstance(workers, Executor) else workers
+        if isinstance(client, Client):
+            return _on_a_cluster(function, todo, given, client)
         if isinstance(given, ProcessPoolExecutor):
             _check_can_travel(function, todo)
         return _surviving(function, todo, given, None)
@@ -208,6 +233,63 @@ def _surviving(
             )
 
 
+def _on_a_cluster(
+    function: Callable[[Item], Result], todo: dict[int, Item], executor: Executor, client: Client
+) -> Iterator[tuple[int, Result]]:
+    """Yield what the workers of a Dask cluster compute; a dead one is replaced by the others, as Dask does."""
+    futures = dict[Future[Result], int]()
+    killed = done = 0
+
+    def ended(why: str) -> SolverError:
+        return SolverError(
+            f"`workers`: {why}, with {len(todo) - done} of {len(todo)} jobs left. What was finished is kept where "
+            "`resume` names a file (`-o DIR` on the command line): the same call goes on from there."
+        )
+
+    try:
+        for k, item in todo.items():
+            try:
+                futures[executor.submit(function, item)] = k
+            except Exception:
+                if client.status == "running":
+                    raise
+                raise ended("the Dask scheduler was lost") from None
+        for future in _finished(futures, client, ended):
+            try:
+                result = future.result()
+            except CancelledError:
+                raise ended("the Dask scheduler was lost") from None
+            except Exception as error:
+                if not isinstance(error, getattr(sys.modules.get("distributed"), "KilledWorker", ())):
+                    raise
+                killed += 1
+                continue
+            done += 1
+            yield futures[future], result
+        if killed:
+            raise ended("the jobs that are left killed every worker of the cluster that took them up (out of memory?)")
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def _finished(
+    futures: Iterable[Future[Result]], client: Client, ended: Callable[[str], SolverError]
+) -> Iterator[Future[Result]]:
+    """Yield futures as they end, unless the cluster is left without scheduler or without workers."""
+    waiting, seen = set(futures), time.monotonic()
+    while waiting:
+        found, waiting = wait(waiting, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+        yield from sorted(found, key=lambda future: future.cancelled() or future.exception() is not None)
+        try:
+            if found or client.nthreads():
+                seen = time.monotonic()
+        except (OSError, TimeoutError):
+            raise ended("the Dask scheduler was lost") from None
+        if time.monotonic() - seen > LONGEST_WITHOUT:
+            raise ended(f"the Dask cluster has had no worker for {LONGEST_WITHOUT:g} s")
+
+
 def cluster(address: str) -> Client:
     """Return a Dask client of a scheduler.
 
@@ -222,6 +304,13 @@ def cluster(address: str) -> Client:
         from distributed import Client as DaskClient
     except ImportError:
         raise MissingExtraError("distributed", "distributed") from None
+    for name in (
+        "distributed",
+        "distributed.client",
+        "distributed.core",
+        "tornado.application",
+    ):  # what is lost is said once, by us
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         found: Client = DaskClient(address, timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:

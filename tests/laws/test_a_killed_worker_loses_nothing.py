@@ -1,8 +1,10 @@
 """Work that a kill interrupts is finished, and what was done before is not done again; the result is the same bits."""
 
 import os
+import subprocess
 import sys
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+import time
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 
@@ -38,6 +40,110 @@ class Breaking(ThreadPoolExecutor):
             lost.set_exception(BrokenProcessPool("killed"))
             return lost
         return super().submit(function, *args)
+
+
+class Cluster(Executor):
+    """A Dask client and its executor: jobs whose number stands in `fate` end as that says, later ones never."""
+
+    def __init__(self, fate, workers=1, status="running"):
+        self.fate, self.workers, self.status, self.given = fate, workers, status, 0
+        self._client = self
+
+    def get_executor(self):
+        return self
+
+    def close(self):
+        self.status = "closed"
+
+    def nthreads(self):
+        if self.workers is None:
+            raise OSError("gone")
+        return {f"tcp://{k}": 1 for k in range(self.workers)}
+
+    def submit(self, function, /, *args):
+        fate, future = self.fate[self.given], Future()
+        self.given += 1
+        if fate == "closed":
+            self.status = "closed"
+            raise RuntimeError("cannot schedule new futures")
+        if fate == "cancelled":
+            future.cancel()
+            future.set_running_or_notify_cancel()
+        elif isinstance(fate, Exception):
+            future.set_exception(fate)
+        elif fate == "done":
+            future.set_result(function(*args))
+        return future
+
+
+def killed():
+    from distributed import KilledWorker
+
+    return KilledWorker("job", None, 3)
+
+
+@pytest.mark.parametrize("give", [lambda cluster: cluster, lambda cluster: cluster.get_executor()])
+@pytest.mark.parametrize(
+    ("fate", "workers", "told"),
+    [
+        (["done", "cancelled", "cancelled"], 1, "the Dask scheduler was lost, with 2 of 3 jobs left"),
+        (["done", "closed", "done"], 1, "the Dask scheduler was lost, with 3 of 3 jobs left"),
+        (["done", "lasting", "lasting"], None, "the Dask scheduler was lost, with 2 of 3 jobs left"),
+        (["done", "lasting", "done"], 0, "the Dask cluster has had no worker for 0.1 s, with 1 of 3 jobs left"),
+        ([killed(), "done", "done"], 1, "the jobs that are left killed every worker .* with 1 of 3 jobs left"),
+    ],
+)
+def test_a_cluster_that_dies_leaves_what_it_did(fate, workers, told, give, tmp_path, monkeypatch):
+    monkeypatch.setattr(_workers, "PATIENCE", 0.01)
+    monkeypatch.setattr(_workers, "LONGEST_WITHOUT", 0.1)
+    path = tmp_path / "sweep.journal"
+    with pytest.raises(SolverError, match=f"`workers`: {told}. What was finished is kept where `resume` names"):
+        sweep(QUESTION, SCHEDULES, workers=give(Cluster(fate, workers)), resume=path)
+    done = 0 if "closed" in fate else fate.count("done")
+    again = Cluster(["done"] * (3 - done))
+    assert sweep(QUESTION, SCHEDULES, workers=again, resume=path).to_dict() == sweep(QUESTION, SCHEDULES).to_dict()
+    assert again.given == 3 - done
+
+
+def test_an_error_of_a_job_on_a_cluster_is_its_own():
+    with pytest.raises(ZeroDivisionError, match="its own"):
+        list(_workers.mapped(eval, ["1"], Cluster([ZeroDivisionError("its own")])))
+    with pytest.raises(IndexError, match="list index out of range"):  # it cannot be sent
+        list(_workers.mapped(eval, ["1"], Cluster([])))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dies", ["scheduler", "workers"])
+def test_a_real_cluster_that_dies_leaves_what_it_did(dies, monkeypatch, tmp_path):
+    import distributed.cli.dask_scheduler
+    import distributed.cli.dask_worker
+
+    file = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", distributed.cli.dask_scheduler.__name__, "--host", "127.0.0.1", "--port", "0"]
+    started = [subprocess.Popen([*command, "--no-dashboard", "--scheduler-file", file], stderr=subprocess.DEVNULL)]
+    command = [sys.executable, "-m", distributed.cli.dask_worker.__name__, "--no-nanny", "--nthreads", "1"]
+    started.append(subprocess.Popen([*command, "--scheduler-file", file, "--no-dashboard"], stderr=subprocess.DEVNULL))
+    try:
+        client = distributed.Client(scheduler_file=str(file), timeout=60)
+        while not client.nthreads():
+            time.sleep(0.1)
+        monkeypatch.setattr(_workers, "PATIENCE", 0.2)
+        monkeypatch.setattr(_workers, "LONGEST_WITHOUT", 1.0)
+        jobs, found = [f"(__import__('time').sleep(0.3), {k})[1]" for k in range(9)], []
+
+        def keep(result):
+            found.append(result)
+            started[dies == "workers"].kill()
+
+        with pytest.raises(SolverError, match=r"`workers`: the Dask (scheduler was lost|cluster has had no worker)"):
+            list(map(keep, _workers.mapped(eval, jobs, client)))
+        assert found == list(range(len(found)))
+        assert 0 < len(found) < 9
+        client.close()
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 def test_processes_are_renewed(tmp_path):

@@ -47,7 +47,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Do not even read, for long tests, a file that marks none."""
     if not config.getoption("--long") or collection_path.suffix != ".py":
         return None
-    return "pytest.mark.long" not in collection_path.read_text() or None
+    text = collection_path.read_text()
+    return not ("pytest.mark.long" in text or "few(" in text) or None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

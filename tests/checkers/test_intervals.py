@@ -80,6 +80,7 @@ CODE += [
 SIZES = {"x": 2, "u": 0, "w": 1}
 
 
+@pytest.mark.long
 def test_derivatives_over_a_cell_hold_differences():
     program = programs.read({"code": CODE, "outputs": [14, 29]}, "f", SIZES)
     rng = np.random.default_rng(2)

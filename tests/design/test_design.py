@@ -141,6 +141,7 @@ def test_a_budget_that_ran_out_is_told_and_the_proof_still_stands():
     assert design.verify()
 
 
+@pytest.mark.long
 def test_a_budget_cuts_relaxations_and_branches_of_a_large_design_too():
     ends = [0.0, *(24.0 * day + hour for day in range(30) for hour in (7.0, 19.0)), 720.0]
     nights = np.array(ends).reshape(-1, 2)
@@ -164,6 +165,7 @@ def test_a_bound_never_grows_by_branching():
     assert designs[2].verify()
 
 
+@pytest.mark.long
 def test_closed_times_are_branched_on_too():
     requirement = Requirement(window=4.0, spacing=0.3, samples=5, forbidden=[[0.0, 1.2]])
     design = design_schedule(oscillator(), requirement, starts=2, branches=40)

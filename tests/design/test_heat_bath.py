@@ -17,6 +17,7 @@ from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.design.search.heat_bath import HeatBath, annealed, places
 from sampling_design.design.search.rotations import rotated
 from tests.benchmarks.design_bounds import PROBLEMS
+from tests.cases import few
 
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 A = np.zeros((5, 5))
@@ -83,7 +84,7 @@ def test_of_one_state_the_step_is_the_eigenvalue_itself():
     np.testing.assert_allclose(bath.seen(others, *bath.rows(others)), 20.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("plant", [ALONE, MIXED])
+@pytest.mark.parametrize("plant", few([ALONE, MIXED], 0))
 def test_the_best_of_all_arrangements_is_found(plant):
     """Six samples over three hours of five days, all 5005 arrangements looked at, begun at one that sees half of it."""
     case = problem(plant, 5, 6)
@@ -99,7 +100,9 @@ def test_the_best_of_all_arrangements_is_found(plant):
     assert float(worst_sigma2(case, start[None])[0]) < 0.5 * best
 
 
-@pytest.mark.parametrize(("repeats", "samples", "spacing"), [(3, 7, 0.32), (9, 4, 0.6), (6, 12, 0.3), (5, 5, 0.9)])
+@pytest.mark.parametrize(
+    ("repeats", "samples", "spacing"), few([(3, 7, 0.32), (9, 4, 0.6), (6, 12, 0.3), (5, 5, 0.9)], 1)
+)
 def test_nothing_inadmissible_comes_out_and_the_best_start_is_beaten_or_kept(repeats, samples, spacing):
     case = problem(ALONE, repeats, samples, spacing=spacing)
     found = relax_placed(case)
@@ -137,6 +140,7 @@ def test_none_where_flow_or_relaxation_do_not_serve_or_a_run_would_be_too_long(m
     assert annealed(case, found, starts, rng) == []
 
 
+@pytest.mark.long
 def test_it_is_asked_only_where_something_is_left_to_gain(monkeypatch):
     case = problem(ALONE, 3, 7)
     found, asked = relax_placed(case), []

@@ -50,6 +50,7 @@ def test_a_file_of_another_requirement_is_refused(tmp_path):
         pareto(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
 
 
+@pytest.mark.long
 def test_executors_and_backends_give_the_same_front():
     plain = pareto(PLANT, REQUIREMENT, [2, 3], **OPTIONS)
     with ThreadPoolExecutor(2) as pool:

@@ -34,6 +34,7 @@ def test_spread_and_shares_undo_each_other(forbidden):
     np.testing.assert_allclose(shares_of(case, times), shares, atol=1e-9)
 
 
+@pytest.mark.long
 def test_kicks_leave_a_poor_local_optimum():
     case = problem(forbidden=np.array([[i, i + 0.55] for i in range(6)]), samples=10, spacing=0.1)
     poor = packed(case)
@@ -49,6 +50,7 @@ def test_kicks_leave_a_poor_local_optimum():
     assert over.trials == []  # as good as the bound already
 
 
+@pytest.mark.long
 def test_fixed_samples_are_never_kicked():
     case = problem(fixed=np.array([1.0, 4.0]))
     found = search(case, relax_placed(case), np.random.default_rng(0), starts=1)

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import positions, window_grams, worst_sigma2
+from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 PLANTS = {
@@ -86,7 +87,7 @@ def test_a_sample_that_enters_as_another_leaves_is_not_counted_on():
     assert worst_sigma2(problem, later[None])[0] == pytest.approx(found[0], rel=0.05)
 
 
-@pytest.mark.parametrize("period", [3.0, 3.5])
+@pytest.mark.parametrize("period", few([3.0, 3.5], 0))
 def test_even_spacing_is_proven_where_its_times_are_exact(period):
     plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
     samples = int(2 * period)

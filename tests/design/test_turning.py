@@ -15,6 +15,7 @@ from sampling_design.design.search.fedorov_exchange import is_admissible, spread
 from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours
 from sampling_design.design.search.smooth import smoothed
+from tests.cases import few
 from tests.oracles.design import random_schedule
 
 TURN = [[0.0, 1.0], [-1.0, 0.0]]
@@ -107,13 +108,16 @@ def test_the_smooth_function_lies_just_below_and_its_slope_is_its_own(period):
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"fixed": np.array([1.0, 4.0])},
-        {"forbidden": np.array([[0.0, 1.0], [2.5, 3.0]])},
-        {"available": (None, np.array([[1.0, 2.0], [4.0, 5.0]]))},
-        {"spacing": 0.8},
-    ],
+    few(
+        [
+            {},
+            {"fixed": np.array([1.0, 4.0])},
+            {"forbidden": np.array([[0.0, 1.0], [2.5, 3.0]])},
+            {"available": (None, np.array([[1.0, 2.0], [4.0, 5.0]]))},
+            {"spacing": 0.8},
+        ],
+        0,
+    ),
 )
 def test_it_leads_as_far_as_semidefinite_programs_mostly_and_keeps_to_what_is_asked(changes):
     case, rng = problem(**changes), np.random.default_rng(9)

@@ -19,6 +19,7 @@ from sampling_design.design.bounds.zones import (
     zoned,
 )
 from sampling_design.design.problem.numbers import DesignProblem
+from tests.cases import few
 from tests.oracles.design import random_schedule
 
 COUNTED = ("late", "early")
@@ -174,12 +175,15 @@ def test_follower_zones_hold_the_followers_of_every_sample(side):
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"fixed": np.array([0.5, 2.2])},
-        {"fixed": np.array([0.2, 1.0, 3.1])},
-        {"fixed": np.array([0.9]), "forbidden": np.array([[1.2, 2.0]])},
-        {"forbidden": np.array([[0.3, 1.2], [2.0, 2.1]])},
-    ],
+    few(
+        [
+            {"fixed": np.array([0.5, 2.2])},
+            {"fixed": np.array([0.2, 1.0, 3.1])},
+            {"fixed": np.array([0.9]), "forbidden": np.array([[1.2, 2.0]])},
+            {"forbidden": np.array([[0.3, 1.2], [2.0, 2.1]])},
+        ],
+        0,
+    ),
 )
 def test_every_schedule_lies_in_a_region_of_sorted_samples_and_in_one_only(changes):
     case, rng, seen = problem(spacing=0.15, **changes), np.random.default_rng(5), 0

@@ -45,6 +45,7 @@ def test_every_command_is_explained(pages):
         assert all(max(p.opts, key=len) in section for p in command.params if p.param_type_name == "option")
 
 
+@pytest.mark.long
 def test_imports_are_counted_and_go_down(pages):
     level = {room: k for k, rooms in enumerate(pages.FLOORS) for room in rooms}
     found = pages.imports_between(ROOT / "sampling_design")

@@ -79,6 +79,7 @@ def test_every_lecture_has_a_slider_that_may_be_missing_and_no_plumbing():
         assert not any("def picture" in cell or "plt.close" in cell for cell in code), path.stem
 
 
+@pytest.mark.long
 def test_pictures_show_by_themselves_in_a_kernel():
     assert run("run", LECTURES[0]) >= 3
 

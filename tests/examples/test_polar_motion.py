@@ -60,6 +60,7 @@ def test_bounds_too_small_are_disproved_and_those_that_are_used_are_not(pole):
     assert p.proven(pole, days, SCALE, days[-1]).contradiction == 0.0
 
 
+@pytest.mark.long
 def test_the_scale_is_the_least_that_is_not_disproved(pole):
     """The rule on the one stretch that decides it, asked again on both sides of what it found."""
     last = 48_020

@@ -133,6 +133,7 @@ def test_a_tolerance_that_is_not_kept_says_when():
     assert "at no time is it kept" in told
 
 
+@pytest.mark.long
 def test_a_plan_is_made_on_request_and_keeps_the_tolerance():
     bench = scene("plan")
     opened = bench.answer({"ask": "open"})

@@ -9,6 +9,7 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.errors import InfeasibleRequirementError
+from tests.cases import few
 from tests.oracles.requirements import Problem, random_admissible, random_problem, sigma_of
 
 SEEDS = (0, 3, 8, 13, 23, 51, 60, 74, 97, 113, 118)
@@ -81,6 +82,7 @@ def test_as_many_samples_as_can_be_paid_are_designed():
     assert len(design.schedule) == 6
 
 
+@pytest.mark.long
 def test_samples_that_must_tie_are_tied():
     w = 0.731813784889781
     plant = np.array([[0.0, w], [-w, 0.0]]), np.array([[0.16810587, 0.54840545]])
@@ -123,7 +125,7 @@ def test_what_leaves_a_window_as_something_else_enters_it_does_so_to_the_last_bi
 
 
 @pytest.mark.parametrize(
-    ("A", "window"), [([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)]
+    ("A", "window"), few([([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)], 0)
 )
 def test_growth_within_the_window_leaves_no_gap(A, window):
     asked = problem((np.array(A), np.array([[1.0, 0.0]])), window=window, period=window, spacing=0.02, samples=4)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, library, pareto, sample_losses
+from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 THREE = Plant(
@@ -38,7 +39,7 @@ def spent(function):
     return result, time.process_time() - began
 
 
-@pytest.mark.parametrize("budget", [0.0, 1.0])
+@pytest.mark.parametrize("budget", few([0.0, 1.0], 0))
 @pytest.mark.parametrize("name", LARGE)
 def test_a_design_ends_in_time_with_what_it_has(name, budget):
     plant, asked = LARGE[name]
@@ -61,6 +62,7 @@ def test_a_front_shares_its_budget_among_the_counts():
     assert sum(p.sigma > 0 for p in front.points) >= 3
 
 
+@pytest.mark.long
 def test_losses_end_in_time():
     plant, asked = LARGE["closed times"]
     design = design_schedule(plant, Requirement(**asked), budget=0.0)

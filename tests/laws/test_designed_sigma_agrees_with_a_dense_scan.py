@@ -26,6 +26,7 @@ def test_pair_of_oscillators(period):
     assert_agrees(design_schedule(Plant(A, C), requirement, starts=3, branches=1), A, C)
 
 
+@pytest.mark.long
 def test_satellite():
     plant = library.satellite()
     requirement = Requirement(window=5554.0, spacing=60.0, samples=6)

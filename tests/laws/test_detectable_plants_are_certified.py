@@ -34,6 +34,7 @@ def test_a_drawn_plant_is_certified(seed):
     assert np.isfinite(made.horizon().minimum)
 
 
+@pytest.mark.long
 def test_outputs_that_are_nearly_exact_in_the_plants_units(monkeypatch):
     """Eight states, noises 1e-30 of what a unit disturbance does: composed periods once settled nowhere."""
     monkeypatch.setattr(weight_choice, "SEARCH_WORK", weight_choice.SEARCH_WORK / 20)  # the best first guess will do
@@ -214,6 +215,7 @@ def test_a_window_that_starts_at_a_sample_counts_for_both_lambdas():
         assert riccati.starts_at_sample(problem, riccati.located(problem, start, 4.0)) is at_sample, start
 
 
+@pytest.mark.long
 def test_what_doubles_cannot_follow_is_certified_in_more_digits(monkeypatch):
     """Chains of integrators and a growing one, driven by one disturbance: nothing settles in doubles."""
     monkeypatch.setattr(precise, "ROOM", (1.0, 1.0, 3.0))  # the widest at once

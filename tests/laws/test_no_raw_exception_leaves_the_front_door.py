@@ -13,6 +13,7 @@ import sampling_design as sd
 from sampling_design._record import Record
 from sampling_design.errors import CallError
 from tests import front_door
+from tests.cases import few
 
 SEEDS = range(4)
 CALLS = 200
@@ -39,6 +40,7 @@ FOUND = (
 """Calls that were raw once, found by seeds 90101 to 90104 and 91001 to 91030."""
 
 
+@pytest.mark.long
 def test_calls_that_were_raw_once_are_no_longer(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     doors = {door.name: door for door in front_door.doors()}
@@ -46,7 +48,7 @@ def test_calls_that_were_raw_once_are_no_longer(tmp_path, monkeypatch):
     assert {str(call): found for call in calls if (found := call.raw())} == {}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", few(SEEDS, 0))
 def test_random_calls_end_in_a_value_or_in_one_sentence(seed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # "nosuch" is a name that a file may have
     raw = {str(call): found for call in front_door.drawn(CALLS, seed) if (found := call.raw())}

@@ -38,6 +38,7 @@ def test_enumeration_of_a_grid_stays_below_the_bound_and_within_the_gap(case):
     assert design.sigma_attained <= design.upper_bound * (1 + 1e-9)
 
 
+@pytest.mark.long
 def test_enumeration_with_forbidden_and_fixed_times():
     rules = {"forbidden": [[0.5, 1.5]], "fixed": [0.0]}
     design = designed(OSCILLATOR, 4.0, 0.5, 3, **rules)

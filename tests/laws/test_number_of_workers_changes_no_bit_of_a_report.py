@@ -56,11 +56,13 @@ def test_threads(alone):
         assert report(pool) == alone
 
 
+@pytest.mark.long
 def test_processes(alone):
     with processes() as pool:
         assert report(pool) == alone
 
 
+@pytest.mark.long
 def test_joblib_backends(alone):
     assert report("threading") == alone
     assert report(1) == alone

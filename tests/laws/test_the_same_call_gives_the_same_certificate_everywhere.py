@@ -87,6 +87,7 @@ def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):
         certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6))
 
 
+@pytest.mark.long
 def test_two_calls_write_one_file_and_a_file_of_before_still_holds(tmp_path):
     plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
     one, two = (certify(plant, schedule).save(tmp_path / name).read_bytes() for name in ("one.json", "two.json"))

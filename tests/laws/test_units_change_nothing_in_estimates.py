@@ -25,6 +25,7 @@ from sampling_design import (
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from tests.benchmarks.baselines import standard_mhe
+from tests.cases import few
 from tests.rescale import Units
 
 GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(6)
@@ -125,7 +126,7 @@ def one(plant):
     return Units(np.ones(3), np.ones(2), np.ones(1), np.ones(2))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, 0, 1, 2))
 def test_moving_horizon_estimates(kind):
     make = moving_horizon(kind)
     for seed in SEEDS:
@@ -173,6 +174,7 @@ def test_the_clocks_zero(kind, offset):
         assert same_estimate(a, b, shifted)
 
 
+@pytest.mark.long
 def test_certificates_schedules_validation_and_records():
     for seed in range(3):
         plant, units, weights, other, _ = setting(seed)
@@ -226,7 +228,7 @@ def test_planned_against_actual_times(c, offset):
     assert (a.kept is None) == (b.kept is None)
 
 
-@pytest.mark.parametrize("kind", ["free", "boxes", "disturbance ball"])
+@pytest.mark.parametrize("kind", few(["free", "boxes", "disturbance ball"], 0))
 def test_intervals(kind):
     make = moving_horizon(kind)
     for seed in SEEDS:

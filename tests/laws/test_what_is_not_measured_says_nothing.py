@@ -20,6 +20,7 @@ from sampling_design import (
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from tests.cases import few
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, -0.4]])
 SEEN = [0, 2]
@@ -60,7 +61,7 @@ SETS = {
 }
 
 
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("name", few(SETS, 0, 1))
 @pytest.mark.parametrize(
     ("form", "engine"),
     [({}, "auto"), ({"arrival": "filtered"}, "auto"), ({"form": "paper"}, "auto"), ({}, "reference")],
@@ -102,6 +103,7 @@ def test_filter_and_smoother_are_those_without_the_output():
         assert a.cost == pytest.approx(b.cost, rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_worst_pair_reaches_a_certificate_with_missing_outputs_and_none_breaks_it():
     """The certificate takes rows off covariances too, so that its worst pair is as near to equality as with all."""
     plant, _, whole, _, _ = setting(5)

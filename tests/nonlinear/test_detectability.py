@@ -33,6 +33,7 @@ def test_both_sides_are_those_of_plain_sums():
     assert found == pytest.approx(sides[:, 1] / sides[:, 0], rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_certificate_of_a_linear_plant_is_never_refuted():
     certificate = certify(OSCILLATOR, SCHEDULE)
     weights = {key: getattr(certificate, key) for key in ("P2", "Qw", "R", "Qv", "eta")}
@@ -92,6 +93,7 @@ def test_the_same_generator_gives_the_same_evidence():
     assert np.array_equal(twice[0].ratios, twice[1].ratios)
 
 
+@pytest.mark.long
 def test_pairs_that_leave_the_set_are_left_out_and_counted():
     # from x > 0.5 the plant leaves its box within the time
     walk = NonlinearPlant(lambda x, u, w: [0.5 + 0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1},
@@ -136,6 +138,7 @@ def test_an_output_that_is_not_measured_says_nothing():
     assert found == pytest.approx(sides[:, 1] / sides[:, 0], rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_mask_that_hides_an_output_gives_another_verdict():
     # x' = x; only the first output sees it, and it is never measured
     plant = NonlinearPlant(lambda x, u, w: [x[0] + w[0]], lambda x, u, v: [x[0] + v[0], v[1]],

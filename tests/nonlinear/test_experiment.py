@@ -62,6 +62,7 @@ def test_between_samples_the_estimate_is_the_open_loop(twenty_days):
     assert twenty_days.sample_based[first:second] * SCALING == pytest.approx(path * SCALING, abs=1e-7)
 
 
+@pytest.mark.long
 def test_readings_share_the_noise_and_differ_in_what_it_does():
     runs = [patient_run(case, 0, days=1.0) for case in CASES]
     noise = [run.outputs - run.truth[:, [1, 2, 4]] for run in runs]
@@ -98,6 +99,7 @@ def test_a_result_file_is_gone_on_with(tmp_path, monkeypatch):
         thyroid_experiment(3, **options, degree=4)
 
 
+@pytest.mark.long
 def test_two_processes_give_what_one_gives(tmp_path):
     one, two = (thyroid_experiment(2, cases=["per_day"], days=0.25, workers=k) for k in (1, 2))
     assert one.rmse("per_day", "standard") == pytest.approx(two.rmse("per_day", "standard"), rel=1e-7)

@@ -67,6 +67,7 @@ def test_the_scheme_equals_shooting():
     assert scheme.window.edges[0] == pytest.approx(0.75)
 
 
+@pytest.mark.long
 def test_with_boxes_that_bind_it_equals_shooting():
     plant = PENDULUM.with_bounds(disturbances=(-0.05, 0.05), noises=(-0.04, 0.04))
     scheme = check_against_shooting(plant, (-0.05, 0.05, -0.04, 0.04))

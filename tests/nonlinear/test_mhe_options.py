@@ -54,6 +54,7 @@ def test_a_grid_that_is_too_coarse_is_refined():
     assert scheme.solves[-1].degree == scheme.search.degree
 
 
+@pytest.mark.long
 def test_a_grid_that_stays_too_coarse_is_named():
     scheme, found, _ = last_error([0.0, 16.0], collocation=Collocation(w_step=16.0))
     assert scheme.search.halvings == 3
@@ -115,6 +116,7 @@ def test_covariance_and_arrival_are_those_of_the_linear_estimator(form, arrival,
     np.testing.assert_allclose(beyond.covariance, ahead.covariance, rtol=1e-2, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_smoothed_window_is_in_units_and_knows_the_samples_after():
     _, scheme = paired("certificate", "fixed")
     window = scheme.smoothed()
@@ -235,6 +237,7 @@ def spoiled(**options):
     return found, np.abs(found.x - truth).max(axis=1)
 
 
+@pytest.mark.long
 def test_an_outlier_spoils_only_the_plain_estimate():
     _, plain = spoiled()
     _, robust = spoiled(outliers=Outliers(huber=1.5))

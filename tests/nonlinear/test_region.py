@@ -59,6 +59,7 @@ def test_no_pair_of_pendulums_violates_it(swinging):
     assert least >= 1.0
 
 
+@pytest.mark.long
 def test_angles_that_are_bounded_bear_longer_gaps():
     found = {
         most: longest_gap(examples.pendulum(largest_angle=most), eta=0.05, most=3.2, pieces=8).family.longest

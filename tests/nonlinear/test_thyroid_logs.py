@@ -19,6 +19,7 @@ from sampling_design.nonlinear.thyroid_logs import (
     patient_in_tube,
     patient_under_therapy,
 )
+from tests.cases import few
 from tests.oracles import patients
 
 FILE = Path(__file__).parents[2] / "examples" / "data" / "thyroid_patient.json"
@@ -51,7 +52,7 @@ def test_the_region_holds_start_prior_and_course(start, sign):
     assert patient_in_tube().region.holds(logarithms(states)).all()
 
 
-@pytest.mark.parametrize("start", [TRUE_START, PRIOR_START])
+@pytest.mark.parametrize("start", few([TRUE_START, PRIOR_START], 0))
 def test_the_region_under_therapy_holds_its_course(start):
     """The full dose, and one that comes and goes, with the printed disturbances."""
     w = np.tile(PROCESS_BOUND, (DAYS.size, 1)) * np.where(np.arange(DAYS.size) % 2, 1.0, -1.0)[:, None]
@@ -66,6 +67,7 @@ def test_the_region_under_therapy_holds_its_course(start):
     assert not patient_under_therapy().region.holds(logarithms(overdosed)).all()
 
 
+@pytest.mark.long
 def test_the_patient_under_therapy_is_certified_with_windows_below_5_days():
     found = load_certificate(THERAPY)
     assert found.verify().verdict == "proven"

@@ -231,6 +231,7 @@ def test_existence_that_is_not_decided_says_so():
         existence_over_box(oscillator(), schedule, 0.1, margin_on(schedule, 0.1), seconds=0.0)
 
 
+@pytest.mark.long
 def test_the_largest_box_ends_where_the_schedule_aliases():
     plant, schedule = oscillator(0.5, 2.0), PeriodicSchedule([2.8])
     edge = (np.pi / 2.8) ** 2

@@ -4,6 +4,7 @@ import pytest
 from sampling_design import ArgumentError, Plant, critical_length
 from sampling_design.errors import NotObservableError
 from sampling_design.observability.count.critical_length import _compound
+from tests.cases import few
 from tests.oracles import zero_count as oracle
 
 PAIR = [1j, -1j]
@@ -35,7 +36,7 @@ def test_real_spectrum_has_no_critical_length():
     assert critical_length([]) == np.inf
 
 
-@pytest.mark.parametrize(("eigenvalues", "expected"), TABLE[1:])
+@pytest.mark.parametrize(("eigenvalues", "expected"), few(TABLE[1:], 0))
 def test_minors_in_fifty_digits_agree(eigenvalues, expected):
     """Nothing vanishes before, and the same minor is found on a grid around the value."""
     assert oracle.minor_zero(eigenvalues, expected * 0.05, expected * 0.99, 60) is None
@@ -44,7 +45,7 @@ def test_minors_in_fifty_digits_agree(eigenvalues, expected):
 
 
 @pytest.mark.parametrize(
-    "eigenvalues", [[0, *PAIR], [0, 0, 0, *PAIR], [1j, -1j, 3j, -3j], [-1, -2, 0.1 + 1j, 0.1 - 1j]]
+    "eigenvalues", few([[0, *PAIR], [0, 0, 0, *PAIR], [1j, -1j, 3j, -3j], [-1, -2, 0.1 + 1j, 0.1 - 1j]], 0)
 )
 def test_below_it_any_n_times_do(eigenvalues):
     A, C = oracle.companion(eigenvalues)
@@ -61,7 +62,7 @@ def test_below_it_any_n_times_do(eigenvalues):
 
 
 @pytest.mark.parametrize(
-    "eigenvalues", [[0, *PAIR], [0, 0, 0, *PAIR], [-1, -2, 0.1 + 1j, 0.1 - 1j], [-1, 0.2 + 2j, 0.2 - 2j]]
+    "eigenvalues", few([[0, *PAIR], [0, 0, 0, *PAIR], [-1, -2, 0.1 + 1j, 0.1 - 1j], [-1, 0.2 + 2j, 0.2 - 2j]], 0)
 )
 def test_just_above_it_some_n_times_fail(eigenvalues):
     """n-k times near 0 and k near h: for some k the determinant has both signs, so it vanishes in between."""
@@ -81,6 +82,7 @@ def test_just_above_it_some_n_times_fail(eigenvalues):
     assert above >= {1, -1}
 
 
+@pytest.mark.long
 def test_stiff_spectra_keep_accuracy():
     """Minors of e^{A_c t} itself lose all digits where real parts differ by 30/t; the compound does not."""
     for eigenvalues in ([-10, 0.1 + 1j, 0.1 - 1j], [10, 0.1 + 1j, 0.1 - 1j], [-30, -3, 0.1 + 1j, 0.1 - 1j]):
@@ -96,6 +98,7 @@ def test_time_scales_with_the_spectrum():
         assert critical_length(base * factor) * factor == pytest.approx(one, rel=1e-6)
 
 
+@pytest.mark.long
 def test_it_lies_between_its_two_bounds():
     rng = np.random.default_rng(2)
     for _ in range(25):

@@ -25,6 +25,7 @@ from sampling_design.observability.windows.balls import exact_times, prove_windo
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.worst_case import balls as rigorous_worst
 from sampling_design.observability.worst_case.balls import WorstCase, prove_worst_sigma
+from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -177,6 +178,7 @@ def test_a_worst_case_above_an_attained_one_is_never_proven(name):
     assert too_high.lower < attained
 
 
+@pytest.mark.long
 @settings(max_examples=15)
 @given(seed=st.integers(0, 10_000))
 def test_no_spaced_schedule_in_fifty_digits_lies_below(seed):
@@ -244,7 +246,7 @@ def test_growth_within_a_window_hides_nothing(rate, monkeypatch):
     assert plain.status == "rounding" or "ball arithmetic sees: extra `rigorous`" in plain.explain()
 
 
-@pytest.mark.parametrize("growth", [40.0, 100.0, 150.0])
+@pytest.mark.parametrize("growth", few([40.0, 100.0, 150.0], 0))
 @pytest.mark.parametrize("shape", ["two", "coupled", "turning"])
 def test_sigma_beside_growth_is_what_many_digits_say(shape, growth):
     """Attained to ten digits, and no other window is below the bound."""

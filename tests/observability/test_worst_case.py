@@ -16,6 +16,7 @@ from sampling_design.observability.worst_case.spaced_sphere import prove_worst
 from sampling_design.observability.worst_case.spaced_tables import Tables
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
 from sampling_design.schedules.spaced_windows import SpacedWindows
+from tests.cases import few
 from tests.oracles.worst_case import brute_force, is_admissible, sigma_of_times
 
 
@@ -168,6 +169,7 @@ def test_bound_stays_below_the_dip_even_if_no_search_ever_finds_it(monkeypatch):
     assert proof.lower <= 0.02 * np.sqrt(3)
 
 
+@pytest.mark.long
 def test_search_that_found_nothing_good_never_raises_the_proven_bound():
     plant, rng = oscillators(1.0, 2.0), np.random.default_rng(3)
     rows = SpacedRows(plant, 4.0, 6, 0.3)
@@ -301,7 +303,7 @@ def test_a_plant_without_states_is_plain_data_without_infinities():
 
 @pytest.mark.parametrize(
     ("count", "scale", "best"),
-    [(3, 1.0, np.sqrt(0.5)), (4, 1.0, 1.0), (4, 1e3, 1.0), pytest.param(6, 1.0, 2.0, marks=pytest.mark.long)],
+    few([(3, 1.0, np.sqrt(0.5)), (4, 1.0, 1.0), (4, 1e3, 1.0), pytest.param(6, 1.0, 2.0, marks=pytest.mark.long)], 0),
 )
 def test_clusters_of_a_millionth_half_a_turn_apart_are_found_and_closed(count, scale, best):
     """Samples half a turn apart see the same state least: two clusters of them around its two zeros, in closed form."""

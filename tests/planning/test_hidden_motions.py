@@ -28,6 +28,7 @@ def bare(requirement, **more):
     return plan(LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, **more)
 
 
+@pytest.mark.long
 def test_a_plan_sees_a_rhythm_that_nothing_drives():
     found = bare(wanted())
     assert found.ratio <= 1.0
@@ -38,6 +39,7 @@ def test_a_plan_sees_a_rhythm_that_nothing_drives():
     assert again.upper[0] <= 2.5
 
 
+@pytest.mark.long
 def test_the_most_accurate_choice_sees_it_too():
     found = bare(wanted(aim="most accurate", samples=3))
     assert found.samples == 3
@@ -49,6 +51,7 @@ def test_what_no_allowed_time_shows_is_refused():
         bare(wanted(raster=24.0))
 
 
+@pytest.mark.long
 def test_a_raster_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it():
     swing = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
     asked = PlanRequirement(
@@ -80,6 +83,7 @@ def test_hours_that_miss_a_motion_at_every_raster_are_said():
         plan(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
 
 
+@pytest.mark.long
 def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
     asked = PlanRequirement({"x1": 500.0}, period=84.0, raster=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
     found = plan(Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False)

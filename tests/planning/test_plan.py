@@ -30,6 +30,7 @@ def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
     assert cheapest.verify()
 
 
+@pytest.mark.long
 def test_four_looks_at_an_oscillator_reach_what_no_plan_beats():
     found = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN), **BARE)
     assert found.gap <= 0.03

@@ -50,6 +50,7 @@ def test_so_late_is_kept_and_a_lost_sample_is_told(whole):
     assert "no sample may be lost" in whole.explain()
 
 
+@pytest.mark.long
 def test_it_is_in_the_file_and_proven_again(whole, tmp_path):
     path = save_plan(whole, tmp_path / "plan.json")
     back = sd.load_plan(path)

@@ -97,6 +97,7 @@ def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch)
     assert 0 < len(asked) == len({tuple(np.round(lengths, 6)) for lengths in asked})
 
 
+@pytest.mark.long
 def test_the_best_of_so_many_is_within_its_gap_of_all_choices():
     most = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(1.0)}, samples=3, **ONE), certificate=False)
     best = best_of_all(3)
@@ -150,6 +151,7 @@ def test_the_next_sample_keeps_the_deviation_for_ever(found):
     assert truth(times, [[True, False]] * times.size, [1.0, 0.0], 6.4 * 12) <= 0.29 * (1 + 1e-6)
 
 
+@pytest.mark.long
 def test_both_kinds_are_planned_together():
     wanted = sd.PlanRequirement(
         {"position": 0.8, "velocity": goal(0.6, at="after each sample")},

@@ -69,6 +69,7 @@ def test_the_retained_part_is_what_the_whole_plant_shows_once_the_rest_has_faded
     assert split.retained.outputs.names == plant.outputs.names
 
 
+@pytest.mark.long
 def test_design_words_work_on_the_retained_part():
     retained = split_sparse(library.heat_plate(30), decay_rate=0.25).retained
     assert retained.n_states == 4

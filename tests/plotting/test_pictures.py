@@ -88,6 +88,7 @@ def test_a_worst_case_shows_the_worst_times():
     assert [s[0][0] for s in ax.collections[0].get_segments()] == pytest.approx(result.witness)
 
 
+@pytest.mark.long
 def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     requirement = sd.Requirement(window=4.0)
     front = sd.pareto(OSCILLATOR, requirement, [2, 3])
@@ -172,6 +173,7 @@ def shown_legends(axes):
             yield ax, ax.get_legend().get_window_extent(), ax.get_window_extent()
 
 
+@pytest.mark.long
 def test_no_legend_lies_on_a_curve():
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))

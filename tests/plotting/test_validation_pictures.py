@@ -65,6 +65,7 @@ def test_a_curve_is_drawn_with_the_tube_that_holds_the_truth_between_samples():
         estimate_curve(mhe, [(0.0, [1.0])])
 
 
+@pytest.mark.long
 def test_a_wide_start_does_not_rule_the_panels_of_a_validation():
     found = report(initial_error=50.0, duration=40.0)
     low, high = found.plot()[1].get_ylim()

@@ -12,6 +12,7 @@ from sampling_design import library
 from sampling_design.errors import ArgumentError
 from sampling_design.recovery import search
 from sampling_design.recovery.profile import GapProof
+from tests.cases import few
 from tests.oracles import accuracy as oracle
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -122,7 +123,7 @@ def test_a_name_of_a_state_and_of_another_output_is_refused():
 
 
 @pytest.mark.parametrize(
-    "name", ["double_integrator", "triple_integrator", "oscillator", "helicopter_he1", "cart_pendulum"]
+    "name", few(["double_integrator", "triple_integrator", "oscillator", "helicopter_he1", "cart_pendulum"], 0, 2)
 )
 def test_plants_of_the_library_close_to_one_percent(name):
     plant = library.named_plant(name)
@@ -165,7 +166,7 @@ def _hidden_by_samples(shared):
     return A, np.array([[1.0, 0.0, 1.0]]) if shared else np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize("gaps", [[1.0], [1.0, 1.0]])
+@pytest.mark.parametrize("gaps", few([[1.0], [1.0, 1.0]], 0))
 @pytest.mark.parametrize("shared", [False, True])
 def test_rows_are_known_where_only_the_samples_hide_a_mode(shared, gaps):
     A, C = _hidden_by_samples(shared)
@@ -222,6 +223,7 @@ def test_without_disturbance_a_mode_that_does_not_decay_leaves_the_bracket_open(
     assert found.verify()
 
 
+@pytest.mark.long
 def test_rows_asked_for_together_are_known_as_well_as_alone():
     """Directions bounded for later rows crowd out none that served an earlier one."""
     plans = Path(__file__).parents[2] / "examples" / "plans"

@@ -7,13 +7,14 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.time_varying import TimeVaryingPlant
 from sampling_design.recovery import accuracy_varying
+from tests.cases import few
 
 A, C, G = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])
 SAMPLES = sd.Schedule([0.0, 1.0, 1.6, 3.0, 4.0])
 STILL = TimeVaryingPlant.from_table([0.0, 5.0], [A] * 2, [C] * 2, [G] * 2)
 
 
-@pytest.mark.parametrize("start", [None, [1.0, 0.4], {"x1": 0.5}])
+@pytest.mark.parametrize("start", few([None, [1.0, 0.4], {"x1": 0.5}], 0))
 def test_a_plant_that_stands_still_has_the_accuracy_of_the_plant(start):
     given = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": start}
     plain, found = (sd.accuracy(p, SAMPLES, **given) for p in (sd.Plant(A, C, G=G), STILL))
@@ -57,6 +58,7 @@ def test_no_adversary_beats_what_gains_guarantee():
     assert np.abs(state[inside] @ [1.0, -1.0]).max() <= found.upper[0, -1]
 
 
+@pytest.mark.long
 def test_rows_that_samples_do_not_determine_are_without_bound():
     first = sd.accuracy(STILL, sd.Schedule([1.0]), w_bound=0.1, v_bound=0.1)
     assert first.upper.tolist() == [[0.1], [np.inf]]

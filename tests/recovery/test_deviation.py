@@ -78,6 +78,7 @@ def test_unknown_rows_are_infinite_and_the_others_are_not():
     assert found.to_dict()["worst"][1] is None
 
 
+@pytest.mark.long
 def test_it_stands_beside_the_guaranteed_error():
     found = sd.accuracy(
         PLANT, SCHEDULE, w_bound=0.02, v_bound=0.4, of="position", w_intensity=W, v_deviation=V, rtol=0.1

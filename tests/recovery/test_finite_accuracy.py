@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
+from tests.cases import few
 from tests.oracles import accuracy as oracle
 
 PLANT = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
@@ -43,13 +44,17 @@ def test_a_row_is_unknown_until_samples_determine_it(free):
 
 @pytest.mark.parametrize(
     ("initial", "size", "norm"),
-    [
-        (0.3, np.full(2, 0.3), "ball"),
-        ([0.05, 0.4], np.array([0.05, 0.4]), "box"),
-        (np.diag([4.0, 25.0]), np.array([0.5, 0.2]), "ball"),
-        ({"velocity": 0.2}, np.array([np.inf, 0.2]), "box"),
-        ({"velocity": (0.1, 0.5), "position": 0.0}, np.array([0.0, 0.2]), "box"),
-    ],
+    few(
+        [
+            (0.3, np.full(2, 0.3), "ball"),
+            ([0.05, 0.4], np.array([0.05, 0.4]), "box"),
+            (np.diag([4.0, 25.0]), np.array([0.5, 0.2]), "ball"),
+            ({"velocity": 0.2}, np.array([np.inf, 0.2]), "box"),
+            ({"velocity": (0.1, 0.5), "position": 0.0}, np.array([0.0, 0.2]), "box"),
+        ],
+        0,
+        2,
+    ),
 )
 def test_every_kind_of_initial_set_agrees_with_the_oracle(initial, size, norm):
     found = sd.accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.1, initial_error=initial, start=0.5)
@@ -72,6 +77,7 @@ def test_before_the_first_sample_the_start_flows():
     assert found.worst[1] == 0.0
 
 
+@pytest.mark.long
 def test_a_better_instrument_today_helps():
     plain = sd.accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.1)
     rows = np.full((5, 1), 0.1)
@@ -96,6 +102,7 @@ def test_an_infinite_bound_is_a_sample_that_was_not_taken():
     assert skipped.known_from[0] == 2.6
 
 
+@pytest.mark.long
 def test_intervals_keep_the_width_and_shift_the_centre():
     """A sensor that reads .1 too high on average shifts the position by -.1; a push looks like so much velocity."""
     centred = sd.accuracy(PLANT, SCHEDULE, w_bound=[0.01, 0.02], v_bound={"y1": 0.1})

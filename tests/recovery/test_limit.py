@@ -26,6 +26,7 @@ def test_a_dense_schedule_comes_close(always):
     assert "all times" in str(always)
 
 
+@pytest.mark.long
 def test_no_schedule_of_the_zones_beats_the_limit(always):
     zones, rng = [(0.2, 0.5), (1.0, 1.0), (1.4, 1.9)], np.random.default_rng(4)
     found = sd.limit(PLANT, zones=zones, period=2.5, **BOUNDS)
@@ -70,6 +71,7 @@ def test_a_forged_limit_does_not_verify(always):
     assert not replace(zoned, zones=np.array([[0.0, 1.0]])).verify()
 
 
+@pytest.mark.long
 def test_more_allowed_times_never_raise_it():
     wide, narrow = (
         sd.limit(PLANT, zones=[(0.0, end)], period=2.0, of="velocity", **BOUNDS).lower[0] for end in (1.0, 0.3)
@@ -88,6 +90,7 @@ def test_unseen_modes_and_exact_sensors():
     assert sd.limit(PLANT, w_bound=0.1, v_bound=0.0).lower.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.long
 def test_units_change_nothing(always):
     x, y, t = np.array([1e6, 1e-3]), 1e-4, 1e3
     plant = sd.Plant(PLANT.A * x[:, None] / x / t, PLANT.C * y / x, G=PLANT.G * x[:, None] / t)

@@ -31,6 +31,7 @@ def test_the_polygons_close_and_hold_what_the_oracle_attains(found):
         assert np.sqrt(c @ shadow.ellipse @ c) >= value * 0.999
 
 
+@pytest.mark.long
 def test_the_ellipse_holds_the_set_at_every_time(found):
     for t in (0.7, 1.0, 1.9, 2.7):
         shadow = found.shadow("position", "velocity", t=max(t, float(SCHEDULE.times[0])), directions=6)
@@ -46,6 +47,7 @@ def test_it_speaks_and_is_drawn(found):
     assert shadow.plot().get_xlabel() == "error of position"
 
 
+@pytest.mark.long
 def test_a_known_start_has_a_shadow_too():
     finite = sd.accuracy(PLANT, sd.Schedule([1.0, 2.0, 2.6]), w_bound=0.02, v_bound=0.1, initial_error=0.3, end=3.0)
     shadow = finite.shadow("position", "velocity", t=2.8)

@@ -223,6 +223,7 @@ def test_it_has_pictures(certificate):
         assert axes.lines or axes.collections
 
 
+@pytest.mark.long
 def test_a_planned_certificate_is_asked_whether_it_survives_on_it():
     plant = Plant([[0.1]], [[1.0]])
     planned = sd.certify(plant, PeriodicSchedule([0.7, 1.6]), eta=0.2, P2=np.eye(1))

@@ -89,27 +89,27 @@ def killed():
         (
             ["done", "cancelled", "cancelled"],
             1,
-            "the Dask scheduler was lost, with 2 of 3 jobs left. What was finished is kept where `resume`",
+            "the Dask scheduler was lost, with 2 of 3 jobs left. What was finished is kept",
         ),
         (
             ["done", "closed", "done"],
             1,
-            "the Dask scheduler was lost, with 3 of 3 jobs left. What was finished is kept where `resume`",
+            "the Dask scheduler was lost, with 3 of 3 jobs left. What was finished is kept",
         ),
         (
             ["done", "lasting", "lasting"],
             None,
-            "the Dask scheduler was lost, with 2 of 3 jobs left. What was finished is kept where `resume`",
+            "the Dask scheduler was lost, with 2 of 3 jobs left. What was finished is kept",
         ),
         (
             ["done", "lasting", "done"],
             0,
-            "the Dask cluster has had no worker for 0.1 s, with 1 of 3 jobs left. What was finished is kept where `resume`",
+            "the Dask cluster has had no worker for 0.1 s, with 1 of 3 jobs left. What was finished is kept",
         ),
         (
             [killed(), "done", "done"],
             1,
-            "the jobs that are left killed every worker .* with 1 of 3 jobs left. What was finished is kept where `resume`",
+            "the jobs that are left killed every worker .* with 1 of 3 jobs left. What was finished is kept",
         ),
     ],
 )

@@ -88,7 +88,7 @@ class NonlinearPlant(PlantEquations, LinearInclusion):
             return None
 
         def linear(value: object, unit: str) -> NonlinearPlant:
-            return cls.of_linear(value if isinstance(value, Plant) else Plant(value, time_unit=unit))  # type: ignore[arg-type]
+            return cls.of_linear(value if made is None else made(value, unit))  # type: ignore[arg-type]
 
         return linear
 

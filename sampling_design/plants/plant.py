@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from sampling_design._modal import exponential
 from sampling_design._record import Plain, Record, counted, short
 from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
 
 if TYPE_CHECKING:
     import control
@@ -26,7 +27,6 @@ ORDER = "Others write (A, B, C, D); here only A and C have places, as in Plant(A
 """What is said where a matrix too many was given by place: with square sizes B would pass for C."""
 MATRICES = ("A", "B", "C", "D", "G")
 GROUPS = ("states", "outputs", "inputs", "disturbances")
-_LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
 _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
@@ -106,8 +106,8 @@ class Plant(Record):
     Parameters
     ----------
     A : (n, n) array [1/time_unit], or a system
-        A continuous-time state-space system of `control` or `scipy.signal`, given alone, brings A, B, C and D, and the
-        names that it knows.
+        A continuous-time system of `control` or `scipy.signal`, given alone, brings A, B, C and D, and the names that
+        it knows; a transfer function its observer form.
     C : (p, n) array
     B : (n, m) array, optional
         By name, as all that follows. Default: no inputs.
@@ -116,7 +116,7 @@ class Plant(Record):
     G : (n, q) array, optional
         Disturbance input. Default identity, so that w enters every state.
     time_unit : str
-        One of ms, s, min, h, d, wk; all rates and times are in this unit.
+        One of ms, s, min, h, d, wk; all rates and times are in this unit. Default s.
     name : str
     states, outputs, inputs, disturbances : Signals or sequence of str, optional
         Names, units and scales. Default names x1.., y1.., u1.., w1...
@@ -155,10 +155,10 @@ class Plant(Record):
     _order: ClassVar[str] = ORDER
     A: Array
     C: Array = None  # type: ignore[assignment]
-    B: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
-    D: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
-    G: Array = field(default=None, kw_only=True)  # type: ignore[assignment]
-    time_unit: str = field(default="s", kw_only=True)
+    B: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    D: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    G: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    time_unit: str = field(default=None, kw_only=True)  # type: ignore[assignment]
     name: str = field(default="", kw_only=True)
     states: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     outputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
@@ -176,7 +176,7 @@ class Plant(Record):
             B: npt.ArrayLike | None = None,
             D: npt.ArrayLike | None = None,
             G: npt.ArrayLike | None = None,
-            time_unit: str = "s",
+            time_unit: str = ...,
             name: str = "",
             states: Signals | Sequence[str] | None = None,
             outputs: Signals | Sequence[str] | None = None,
@@ -201,7 +201,7 @@ class Plant(Record):
         D = _checks.matrix("D", np.zeros((p, B.shape[1])) if self.D is None else self.D, p, B.shape[1])
         G = _checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
         owned: dict[str, object] = {"A": A, "B": B, "C": C, "D": D, "G": G}
-        owned["time_unit"] = check_time_unit(self.time_unit)
+        owned["time_unit"] = check_time_unit("s" if self.time_unit is None else self.time_unit)
         for key in ("name", "source"):
             if not isinstance(getattr(self, key), str):
                 raise ArgumentError(f"`{key}` must be a string, got {_checks.described(getattr(self, key))}.")
@@ -214,15 +214,16 @@ class Plant(Record):
     def _take_system(self) -> None:
         """Put the parts of a system in the place of A, where one came."""
         system: object = self.A
-        if self._foreign(system) is None and not all(hasattr(system, key) for key in "ABCD"):
+        if not is_system(system) and not all(hasattr(system, key) for key in "ABCD"):
             if self.C is None:
                 raise ArgumentError("`C` is missing: which states, or sums of states, are measured?")
             return
         for key in ("C", "B", "D"):
             if getattr(self, key) is not None:
                 raise ArgumentError(f"`{key}` must come with the system, got one beside it.")
-        for key, value in _parts(cast("StateSpace", system)).items():
-            if key == "A" or not getattr(self, key):
+        for key, value in parts_of(system).items():
+            given = getattr(self, key)
+            if key == "A" or given is None or (isinstance(given, str) and not given):
                 object.__setattr__(self, key, value)
 
     @property
@@ -295,51 +296,70 @@ class Plant(Record):
         return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
 
     @classmethod
-    def from_control(cls, system: StateSpace, **details: Any) -> Plant:
-        """Return the plant of a continuous-time `control.StateSpace`; `details` as for `Plant` (time_unit, ...).
+    def from_control(cls, system: control.StateSpace | control.TransferFunction, **details: Any) -> Plant:
+        """Return the plant of a continuous-time system of `control`; `details` as for `Plant` (time_unit, ...).
+
+        What `to_control` made comes back whole, with G, units and scales. A transfer function becomes its observer
+        form: the first state of each output is that output without D u.
 
         Raises
         ------
         ArgumentError
-            If it is a discrete-time system or has no matrices A, B, C, D.
+            If it is a discrete-time system, has a delay, is neither linear nor a transfer function, or is improper.
         """
-        _refuse_discrete(system)
+        check_system(system)
         return cls(system, **details)
 
     @classmethod
-    def _foreign(cls, system: object) -> Callable[[StateSpace, str], Plant] | None:
-        """How the door makes a plant of a state-space system of `control` or `scipy.signal`; None: it is neither."""
-        made = _LIBRARIES.get(type(system).__module__.partition(".")[0])
-        if made is None or not hasattr(system, "dt"):
+    def _foreign(cls, system: object) -> Callable[[object, str], Plant] | None:
+        """How the door makes a plant of a system of `control` or `scipy.signal`; None: it is neither."""
+        if not is_system(system):
             return None
-        return lambda value, unit: getattr(cls, made)(value, time_unit=unit)
+        return lambda value, unit: cls(value, **({} if "time_unit" in parts_of(value) else {"time_unit": unit}))  # type: ignore[arg-type]
 
     @classmethod
-    def from_scipy(cls, system: StateSpace, **details: Any) -> Plant:
-        """Return the plant of a continuous-time `scipy.signal.StateSpace`; `details` as for `Plant`.
+    def from_scipy(cls, system: object, **details: Any) -> Plant:
+        """Return the plant of a continuous-time system of `scipy.signal`, as `from_control`.
 
         Raises
         ------
         ArgumentError
-            If it is a discrete-time system or has no matrices A, B, C, D.
+            As for `from_control`.
         """
-        _refuse_discrete(system)
-        return cls(system, **details)
+        check_system(system)
+        return cls(system, **details)  # type: ignore[arg-type]
 
-    def to_control(self) -> control.StateSpace:
-        """Return this plant as a `control.StateSpace` (inputs u only; G, units and scales are left behind)."""
+    def to_control(self, disturbances: bool | None = None) -> control.StateSpace:
+        """Return this plant as a `control.StateSpace`; `Plant.from_control` of it is this plant again.
+
+        Its inputs are u and, with `disturbances`, w after them. Default: w only where there is no u, since `control`
+        has no system without inputs.
+
+        Raises
+        ------
+        ArgumentError
+            If nothing at all drives it.
+        """
         import control
 
-        return control.ss(
+        both = not self.n_inputs if disturbances is None else disturbances
+        B, D = driven(self, both)
+        if not B.shape[1]:
+            raise ArgumentError("`control` has no system without inputs: this plant has neither B nor G to drive it.")
+        names = list(self.inputs.names)
+        names += [f"{w} (disturbance)" if w in names else w for w in self.disturbances.names if both]
+        system = control.ss(
             self.A,
-            self.B,
+            B,
             self.C,
-            self.D,
+            D,
             name=self.name or None,
             states=list(self.states.names),
-            inputs=list(self.inputs.names),
+            inputs=names,
             outputs=list(self.outputs.names),
         )
+        setattr(system, CARRIED, self)
+        return system
 
     def to_dict(self) -> dict[str, Plain]:
         """Return the tree of the plant file format; defaults (no inputs, D = 0, G = identity) are left out."""
@@ -364,15 +384,6 @@ class Plant(Record):
         sizes = f"{counted(self.n_states, 'state')}, {counted(self.n_inputs, 'input')}"
         sizes += f", {counted(self.n_outputs, 'output')} and {counted(self.n_disturbances, 'disturbance')}"
         return f"{self.name or 'A plant'} with {sizes}; time in {self.time_unit}."
-
-
-class StateSpace(Protocol):
-    """A state-space system of another library."""
-
-    A: npt.ArrayLike
-    B: npt.ArrayLike
-    C: npt.ArrayLike
-    D: npt.ArrayLike
 
 
 def first_difference(mine: Plant, theirs: Plant) -> str:
@@ -402,27 +413,3 @@ def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Sign
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
         return value
     return Signals(_checks.names(key, value, size, _PREFIX[key]))
-
-
-def _parts(system: StateSpace) -> dict[str, object]:
-    """The matrices of a system, and the names that it knows."""
-    _refuse_discrete(system)
-    parts: dict[str, object] = {key: getattr(system, key) for key in "ACBD"}
-    for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
-        labels = getattr(system, theirs, None)
-        if labels:
-            parts[mine] = list(labels)
-    return parts | {"name": str(getattr(system, "name", "") or "")}
-
-
-def _refuse_discrete(system: StateSpace) -> None:
-    if not all(hasattr(system, m) for m in "ABCD"):
-        raise ArgumentError(
-            f"`system` must be a state-space system with A, B, C, D, got {type(system).__name__}: choose its states "
-            "first (control.ss, or its own to_ss)."
-        )
-    if getattr(system, "dt", None) not in (None, 0, 0.0):
-        raise ArgumentError(
-            f"`system` must be continuous-time, got a discrete one with dt = {getattr(system, 'dt', None)}. "
-            "Sample times are what this package chooses; give the plant before it was discretised."
-        )

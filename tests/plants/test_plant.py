@@ -1,11 +1,21 @@
 """Plant and Signals: what they accept, keep, refuse, and convert."""
 
+from types import SimpleNamespace
+
 import control
 import numpy as np
 import pytest
 import scipy.signal
 
-from sampling_design import ArgumentError, Plant, Signals, library
+from sampling_design import (
+    ArgumentError,
+    PeriodicSchedule,
+    Plant,
+    Signals,
+    library,
+    unseen_modes,
+    window_sigma,
+)
 
 A = [[0.0, 1.0], [-1.0, 0.0]]
 C = [[1.0, 0.0]]
@@ -110,15 +120,108 @@ def test_transition():
     assert Plant(np.zeros((0, 0)), np.zeros((1, 0))).transition(t).shape == (3, 0, 0)
 
 
-def test_control_round_trip_keeps_matrices_and_names():
-    plant = library.cart_pendulum()
-    back = Plant.from_control(plant.to_control(), time_unit="s")
-    for key in "ABCD":
-        np.testing.assert_array_equal(getattr(back, key), getattr(plant, key))
-    assert back.states.names == plant.states.names
-    assert back.outputs.names == plant.outputs.names
-    assert back.inputs.names == plant.inputs.names
-    assert back.name == "cart_pendulum"
+@pytest.mark.parametrize("name", ["satellite", "cart_pendulum", "tidal_gauge", "oscillator"])
+@pytest.mark.parametrize("disturbances", [None, True])
+def test_control_round_trip_keeps_everything(name, disturbances):
+    plant = getattr(library, name)()
+    system = plant.to_control(disturbances)
+    for back in (Plant.from_control(system), Plant(system)):
+        assert back.to_dict() == plant.to_dict()
+        assert back.same_dynamics(plant)
+    assert Plant(system, time_unit="d", outputs=[f"z{i}" for i in range(plant.n_outputs)]).time_unit == "d"
+    driven = plant.n_inputs * bool(plant.n_inputs) + plant.n_disturbances * (not plant.n_inputs or bool(disturbances))
+    assert system.ninputs == driven
+
+
+def test_a_system_that_is_no_longer_the_plant_brings_nothing_of_it():
+    plant = library.satellite()
+    system = plant.to_control()
+    system.A[0, 0] += 1.0
+    back = Plant(system)
+    assert (back.time_unit, back.n_disturbances, back.source) == ("s", plant.n_states, "")
+    assert back.A[0, 0] == plant.A[0, 0] + 1
+
+
+def test_the_unit_of_time_comes_back_through_a_verb():
+    plant = library.tidal_gauge()  # in hours
+    found = unseen_modes(plant.to_control())
+    assert found.names == plant.states.names
+    assert window_sigma(plant.to_control(), PeriodicSchedule([2.0], time_unit="h"), 40.0, rtol=0.5).lower > 0
+
+
+def test_names_that_are_inputs_and_disturbances_are_told_apart():
+    plant = Plant(A, C, B=[[0.0], [1.0]], inputs=["push"], G=[[0.0], [1.0]], disturbances=["push"])
+    assert plant.to_control(disturbances=True).input_labels == ["push", "push (disturbance)"]
+
+
+def test_what_nothing_drives_is_no_system_of_control():
+    with pytest.raises(ArgumentError, match="`control` has no system without inputs: this plant has neither B nor G"):
+        Plant(A, C, G=np.zeros((2, 0))).to_control()
+
+
+def transfer(system):
+    """A transfer matrix at one point of the plane."""
+    made = Plant(system)
+    resolvent = np.linalg.solve(POINT * np.eye(made.n_states) - made.A, made.B)
+    return made.C @ resolvent + made.D
+
+
+POINT = 0.3 + 0.7j
+SHARED = control.tf([[[1.0], [2.0]], [[1.0, 0.0], [3.0]]], [[[1, 1], [1, 2]], [[1, 1], [1.0, 0]]])
+
+
+@pytest.mark.parametrize(
+    ("system", "states"),
+    [
+        (control.tf([1.0, 3.0], [1.0, 3.0, 2.0]), 2),
+        (control.tf([1.0, 2.0], [1.0, 3.0, 2.0]), 1),  # -2 cancels
+        (control.tf([1e-9, 2e-15], [1.0, 3e-6, 2e-12]), 1),  # in microseconds as well
+        (control.tf([2.0, 1.0], [4.0, 4.0]), 1),  # with what is passed on at once
+        (control.tf([5.0], [2.0]), 0),
+        (control.tf([0.0], [1.0, 1.0]), 0),
+        (control.tf([1.0], [1.0, 0.0, 0.0, 0.0]), 3),
+        (SHARED, 4),
+        (control.tf([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 1.0]]]), 1),  # one pole for both inputs
+    ],
+)
+def test_a_transfer_function_is_taken_in_observer_form(system, states):
+    made = Plant(system)
+    assert made.n_states == states
+    np.testing.assert_allclose(transfer(system), np.reshape(system(POINT), made.D.shape), rtol=1e-9)
+    assert len(unseen_modes(made)) == 0
+    if states:
+        assert made.source == "transfer function, in observer form"
+        assert made.states.names[0] == f"{made.outputs.names[0]}_1"
+
+
+def test_coefficients_of_one_transfer_function_are_taken_to_the_last_bit():
+    made = Plant(control.tf([2.0, 1.0], [1.0, 0.0, 1.0]))
+    assert made.A.tolist() == [[0.0, 1.0], [-1.0, 0.0]]
+    assert made.B.tolist() == [[2.0], [1.0]]
+
+
+def test_forms_of_scipy_are_taken():
+    zeros = scipy.signal.ZerosPolesGain([-3.0], [-1.0, -2.0], 2.0)
+    ratio = scipy.signal.TransferFunction([2.0, 6.0], [1.0, 3.0, 2.0])
+    np.testing.assert_allclose(Plant(zeros).A, Plant(ratio).A)
+    np.testing.assert_allclose(transfer(ratio), [[2 * (POINT + 3) / ((POINT + 1) * (POINT + 2))]])
+
+
+def test_what_is_no_linear_system_says_what_to_do():
+    with pytest.raises(ArgumentError, match="`system` must have no more zeros than poles, got degree 2 over 1"):
+        Plant(control.tf([1.0, 0.0, 0.0], [1.0, 1.0]))
+    answers = control.frd([1.0, 2.0], [1.0, 2.0])
+    moving = control.nlsys(lambda t, x, u, p: -x, lambda t, x, u, p: x, inputs=1, outputs=1, states=1)
+    for system in (answers, moving):
+        with pytest.raises(
+            ArgumentError, match=r"must be a state-space system or a transfer function, got .*linearise"
+        ):
+            Plant(system)
+    with pytest.raises(ArgumentError, match="`system` must be a linear system of control or"):
+        Plant.from_scipy(3)
+    late = SimpleNamespace(A=A, B=[[0.0], [1.0]], C=C, D=[[0.0]], delay=[0.5])
+    with pytest.raises(ArgumentError, match="must have no delay, got one with `delay`: add states for it"):
+        Plant(late)
 
 
 def test_control_details_win_over_labels():
@@ -166,11 +269,6 @@ def test_discrete_systems_are_refused(system):
     for make in (Plant.from_control if isinstance(system, control.StateSpace) else Plant.from_scipy, Plant):
         with pytest.raises(ArgumentError, match="`system` must be continuous-time, got a discrete one with dt"):
             make(system)
-
-
-def test_other_systems_are_refused():
-    with pytest.raises(ArgumentError, match="`system` must be a state-space system with A, B, C, D"):
-        Plant.from_control(control.tf([1], [1, 1]))
 
 
 def test_words_and_tables():

@@ -1,0 +1,232 @@
+"""Linear systems of other libraries, taken as the matrices and names of a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import described
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+
+LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
+CARRIED = "sampling_design_plant"
+"""Attribute of a system that `Plant.to_control` made: the plant, for what such a system has no place for."""
+PARTS = ("A", "C", "B", "D", "G", "time_unit", "name", "states", "outputs", "inputs", "disturbances", "source")
+SAME_POLE = 1e-6
+"""Poles of one output are one, and a zero cancels a pole, within this part of their size: a double root of a polynomial
+is known to about the root of the rounding, 1.5e-8."""
+DELAYS = ("delay", "delays", "iodelay", "ioDelay", "input_delay", "output_delay", "InputDelay", "OutputDelay")
+
+
+class StateSpace(Protocol):
+    """A state-space system of another library."""
+
+    A: npt.ArrayLike
+    B: npt.ArrayLike
+    C: npt.ArrayLike
+    D: npt.ArrayLike
+
+
+class Ratio(Protocol):
+    """A transfer function of another library: polynomials, or rows of them."""
+
+    num: Sequence[Sequence[npt.ArrayLike]] | Array
+    den: Sequence[Sequence[npt.ArrayLike]] | Array
+
+
+class Driven(Protocol):
+    """A plant with its matrices."""
+
+    @property
+    def A(self) -> Array: ...
+
+    @property
+    def B(self) -> Array: ...
+
+    @property
+    def C(self) -> Array: ...
+
+    @property
+    def D(self) -> Array: ...
+
+    @property
+    def G(self) -> Array: ...
+
+
+class Realisation(NamedTuple):
+    """Matrices of a transfer function in observer form, and the output that each state belongs to."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    outputs: tuple[int, ...]
+
+
+def is_system(value: object) -> bool:
+    """Whether it is a linear system of `control` or `scipy.signal`, in any form."""
+    return type(value).__module__.partition(".")[0] in LIBRARIES and hasattr(value, "dt")
+
+
+def parts_of(system: object) -> dict[str, object]:
+    """The matrices of a system, and what else it knows of a plant: names, and all that `to_control` left with it.
+
+    Raises
+    ------
+    ArgumentError
+        If it is a discrete-time system, has a delay or is no linear system; if a transfer function is improper.
+    """
+    check_system(system)
+    if all(hasattr(system, key) for key in "ABCD"):
+        plant = getattr(system, CARRIED, None)
+        if plant is not None and _same(cast("StateSpace", system), plant):
+            return {key: getattr(plant, key) for key in PARTS}
+        parts: dict[str, object] = {key: getattr(system, key) for key in "ACBD"}
+    else:
+        found = realised(*_polynomials(system))
+        parts = {key: getattr(found, key) for key in "ACBD"}
+        names = list(getattr(system, "output_labels", None) or (f"y{i + 1}" for i in range(len(found.C))))
+        place = [found.outputs[:k].count(i) for k, i in enumerate(found.outputs)]
+        states = [f"{names[i]}_{k + 1}" for i, k in zip(found.outputs, place, strict=True)]
+        parts |= {"states": states, "outputs": names, "source": "transfer function, in observer form"}
+    for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
+        labels = getattr(system, theirs, None)
+        if labels:
+            parts[mine] = list(labels)
+    return parts | {"name": str(getattr(system, "name", "") or "")}
+
+
+def driven(plant: Driven, disturbances: bool) -> tuple[Array, Array]:
+    """B and D of a plant as another library has it, with its disturbances after its inputs where they are asked for."""
+    if not disturbances:
+        return plant.B, plant.D
+    return np.hstack([plant.B, plant.G]), np.hstack([plant.D, np.zeros((len(plant.D), plant.G.shape[1]))])
+
+
+def _same(system: StateSpace, plant: Driven) -> bool:
+    """Whether a system is still the one that was made of a plant, in whichever of its two forms."""
+    if not np.array_equal(system.A, plant.A) or not np.array_equal(system.C, plant.C):
+        return False
+    forms = [driven(plant, form) for form in (False, True)]
+    return any(np.array_equal(system.B, B) and np.array_equal(system.D, D) for B, D in forms)
+
+
+def check_system(system: object) -> None:
+    """Refuse what is no continuous-time linear system without delay.
+
+    Raises
+    ------
+    ArgumentError
+        If it is none.
+    """
+    delayed = next((key for key in DELAYS if np.any(np.asarray(getattr(system, key, 0), dtype=object))), "")
+    if delayed:
+        raise ArgumentError(
+            f"`system` must have no delay, got one with `{delayed}`: add states for it (control.pade), or, where only "
+            "the outputs come late, leave it out and give each measurement the time that it speaks of."
+        )
+    if not is_system(system) and not all(hasattr(system, key) for key in "ABCD"):
+        raise ArgumentError(f"`system` must be a linear system of control or scipy.signal, got {described(system)}.")
+    known = all(hasattr(system, key) for key in "ABCD") or hasattr(system, "num") or hasattr(system, "gain")
+    if not known:
+        raise ArgumentError(
+            f"`system` must be a state-space system or a transfer function, got {type(system).__name__}: linearise it "
+            "first (system.linearize), or fit a model to its frequency response."
+        )
+    if getattr(system, "dt", None) not in (None, 0, 0.0):
+        raise ArgumentError(
+            f"`system` must be continuous-time, got a discrete one with dt = {getattr(system, 'dt', None)}. Sample "
+            "times are what this package chooses; give the plant before it was discretised, or A = "
+            "scipy.linalg.logm(A)/dt where that is real."
+        )
+
+
+def _polynomials(system: object) -> tuple[list[list[Array]], list[list[Array]]]:
+    """Numerators and denominators of a transfer function, a row for each output."""
+    made = cast("Ratio", system if hasattr(system, "num") else system.to_tf())  # type: ignore[attr-defined]
+    if isinstance(made.num, np.ndarray) and made.num.dtype != object:  # of scipy: one input, one denominator
+        rows = np.atleast_2d(made.num)
+        return [[np.asarray(row)] for row in rows], [[np.asarray(made.den)]] * len(rows)
+    num, den = ([[np.asarray(entry) for entry in row] for row in given] for given in (made.num, made.den))
+    return num, den
+
+
+def realised(num: list[list[Array]], den: list[list[Array]]) -> Realisation:
+    """Return the observer form of a transfer matrix, output by output: every state is seen.
+
+        y_i = x_1 + D u,    x_k' = -a_k x_1 + x_{k+1} + b_k u,    s^n + a_1 s^{n-1} + ... + a_n the poles of row i
+
+    What cancels within an entry is left out, and the entries of a row share their poles; rows do not.
+
+    Raises
+    ------
+    ArgumentError
+        If an entry has more zeros than poles.
+    """
+    blocks = [_row(*row) for row in zip(num, den, strict=True)]
+    sizes = [len(each[0]) for each in blocks]
+    n, m = sum(sizes), len(num[0])
+    A, B, C, D = np.zeros((n, n)), np.zeros((n, m)), np.zeros((len(blocks), n)), np.zeros((len(blocks), m))
+    start = 0
+    for i, (a, b, d) in enumerate(blocks):
+        own = slice(start, start + len(a))
+        A[own, own] = np.eye(len(a), k=1)
+        B[own], D[i] = b, d
+        if len(a):
+            A[own, start] -= a
+            C[i, start] = 1.0
+        start += len(a)
+    return Realisation(A, B, C, D, tuple(i for i, size in enumerate(sizes) for _ in range(size)))
+
+
+def _row(num: list[Array], den: list[Array]) -> tuple[Array, Array, Array]:
+    """Coefficients a, b and D of one output: its entries over the poles that any of them has."""
+    entries = [_cancelled(*entry) for entry in zip(num, den, strict=True)]
+    shared: list[complex] = []
+    for _, below in entries:
+        shared += _left(list(np.roots(below)), shared)
+    over = [np.real(np.poly(_left(shared, list(np.roots(below))))) for _, below in entries]
+    longest = max(range(len(entries)), key=lambda j: len(entries[j][1]))
+    a = np.asarray(np.polymul(entries[longest][1], over[longest]), dtype=np.float64)
+    D, b = np.zeros(len(entries)), np.zeros((len(a) - 1, len(entries)))
+    for j, (above, _) in enumerate(entries):
+        top = np.polymul(above, over[j])
+        top = np.concatenate([np.zeros(len(a) - len(top)), top])
+        D[j] = top[0]
+        b[:, j] = top[1:] - D[j] * a[1:]
+    return a[1:], b, D
+
+
+def _cancelled(num: Array, den: Array) -> tuple[Array, Array]:
+    """Numerator and monic denominator of one entry without what cancels; as they are where nothing does."""
+    num, den = np.trim_zeros(np.ravel(num), "f"), np.trim_zeros(np.ravel(den), "f")
+    if len(num) > len(den):
+        raise ArgumentError(
+            f"`system` must have no more zeros than poles, got degree {len(num) - 1} over {len(den) - 1}: what "
+            "differentiates its input has no states."
+        )
+    if not len(num):
+        return np.zeros(1), np.ones(1)
+    zeros, poles = list(np.roots(num)), list(np.roots(den))
+    left = _left(zeros, poles)
+    if len(left) == len(zeros):
+        return num / den[0], den / den[0]
+    return num[0] / den[0] * np.real(np.poly(left)), np.real(np.poly(_left(poles, zeros)))
+
+
+def _left(these: list[complex], others: list[complex]) -> list[complex]:
+    """What is left of roots once each is taken away that has one of its own among the others."""
+    open_, left = list(others), []
+    size = max((abs(z) for z in (*these, *others)), default=0.0)
+    for root in these:
+        near = min(open_, key=lambda z: abs(z - root), default=None)
+        if near is not None and abs(near - root) <= SAME_POLE * max(abs(root), SAME_POLE * size):
+            open_.remove(near)
+        else:
+            left.append(root)
+    return left

@@ -19,7 +19,7 @@ from sampling_design.design.bounds.evidence import UpperBound, first_bound, quic
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
-from sampling_design.design.problem.canonical import CanonicalDesign, canonical, tied_again
+from sampling_design.design.problem.canonical import CanonicalDesign, canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
@@ -322,7 +322,7 @@ class _Run:
         bound = sized.bound if bound is sized.inner else bound.brought_back(sized.canon)
         time_left = time.perf_counter() <= deadline
         self.say(near, "proving sigma over all window positions")
-        times = _brought_back(sized.canon, found.times)
+        times, chosen = _brought_back(sized.canon, found.times, chosen)
         candidates = [*_candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
         proven = [self.proven(sized.problem, times, mask) for times, mask in candidates]
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
@@ -362,9 +362,8 @@ class _Run:
                 found, chosen = affordable(part, found, placed, deadline, enough)
         except (InfeasibleRequirementError, SolverError):  # none of these repeats, or none was found
             return []
-        count = parts(sized.canon.inside)
-        times, chosen = unfolded(sized.problem, count, found.times * sized.canon.time, chosen)
-        times = tied_again(sized.problem, times)
+        inside = sized.canon.inside
+        times, chosen = sized.canon.times(*unfolded(inside, parts(inside), found.times, chosen))
         return [(times, chosen, found.sigma)] if is_admissible(sized.problem, times) else []
 
     def proven(self, problem: DesignProblem, times: Array, mask: Mask) -> tuple[PeriodicSchedule, WindowSigma]:
@@ -448,13 +447,13 @@ def _status(sigma: float, bound: float, finished: bool) -> str:
     return "complete" if sigma > 0 or bound == 0 else "blind"
 
 
-def _brought_back(canon: CanonicalDesign, found: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _brought_back(canon: CanonicalDesign, found: Array, chosen: Mask) -> tuple[Array, Mask]:
     """Times found in canonical units as those of the problem itself, pushed apart where rounding asks for it."""
-    times = canon.times(found)
+    times, chosen = canon.times(found, chosen)
     if is_admissible(canon.outside, times):
-        return times
+        return times, chosen
     again = repaired(canon.outside, times)
-    return times if again is None else again
+    return (times, chosen) if again is None else (again, chosen)
 
 
 def _candidates(problem: DesignProblem, times: Array, chosen: Mask) -> list[tuple[Array, Mask]]:

@@ -12,6 +12,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.design.problem.canonical import joined
 from sampling_design.design.problem.feasible import obstacle
 from sampling_design.design.problem.numbers import DesignProblem
 
@@ -64,14 +65,8 @@ def unfolded(problem: DesignProblem, count: int, times: Array, chosen: Mask) -> 
 def _folded(spans: Array, period: float, count: int) -> Array:
     """Every interval in every part, as disjoint sorted intervals of [0, period)."""
     pieces = [(a - cycle * period, b - cycle * period) for a, b in spans for cycle in range(count + 1)]
-    inside = sorted((max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period)
-    joined: list[list[float]] = []
-    for a, b in inside:
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], b)
-        else:
-            joined.append([a, b])
-    return np.array(joined).reshape(-1, 2)
+    inside = [(max(float(a), 0.0), min(float(b), period)) for a, b in pieces if b > 0 and a < period]
+    return joined(np.array(inside).reshape(-1, 2))
 
 
 def _common(spans: Array, period: float, count: int) -> Array:

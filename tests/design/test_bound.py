@@ -11,7 +11,7 @@ from sampling_design.design.bounds.averaged import averaged_bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
 from sampling_design.design.bounds.local_bound import local_bound, relax_local, tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
-from sampling_design.design.bounds.zones import origin_zones, tightened, turn, zoned
+from sampling_design.design.bounds.zones import begins, origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule, window_sigma_scan
@@ -125,7 +125,8 @@ def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
             continue
         tried += 1
         for side in ("late", "early"):
-            shift = turn(case) * np.floor(times[origin_of(case, times, side)] / turn(case))
+            ahead = times[origin_of(case, times, side)] - begins(case, side)
+            shift = turn(case) * np.floor(ahead / turn(case))
             moved = times - shift  # allowed there too: what is forbidden repeats
             zones = near(case, moved, side)
             assert plain_sum(case, starts, Z, np.mod(moved, 4.0)) <= zone_bound(case, starts, Z, zones) ** 2 * (

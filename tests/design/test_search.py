@@ -1,6 +1,7 @@
 """The search: shares of the allowed time and back, and kicks that leave a local optimum."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,11 +10,12 @@ import sampling_design as sd
 from sampling_design import Plant
 from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import local_search
-from sampling_design.design.search.fedorov_exchange import is_admissible, packed, shares_of, spread
+from sampling_design.design.search.fedorov_exchange import is_admissible, packed, repaired, shares_of, spread
 from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
 from sampling_design.design.search.refine import refined
 
@@ -144,3 +146,61 @@ def test_even_samples_of_an_oscillator_begin_half_a_gap_after_the_origin():
     oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     found = sd.design_schedule(oscillator, sd.Requirement(window=2 * np.pi, samples=4, spacing=0.1))
     np.testing.assert_allclose(found.schedule.times, np.pi / 4 + np.pi / 2 * np.arange(4), rtol=1e-9)
+
+
+NIGHT = np.array([[0.0, 1.0], [4.0, 6.0]])
+
+
+@pytest.mark.parametrize(
+    ("wished", "moved"),
+    [
+        ([1.5, 2.0, 3.9], [1.5, 2.0, 3.9]),  # nothing is in the way
+        ([1.5, 2.0, 4.1], [1.5, 2.0, 4.0]),  # to the nearer side of the night
+        ([0.8, 2.0, 3.5], [1.0, 2.0, 3.5]),
+        ([1.5, 3.9, 3.95], [1.5, 3.75, 3.95]),  # two at closing: the earlier one gives way, neither waits for morning
+        ([1.0, 1.1, 3.9], [1.0, 1.2, 3.9]),
+    ],
+)
+def test_times_are_repaired_to_the_nearest_allowed_ones_either_way(wished, moved):
+    case = problem(forbidden=NIGHT, samples=3)
+    found = repaired(case, np.array(wished))
+    assert is_admissible(case, found)
+    assert np.abs(found - wished).sum() <= np.abs(np.array(moved) - wished).sum() + 1e-7
+
+
+def test_repairs_are_near_the_least_that_all_choices_of_a_grid_move():
+    rng, grid = np.random.default_rng(2), np.arange(0.0, 6.0, 0.1)
+    for fixed in (np.zeros(0), np.array([2.5])):
+        case = problem(forbidden=NIGHT, samples=3, spacing=0.7, fixed=fixed)
+        free = grid[case.mask(grid).any(axis=1)]
+        choices = np.array([t for t in combinations(free, 3) if is_admissible(case, np.array(t))])
+        for _ in range(20):
+            wished = np.sort(np.append(fixed, rng.uniform(0.0, 6.0, 3 - fixed.size)))
+            found = repaired(case, wished)
+            assert is_admissible(case, found)
+            assert turned_cost(found, wished) <= 2 * min(turned_cost(t, wished) for t in choices) + 0.3
+
+
+def turned_cost(times, wished):
+    """By how much times are moved from those wished for, whichever of them goes where around the period."""
+    turns = [np.mod(np.roll(times, i) - wished + 3.0, 6.0) - 3.0 for i in range(times.size)]
+    return min(np.abs(turn).sum() for turn in turns)
+
+
+def test_no_repair_is_found_where_there_is_no_room():
+    assert repaired(problem(forbidden=NIGHT, samples=3, spacing=2.0), np.array([1.0, 2.0, 3.0])) is None
+    assert repaired(problem(samples=3), np.array([1.0, 2.0])) is None
+
+
+def test_periods_begin_where_the_longest_closed_time_ends_and_move_along_with_it():
+    case = problem(forbidden=np.array([[0.0, 1.0], [2.0, 2.5], [5.0, 6.0]]))
+    assert case.origin == 1.0
+    assert 2.0 - 1e-7 < case.shut <= 2.0
+    assert problem(available=(np.array([[1.0, 4.0], [4.0, 5.0]]),)).shut == pytest.approx(2.0)
+    assert problem(forbidden=np.array([[0.5, 2.5], [3.5, 4.0]])).origin == 2.5
+    assert problem(fixed=np.array([0.5, 1.0, 4.0])).origin == 0.5
+    assert problem(fixed=np.array([0.2, 4.7, 5.2])).origin == 4.7
+    assert problem().origin == 0.0
+    repeated = np.array([[0.5, 1.0], [2.5, 3.0], [4.5, 5.0]])
+    assert problem(forbidden=repeated).origin == 1.0
+    assert canonical(problem(forbidden=repeated)).inside.origin == 0.0

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.design.bounds.zones import (
+    begins,
     covered,
     follower_zones,
     halves,
@@ -32,12 +33,13 @@ def problem(**changes):
     return DesignProblem(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), **(given | none | changes))
 
 
-def counted(times, side, shift=0.0):
-    """The samples counted from the one after which all come late, or early, that one in [0, shift], by definition."""
+def counted(times, side, shift=0.0, begin=0.0):
+    """The samples counted from the one after which all come late, or early, by definition; that one in [0, shift] from
+    where periods `begin`."""
     late = times - np.arange(times.size) * P / times.size
     origin = int(np.argmin(late) if side == "late" else np.argmax(late))
     line = np.concatenate([times[origin:], times[:origin] + P])
-    return line - (line[0] if shift == 0.0 else shift * np.floor(line[0] / shift))
+    return line - (line[0] if shift == 0.0 else shift * np.floor((line[0] - begin) / shift))
 
 
 def held(zones, distances):
@@ -79,7 +81,8 @@ DAYS = np.array([[0.0, 0.3], [0.8, 1.3], [1.8, 2.3], [2.8, 3.3], [3.8, 4.0]])
 def test_a_requirement_may_be_turned_by_what_its_allowed_times_repeat_after(changes, shift):
     case = problem(**changes)
     assert turn(case) == pytest.approx(shift)
-    assert origin_zones(case, "late")[0] == pytest.approx([0.0, shift], abs=1e-9)
+    origin = begins(case, "late")
+    assert origin_zones(case, "late")[0] == pytest.approx([origin, max(origin, origin + shift - case.shut)], abs=1e-9)
 
 
 @pytest.mark.parametrize("side", COUNTED)
@@ -109,7 +112,7 @@ def test_tightening_knows_closed_times(side):
         gaps = np.diff(np.append(times, times[0] + P))
         if gaps.min() < 0.1:
             continue
-        line = counted(times, side, 1.0)
+        line = counted(times, side, 1.0, begins(case, side))
         seen += 1
         assert held(tightened(case, root, side), line)
         box = np.stack([line - rng.uniform(0, 0.5, COUNT), line + rng.uniform(0, 0.5, COUNT)], axis=1)
@@ -195,8 +198,8 @@ def test_every_schedule_lies_in_a_region_of_sorted_samples_and_in_one_only(chang
         if gaps.min() < case.spacing or not case.mask(times).all():
             continue
         seen += 1
-        first = int(np.argmin(np.abs(times - case.fixed[0]))) if case.fixed.size else 0
-        line = np.concatenate([times[first:], times[:first] + P])
+        lead = case.origin + np.min(np.mod(case.fixed - case.origin, P)) if case.fixed.size else case.origin
+        line = lead + np.sort(np.mod(times - lead + 1e-12, P))
         assert sum(held(tightened(case, region, "sorted"), line) for region in whole) == 1
     assert seen > 15
     assert [region_of(case, "sorted", region) for region in whole] == list(range(len(whole)))

@@ -4,6 +4,7 @@ Nothing here imports what it judges: numpy and scipy only. A problem is plain da
 """
 
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -179,3 +180,81 @@ def sigma_of(problem, times, mask, places=5):
             values = np.linalg.svd(O, compute_uv=False) if len(O) >= n else np.zeros(n)
             least = min(least, values[n - 1])
     return float(least)
+
+
+def random_hours(rng):
+    """A day with closed hours, sometimes with a fixed hour or an output that is there for a part of the day only."""
+    w = 2 * np.pi / 24
+    turning = np.array([[0.0, w], [-w, 0.0]])
+    blocks = {
+        "rhythm": turning,
+        "level and rhythm": block_diag([[0.0]], turning),
+        "two rhythms": block_diag(turning, 2 * turning),
+        "growing rhythm": turning + rng.uniform(0.005, 0.05) * np.eye(2),
+        "drift": np.array([[0.0, 0.1], [0.0, 0.0]]),
+        "growing level and rhythm": block_diag([[0.02]], turning),
+    }
+    A = blocks[str(rng.choice(list(blocks)))]
+    p = int(rng.choice([1, 1, 1, 2]))
+    C = np.abs(rng.normal(size=(p, len(A)))) + 0.3
+    closed = _closed_hours(rng)
+    k = int(rng.integers(2, 6))
+    k = max(k, len(A)) if p == 1 else k
+    window = 24.0 * float(rng.choice([1.0, 1.0, 1.0, 2.0, 1.5]))
+    spacing = float(rng.choice([0.25, 0.5, 1.0, 2.0]))
+    problem = Problem(A, C, window, 24.0, spacing, k, closed, available=[None] * p, costs=[0.0] * p)
+    open_hours = [t for t in range(24) if problem.open(np.array([float(t)])).any()]
+    if rng.uniform() < 0.3:
+        problem.fixed = [float(rng.choice(open_hours))]
+    if p == 2 and rng.uniform() < 0.5:
+        problem.available[1] = [[8.0, 17.0]]
+    return problem
+
+
+def _closed_hours(rng):
+    """A night, sometimes a break too; the night may begin before midnight."""
+    start, length = int(rng.integers(24)), int(rng.integers(6, 14))
+    spans = [(start, start + length)]
+    if rng.uniform() < 0.4:
+        pause = start + length + int(rng.integers(2, 24 - length - 3))
+        spans.append((pause, pause + int(rng.integers(1, 3))))
+    return turned_spans(spans, 0.0, 24.0)
+
+
+def turned_spans(spans, shift, period):
+    """Intervals moved by `shift`, cut where they pass the end of the period."""
+    found = []
+    for a, b in spans:
+        a, b = (a + shift) % period, (a + shift) % period + (b - a)
+        found += [[float(a), float(min(b, period))]] + ([[0.0, float(b - period)]] if b > period else [])
+    return sorted(found)
+
+
+def best_hours(problem, step=1.0):
+    """The best sigma of all schedules on the grid of `step`, and its times: every choice of hours is looked at.
+
+    Windows begin just before and just after each grid time, where samples leave and enter, and once between two.
+    """
+    P, T, A, C = problem.period, problem.window, problem.A, problem.C
+    grid = np.arange(0.0, P, step)
+    mask = problem.open(grid)
+    grid, mask = grid[mask.any(axis=1)], mask[mask.any(axis=1)]
+    k = problem.counts[1]
+    chosen = np.array(list(combinations(range(grid.size), k)))
+    times = grid[chosen]
+    gaps = np.diff(np.concatenate([times, times[:, :1] + P], axis=1), axis=1)
+    held = np.all([np.any(np.abs(times - t) < 1e-9, axis=1) for t in problem.fixed], axis=0) if problem.fixed else True
+    chosen = chosen[(gaps.min(axis=1) >= problem.spacing - 1e-9) & held]
+    least = np.full(len(chosen), np.inf)
+    for a in np.arange(0.0, P, step / 2):
+        for low, high in ((1e-8, T + 1e-8), (-1e-8, T - 1e-8)):
+            grams = np.zeros((grid.size, *A.shape))
+            for i, t in enumerate(grid):
+                for r in t - a + P * np.arange(-1, int(np.ceil(T / P)) + 2):
+                    if low < r < high:
+                        rows = (C @ expm(A * r))[mask[i]]
+                        grams[i] += rows.T @ rows
+            W = sum(grams[chosen[:, j]] for j in range(k))
+            least = np.minimum(least, np.linalg.eigvalsh(W)[:, 0])
+    best = int(np.argmax(least))
+    return float(np.sqrt(max(least[best], 0.0))), grid[chosen[best]]

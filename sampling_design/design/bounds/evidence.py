@@ -17,9 +17,21 @@ from sampling_design._record import Plain
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at, relax_placed
-from sampling_design.design.bounds.weak_duality import alone_bound, placed_bound
+from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters, relax_zones, zone_bound
-from sampling_design.design.bounds.zones import SIDES, Side, covered, region_of, regions, sides, tightened, turn, zoned
+from sampling_design.design.bounds.zones import (
+    SIDES,
+    TINY,
+    Side,
+    begins,
+    covered,
+    region_of,
+    regions,
+    sides,
+    tightened,
+    turn,
+    zoned,
+)
 from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
@@ -190,11 +202,17 @@ class UpperBound:
                 home = region_of(canon.inside, part.side, zones)
                 if home is None or len(inner[part.side]) != len(outer[part.side]):  # nothing is proven of it outside
                     return UpperBound(np.inf, tuple(replace(part, value=np.inf) for part in self.parts))
-                zones = canon.spans(zones, inner[part.side][home], outer[part.side][home])
+                shift = begins(canon.outside, part.side)
+                zones = canon.spans(zones, inner[part.side][home], outer[part.side][home], shift)
+            else:
+                shift = canon.shift if part.method == "placed" else 0.0
+            starts = part.starts * canon.time + shift
+            earlier = int(np.sum(canon.outside.fixed < canon.shift - TINY * canon.outside.period))  # last ones inside
             bare = replace(
                 part,
-                starts=part.starts * canon.time,
+                starts=starts if part.method == "alone" else clear_of_ends(canon.outside, starts),
                 zones=zones,
+                chosen=np.roll(part.chosen, earlier, axis=0) if part.method == "placed" else part.chosen,
                 tilt=part.tilt * (1 if part.method == "local" else canon.size**2) / canon.time,
                 price=part.price * canon.size**2,
             )
@@ -287,6 +305,7 @@ def _part(
     traces = np.trace(weights, axis1=1, axis2=2)
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
+    starts = starts if method == "alone" else clear_of_ends(problem, starts)
     slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
     bare = BoundPart(
         method, starts, weights, _none() if zones is None else zones, slope, side, chosen=chosen_in(problem)

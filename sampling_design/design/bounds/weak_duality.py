@@ -27,6 +27,7 @@ NARROWER = 1e-11
 """Relative: cells are that much narrower than the spacing, so that rounding never decides on which side of a jump one
 ends."""
 
+_SAME, _JUST_AFTER = 1e-11, 1e-9  # of the period: windows so near to an end start there, and are moved by so much
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
 _LOOSE = 1e-7  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
@@ -113,6 +114,18 @@ def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None
 def jump_times(problem: DesignProblem, starts: Array) -> Array:
     """Where g jumps: window starts and window ends, in [0, period)."""
     return np.unique(np.mod(np.concatenate([starts, starts + problem.window]), problem.period))
+
+
+def clear_of_ends(problem: DesignProblem, starts: Array) -> Array:
+    """Window starts, those on a time at which something closes just after it: no sample before it is seen by them then.
+
+    On that time itself rounding would decide, and a bound has to count what might be seen.
+    """
+    if problem.breakpoints.size == 2:  # nothing ever closes
+        return starts
+    apart = np.mod(starts[:, None] - problem.breakpoints + problem.period / 2, problem.period) - problem.period / 2
+    on = np.any(np.abs(apart) <= _SAME * problem.period, axis=1)
+    return np.asarray(starts + np.where(on, _JUST_AFTER * problem.period, 0.0))
 
 
 def _forms(C: Array, Y: Array) -> Array:

@@ -4,10 +4,10 @@ Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - 
 against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
 j P/k or more, for every j at once (the cycle lemma); from the sample where D is largest, after j P/k or
 less. That sample is the origin: sample 0. Where the requirement may be shifted by `turn`, the origin lies in
-[0, turn], at 0 alone if it may be shifted at will. Where it may not be shifted by less than a period, or times are
-fixed, samples are "sorted": counted from the first of the period, or from a fixed one, and every way to share out the
-others between the fixed ones is a region of its own. Every sample then has a zone, and boxes of zones are cut in two
-again and again (`branching`).
+[0, turn] from where the problem's periods begin (`DesignProblem.origin`), at 0 alone if it may be shifted at will.
+Where it may not be shifted by less than a period, or times are fixed, samples are "sorted": counted from the first of
+that period, or from the first fixed one in it, and every way to share out the others between the fixed ones is a region
+of its own. Every sample then has a zone, and boxes of zones are cut in two again and again (`branching`).
 """
 
 from __future__ import annotations
@@ -95,8 +95,13 @@ def origin_zones(problem: DesignProblem, side: Side) -> Array:
     even = j * (P / k)
     low, high = (even, last) if side == "late" else (first, even)
     low, high = np.minimum(low, high), np.maximum(low, high) + turn(problem)
-    low[0], high[0] = 0.0, turn(problem)
-    return np.stack([low - TINY * P, high + TINY * P], axis=1)
+    low[0], high[0] = 0.0, max(turn(problem) - problem.shut, 0.0)
+    return np.stack([low - TINY * P, high + TINY * P], axis=1) + begins(problem, side)
+
+
+def begins(problem: DesignProblem, side: Side) -> float:
+    """The time from which zones are counted: 0 where the requirement may be shifted at will."""
+    return problem.origin if side == "sorted" or turn(problem) > 0 else 0.0
 
 
 def _shared_out(samples: int, fixed: int) -> Iterator[tuple[int, ...]]:
@@ -108,14 +113,16 @@ def _shared_out(samples: int, fixed: int) -> Iterator[tuple[int, ...]]:
 
 
 def _between(problem: DesignProblem, at: tuple[int, ...]) -> Array:
-    """Zones of the sorted samples of which those `at` are the fixed ones; without any, of a period from time 0."""
-    k, P, gap = problem.samples, problem.period, problem.spacing
+    """Zones of the sorted samples of which those `at` are the fixed ones; without any, of a period from the origin."""
+    k, P, gap, origin = problem.samples, problem.period, problem.spacing, problem.origin
     if not at:
         j = np.arange(k)
-        return np.stack([j * gap - TINY * P, P - (k - 1 - j) * gap + TINY * P], axis=1)
+        return np.stack([j * gap - TINY * P, P - problem.shut - (k - 1 - j) * gap + TINY * P], axis=1) + origin
     zones = np.empty((k, 2))
     ends = [*at, k]
-    times = np.append(problem.fixed, problem.fixed[0] + P)
+    before = problem.fixed < origin - TINY * P  # counted in the next period
+    ahead = np.concatenate([problem.fixed[~before], problem.fixed[before] + P])
+    times = np.append(ahead, ahead[0] + P)
     for place, index in enumerate(at):
         a, b = times[place], times[place + 1]
         inside = np.arange(1, ends[place + 1] - index)

@@ -2,9 +2,10 @@
 
 Time is counted in windows, or in parts of it where the period is a whole number of them too, so that samples that
 leave a window at the instant at which others enter do so to the last bit. Outputs are counted in the largest entry of
-C, and every number is cut to forty binary digits: what other units change is the last digits, so that the same problem
-in any units is the same to the last bit, and so is every step of the search. Nothing is claimed of it: what it finds
-is brought back and proven for the problem itself.
+C, periods begin at an opening or a fixed time, and every number is cut to forty binary digits: what other units, or
+another hour of the clock, change is the last digits, so that the same problem in any of them is the same to the last
+bit, and so is every step of the search. Nothing is claimed of it: what it finds is brought back and proven for the
+problem itself.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 BITS = 40
 """Binary digits that are kept: far above rounding, far below the tolerance of every search."""
@@ -30,26 +32,31 @@ _BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to
 
 @dataclass(frozen=True, eq=False)
 class CanonicalDesign:
-    """`inside` is the problem in canonical units, `outside` as it was posed; a time inside takes `time` outside."""
+    """`inside` is the problem in canonical units, `outside` as it was posed; a time inside takes `time` outside, where
+    time 0 of the inside is `shift`."""
 
     outside: DesignProblem
     inside: DesignProblem
     time: float
     size: float
+    shift: float
 
-    def times(self, found: Array) -> Array:
-        """Times of the inside, outside; on fixed times and on the beginnings of intervals to the last bit."""
-        problem = self.outside
-        t, near = np.array(found * self.time), _BESIDE * problem.period
-        for a in problem.intervals[:, 0]:
-            t[(t < a) & (t > a - near)] = a
+    def times(self, found: Array, chosen: Mask) -> tuple[Array, Mask]:
+        """Times of the inside and what they measure, outside; on fixed times and openings to the last bit."""
+        problem, P = self.outside, self.outside.period
+        t = np.mod(found * self.time + self.shift, P)
+        for a in problem.intervals[:, 0] if len(problem.inner) and problem.inner[0, 1] < P else ():
+            early = np.mod(a - t, P)
+            t[(early > 0) & (early < _BESIDE * P)] = a
         for a in problem.fixed:
-            t[np.argmin(np.abs(t - a))] = a
-        return np.sort(tied_again(problem, t))
+            t[np.argmin(np.abs(np.mod(t - a + P / 2, P) - P / 2))] = a
+        t = np.mod(tied_again(problem, t), P)
+        order = np.argsort(t, kind="stable")
+        return t[order], chosen[order]
 
-    def spans(self, zones: Array, inner: Array, outer: Array) -> Array:
+    def spans(self, zones: Array, inner: Array, outer: Array, shift: float) -> Array:
         """Zones of the inside, outside: what are ends of `inner`, from which they were cut, are ends of `outer`."""
-        return np.asarray(np.where(zones == inner, outer, zones * self.time))
+        return np.asarray(np.where(zones == inner, outer, zones * self.time + shift))
 
 
 def canonical(problem: DesignProblem) -> CanonicalDesign:
@@ -59,21 +66,46 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
     time = problem.window / windows
     size = float(np.max(np.abs(plant.C), initial=0.0)) or 1.0
 
-    def spans(times: Array) -> Array:
-        return _cut(times / time)
+    period = float(periods or _cut(problem.period / time))
+    origin = problem.origin
+
+    def turned(times: Array) -> Array:
+        """Times from the origin on, in [0, period); those beside the origin, to rounding, are there."""
+        t = _cut(np.mod(times - origin, problem.period) / time)
+        return np.where(t > period * (1 - _BESIDE), 0.0, t)
+
+    def spans(ends: Array) -> Array:
+        """Intervals as they are cut by the new end of the period, and joined at the old one."""
+        starts = turned(ends[:, 0])
+        stops = np.minimum(_cut(starts + (ends[:, 1] - ends[:, 0]) / time), starts + period)
+        later = stops > period * (1 + _BESIDE)
+        first = np.stack([starts, np.minimum(stops, period)], axis=1)
+        rest = np.stack([np.zeros(int(later.sum())), _cut(stops[later] - period)], axis=1)
+        return joined(np.concatenate([first, rest]), _BESIDE * period)
 
     spacing = _cut(problem.spacing / time)
     inside = replace(
         problem,
         plant=Plant(_cut(plant.A * time), _cut(plant.C / size)),
         window=float(windows),
-        period=float(periods or _cut(problem.period / time)),
+        period=period,
         spacing=float(spacing - np.ldexp(0.5, int(np.frexp(spacing)[1]) - BITS + 1)),  # never wider than was asked
         forbidden=spans(problem.forbidden),
-        fixed=spans(problem.fixed),
+        fixed=np.sort(turned(problem.fixed)),
         available=tuple(None if a is None else spans(a) for a in problem.available),
     )
-    return CanonicalDesign(problem, inside, time, size)
+    return CanonicalDesign(problem, inside, time, size, origin)
+
+
+def joined(spans: Array, tiny: float = 0.0) -> Array:
+    """Sorted disjoint intervals (m, 2); those that overlap, or are no more than `tiny` apart, are one."""
+    found: list[list[float]] = []
+    for a, b in spans[np.argsort(spans[:, 0], kind="stable")].tolist():
+        if found and a <= found[-1][1] + tiny:
+            found[-1][1] = max(found[-1][1], b)
+        else:
+            found.append([a, b])
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def tied_again(problem: DesignProblem, times: Array) -> Array:

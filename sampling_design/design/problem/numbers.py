@@ -19,6 +19,7 @@ Mask = npt.NDArray[np.bool_]
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
 _COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
 SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
+_TURNED = 2.0**30  # parts of a period: times that lie nearer to each other lie together
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,58 @@ class DesignProblem:
             elif good:
                 found.append([float(a), float(b)])
         return np.array(found).reshape(-1, 2)
+
+    @cached_property
+    def inner(self) -> Array:
+        """The same as closed intervals [a, b], (m, 2): they end so early that rounding carries no time out."""
+        if self._is_whole:
+            return self.intervals
+        a, b = self.intervals.T
+        return np.stack([a, np.maximum(a, b - SLACK * self.period)], axis=1)
+
+    @cached_property
+    def free(self) -> Array:
+        """What of these is left for samples that are not fixed, a gap away from fixed ones."""
+        found = self.inner
+        for t in (self.fixed + self.period * np.arange(-1, 2)[:, None]).ravel():
+            below = np.stack([found[:, 0], np.minimum(found[:, 1], t - self.gap)], axis=1)
+            above = np.stack([np.maximum(found[:, 0], t + self.gap), found[:, 1]], axis=1)
+            found = np.concatenate([below, above])
+            found = found[found[:, 1] >= found[:, 0]]
+        return np.asarray(found[np.argsort(found[:, 0], kind="stable")])
+
+    @property
+    def origin(self) -> float:
+        """The time at which periods begin for the search: an opening after the longest closed time, or a fixed time.
+
+        It moves along with what is allowed, so that a shift of all closed and fixed times changes nothing else; 0 where
+        all times are alike.
+        """
+        return self._begin[0]
+
+    @property
+    def shut(self) -> float:
+        """For how long before that time nothing is allowed, at least."""
+        return self._begin[1]
+
+    @cached_property
+    def _begin(self) -> tuple[float, float]:
+        P = self.period
+        points = np.unique(np.concatenate([self.breakpoints[:-1], self.fixed]))
+        points = points[np.append(True, np.diff(points) > P / _TURNED)]
+        there = self.mask((points + np.append(points[1:], P)) / 2)
+        codes = np.unique(there, axis=0, return_inverse=True)[1].reshape(-1)
+        pinned = np.any(np.abs(points[:, None] - self.fixed) <= P / _TURNED, axis=1)
+        real = np.flatnonzero(pinned | (codes != np.roll(codes, 1)))
+        if not real.size:
+            return 0.0, 0.0
+        lengths = np.diff(np.append(points[real], points[real[0]] + P))
+        closed = ~there[real].any(axis=1)
+        waited = np.roll(np.where(closed, lengths, 0.0), 1) * ~closed
+        told = np.stack([codes[real], pinned[real], np.rint(lengths * (_TURNED / P))], axis=1).astype(">i8")
+        longest = np.flatnonzero(waited >= waited.max() - P / _TURNED)
+        first = min(longest.tolist(), key=lambda i: np.roll(told, -i, axis=0).tobytes())
+        return float(points[real[first]]), float(max(waited[first] - 4 * P / _TURNED, 0.0))
 
     def capacity(self, spacing: float | None = None) -> int:
         """Most samples per period that fixed and allowed times leave room for."""

@@ -11,6 +11,7 @@ Fedorov 1972; Pukelsheim 1993.
 from __future__ import annotations
 
 import time
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 import numpy.typing as npt
@@ -69,60 +70,81 @@ def packed(problem: DesignProblem) -> Array:
 
 
 def repaired(problem: DesignProblem, times: Array) -> Array | None:
-    """Admissible times near `times` (fixed ones stay): pushed apart in order; None where that does not fit.
+    """Admissible times near `times` (fixed ones stay), moved either way; None where none are found.
 
-    From a sample after one of the widest gaps as the first of the period, later samples move right just enough;
-    the turn that moves them least wins.
+    The period begins at a sample after one of the widest gaps. Each free sample may go to the nearest allowed time, as
+    far as all earlier ones push it later, as far as all later ones push it earlier, or halfway between the two: of
+    these the choices that keep the spacing and move all together least, by dynamic programming.
     """
-    period, gap = problem.period, problem.gap
+    period, apart = problem.period, (problem.spacing * (1 - 1e-12) + problem.gap) / 2
     t = np.sort(np.mod(times, period))
-    best: tuple[float, Array] | None = None
-    widest = np.argsort(-np.diff(np.append(t[-1] - period, t)), kind="stable")
-    for lead in widest[:_LEADS]:
-        turn = np.concatenate([t[lead:], t[:lead] + period])
-        pushed = _pushed(problem, turn, gap)
-        if pushed is not None and (best is None or np.abs(pushed - turn).sum() < best[0]):
-            best = (float(np.abs(pushed - turn).sum()), np.sort(np.mod(pushed, period)))
-    return None if best is None else best[1]
+    for fixed in problem.fixed:
+        t = np.delete(t, np.argmin(np.abs((t - fixed + period / 2) % period - period / 2)))
+    if t.size + problem.fixed.size != problem.samples or not (t.size == 0 or problem.free.size):
+        return None
+    best: tuple[float, list[float]] | None = None if t.size else (0.0, [])
+    allowed = _Allowed(problem)
+    for lead in np.argsort(-np.diff(np.append(t[-1:] - period, t)), kind="stable")[:_LEADS]:
+        turned = np.concatenate([t[lead:], t[:lead] + period]).tolist()
+        found = _moved_least(turned, allowed, problem.gap, apart)
+        if found is not None and found[1][-1] - found[1][0] <= period - apart and (best is None or found[0] < best[0]):
+            best = found
+            if allowed.nearest(turned[0]) == found[1][0] and allowed.nearest(turned[-1]) == found[1][-1]:
+                break  # nothing is in the way across the end of the period: no other beginning moves less
+    return None if best is None else np.sort(np.mod(np.concatenate([problem.fixed, best[1]]), period))
 
 
-def _pushed(problem: DesignProblem, turn: Array, gap: float) -> Array | None:
-    """Forward pass: each time at least `gap` after the last, in an allowed interval, fixed times untouched."""
-    period = problem.period
-    fixed = np.concatenate([problem.fixed + cycle * period for cycle in range(3)])
-    fixed = fixed[(fixed >= turn[0] - gap) & (fixed < turn[0] + period + gap)]
-    result: list[float] = []
-    for wish in turn:
-        if np.any(np.abs(fixed - wish) <= 1e-12 * period):
-            if result and wish - result[-1] < problem.spacing * (1 - 1e-12):
-                return None
-            result.append(float(wish))
-            continue
-        t = max(float(wish), result[-1] + gap if result else -np.inf)
-        moved = True
-        while moved:
-            near = fixed[np.abs(fixed - t) < gap]
-            after = float(near[-1]) + gap if near.size else t
-            opened = next_open(problem, after)
-            moved = opened > t
-            t = opened
-            if t > turn[0] + 2 * period:
-                return None
-        result.append(t)
-    wrapped = np.array(result)
-    ordered = np.sort(np.mod(wrapped, period))
-    gaps = np.diff(np.append(ordered, ordered[0] + period))
-    return wrapped if gaps.min() >= problem.spacing * (1 - 1e-12) else None
+class _Allowed:
+    """Allowed times of free samples, on a line of some periods."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        spans = np.concatenate([problem.free + cycle * problem.period for cycle in range(-2, 4)])
+        self.begins, self.ends = spans.T.tolist()
+
+    def after(self, t: float) -> float:
+        """The first one at or after t; infinite where the line ends."""
+        i = bisect_left(self.ends, t)
+        return max(t, self.begins[i]) if i < len(self.ends) else np.inf
+
+    def before(self, t: float) -> float:
+        """The last one at or before t."""
+        i = bisect_right(self.begins, t) - 1
+        return min(t, self.ends[i]) if i >= 0 else -np.inf
+
+    def nearest(self, t: float) -> float:
+        """The nearest one."""
+        early, late = self.before(t), self.after(t)
+        return early if t - early <= late - t else late
 
 
-def next_open(problem: DesignProblem, t: float) -> float:
-    """The first allowed time at or after t."""
-    cycle = np.floor(t / problem.period)
-    inside = t - cycle * problem.period
-    for a, b in problem.intervals:
-        if inside < b - 1e-12 * problem.period:
-            return float(max(t, cycle * problem.period + a))
-    return float((cycle + 1) * problem.period + problem.intervals[0, 0])
+def _moved_least(wished: list[float], allowed: _Allowed, gap: float, apart: float) -> tuple[float, list[float]] | None:
+    """By how much the samples have to be moved together, of the choices of `repaired`, and where to."""
+    later, earlier = [allowed.after(wished[0])], [allowed.before(wished[-1])]
+    for wish in wished[1:]:
+        later.append(allowed.after(max(wish, later[-1] + gap)))
+    for wish in wished[-2::-1]:
+        earlier.append(allowed.before(min(wish, earlier[-1] - gap)))
+    places = []
+    for wish, high, low in zip(wished, later, reversed(earlier), strict=True):
+        middle = allowed.nearest((high + low) / 2) if np.isfinite(high - low) else wish
+        places.append([place for place in (allowed.nearest(wish), high, low, middle) if np.isfinite(place)])
+    ways = [[(abs(place - wished[0]), -1, place) for place in places[0]]]
+    for wish, here in zip(wished[1:], places[1:], strict=True):
+        reached = []
+        for place in here:
+            fits = [(way[0], i) for i, way in enumerate(ways[-1]) if place - way[2] >= apart]
+            if fits:
+                cost, i = min(fits)
+                reached.append((cost + abs(place - wish), i, place))
+        if not reached:
+            return None
+        ways.append(reached)
+    way = min(ways[-1])
+    total, found = way[0], [way[2]]
+    for before in ways[-2::-1]:
+        way = before[way[1]]
+        found.append(way[2])
+    return total, found[::-1]
 
 
 def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
@@ -130,8 +152,9 @@ def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
     period, gap = problem.period, problem.gap
     grid = np.arange(count) * (period / count)
     near = np.concatenate([others - gap, others + gap]) if others.size <= count // 2 else np.zeros(0)
-    wished = np.unique(np.mod(np.concatenate([grid, near, problem.intervals[:, 0]]), period))
-    wished = wished[problem.mask(wished).any(axis=-1)]
+    wished = np.unique(np.mod(np.concatenate([grid, near, problem.inner.ravel()]), period))
+    place = np.searchsorted(problem.inner[:, 0], wished, side="right") - 1
+    wished = wished[(place >= 0) & (wished <= problem.inner[place, 1])]
     if not others.size:
         return wished
     distance = np.abs((wished[:, None] - others[None, :] + period / 2) % period - period / 2)

@@ -204,3 +204,14 @@ def test_periods_begin_where_the_longest_closed_time_ends_and_move_along_with_it
     repeated = np.array([[0.5, 1.0], [2.5, 3.0], [4.5, 5.0]])
     assert problem(forbidden=repeated).origin == 1.0
     assert canonical(problem(forbidden=repeated)).inside.origin == 0.0
+
+
+@pytest.mark.parametrize(
+    ("closed", "opening"), [([[4.0, 6.0]], 0.0), ([[0.3, 2.3]], 2.3), ([[0.0, 0.7], [4.7, 6.0]], 0.7)]
+)
+def test_a_sample_fits_where_an_opening_and_a_fixed_time_leave_the_spacing_just_so(closed, opening):
+    case = problem(forbidden=np.array(closed), samples=2, spacing=1.3, fixed=np.array([opening + 1.3]))
+    for posed, begin in ((case, opening), (canonical(case).inside, 0.0)):
+        found = repaired(posed, np.sort(np.array([begin + 0.03, posed.fixed[0]])))
+        assert np.abs(found - begin).min() < 1e-9
+        assert is_admissible(posed, found)

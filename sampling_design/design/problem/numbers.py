@@ -19,6 +19,7 @@ Mask = npt.NDArray[np.bool_]
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
 _COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
 SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
+_JUST_SO = 5e-12  # of the period: what canonical units may round
 _TURNED = 2.0**30  # parts of a period: times that lie nearer to each other lie together
 
 
@@ -122,14 +123,20 @@ class DesignProblem:
 
     @cached_property
     def free(self) -> Array:
-        """What of these is left for samples that are not fixed, a gap away from fixed ones."""
-        found = self.inner
+        """What of these is left for samples that are not fixed, a gap away from fixed ones.
+
+        Where an opening, or another fixed time, leaves room for the spacing just so, that one time stays.
+        """
+        found, slack = self.inner, 2 * (self.gap - self.spacing) + _JUST_SO * self.period
         for t in (self.fixed + self.period * np.arange(-1, 2)[:, None]).ravel():
             below = np.stack([found[:, 0], np.minimum(found[:, 1], t - self.gap)], axis=1)
             above = np.stack([np.maximum(found[:, 0], t + self.gap), found[:, 1]], axis=1)
             found = np.concatenate([below, above])
-            found = found[found[:, 1] >= found[:, 0]]
-        return np.asarray(found[np.argsort(found[:, 0], kind="stable")])
+            found = found[found[:, 1] >= found[:, 0] - slack]
+        begins = found[:, 0]
+        begins = np.where(np.isin(begins, self.inner[:, 0]), begins, np.minimum(begins, found.mean(axis=1)))
+        found = np.stack([begins, np.maximum(begins, found[:, 1])], axis=1)
+        return np.asarray(found[np.argsort(begins, kind="stable")])
 
     @property
     def origin(self) -> float:

@@ -154,11 +154,11 @@ def candidates(problem: DesignProblem, others: Array, count: int) -> Array:
     near = np.concatenate([others - gap, others + gap]) if others.size <= count // 2 else np.zeros(0)
     wished = np.unique(np.mod(np.concatenate([grid, near, problem.inner.ravel()]), period))
     place = np.searchsorted(problem.inner[:, 0], wished, side="right") - 1
-    wished = wished[(place >= 0) & (wished <= problem.inner[place, 1])]
+    wished = np.asarray(wished[(place >= 0) & (wished <= problem.inner[place, 1])], dtype=np.float64)
     if not others.size:
         return wished
     distance = np.abs((wished[:, None] - others[None, :] + period / 2) % period - period / 2)
-    return np.asarray(wished[distance.min(axis=1) >= (problem.spacing + gap) / 2])
+    return np.asarray(wished[distance.min(axis=1) >= problem.spacing * (1 - 1e-12)])
 
 
 def is_admissible(problem: DesignProblem, times: Array) -> bool:

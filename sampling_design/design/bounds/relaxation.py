@@ -103,7 +103,8 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     times = times[problem.mask(times).any(axis=-1)]
     times = times[np.append(True, np.diff(times) > 2 * tiny)]  # of a grid time on an end, the one just inside
     mask = problem.mask(times)  # of all turns: an end that is shifted may be rounded to the other side
-    starts = np.unique(np.concatenate([np.arange(count) * (shift / count), np.mod(_telling_starts(problem), shift)]))
+    starts = _even_starts(problem, count, shift)
+    starts = np.unique(np.concatenate([starts, np.mod(_telling_starts(problem), shift)]))
     starts = starts[np.append(np.diff(starts) > tiny, True)]
     every = (times + turns).ravel()
     if until <= time.perf_counter():
@@ -153,10 +154,15 @@ def relaxation_grid(
         free &= distance >= problem.spacing * (1 - 1e-9)
     times, mask = times[free], mask[free]
     count = _start_count(problem)
-    starts = np.unique(np.concatenate([np.arange(count) * (P / count), _telling_starts(problem)]))
+    starts = np.unique(np.concatenate([_even_starts(problem, count, P), _telling_starts(problem)]))
     ahead = np.mod(times[None, :] - times[:, None] + tiny, P)
     linear = ((ahead < problem.spacing).astype(float), np.full(times.size, max(1.0, step / problem.spacing)))
     return times, mask, starts, linear
+
+
+def _even_starts(problem: DesignProblem, count: int, length: float) -> Array:
+    """Evenly spaced window starts; not at an opening, where a sample on it and one just after it are seen differently."""
+    return np.asarray((np.arange(count) + (0.0 if problem.is_shift_invariant else 0.5)) * (length / count))
 
 
 def _telling_starts(problem: DesignProblem) -> Array:

@@ -62,9 +62,9 @@ def origin_of(case, times, side):
     return int(np.argmin(late) if side == "late" else np.argmax(late))
 
 
-def near(case, times, side):
+def near(case, times, side, origin=None):
     """A box of zones that holds the schedule counted from its origin, and little else."""
-    origin = origin_of(case, times, side)
+    origin = origin_of(case, times, side) if origin is None else origin
     counted = np.concatenate([times[origin:], times[:origin] + case.period])
     if turn(case) == 0:
         counted = counted - counted[0]
@@ -125,10 +125,10 @@ def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
             continue
         tried += 1
         for side in ("late", "early"):
-            ahead = times[origin_of(case, times, side)] - begins(case, side)
-            shift = turn(case) * np.floor(ahead / turn(case))
+            origin = origin_of(case, times, side)
+            shift = turn(case) * np.floor((times[origin] - begins(case, side)) / turn(case) + 1e-9)
             moved = times - shift  # allowed there too: what is forbidden repeats
-            zones = near(case, moved, side)
+            zones = near(case, moved, side, origin)
             assert plain_sum(case, starts, Z, np.mod(moved, 4.0)) <= zone_bound(case, starts, Z, zones) ** 2 * (
                 1 + 1e-8
             )

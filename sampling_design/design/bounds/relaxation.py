@@ -161,7 +161,7 @@ def relaxation_grid(
 
 
 def _even_starts(problem: DesignProblem, count: int, length: float) -> Array:
-    """Evenly spaced window starts; not at an opening, where a sample on it and one just after it are seen differently."""
+    """Evenly spaced window starts, none at an opening: there a sample on it is seen unlike one just after it."""
     return np.asarray((np.arange(count) + (0.0 if problem.is_shift_invariant else 0.5)) * (length / count))
 
 

@@ -35,7 +35,7 @@ def design_week(patient: sd.NonlinearPlant, samples: int = 3) -> ScheduleDesign:
     """Return the best week of `samples` blood samples in office hours for the modes slower than 1.5 a day."""
     linear = patient.linearise(patient.equilibrium(thyroid.TRUE_START))
     requirement = sd.Requirement(
-        window=7.0, period=7.0, samples=samples, spacing=1.0, decay_rate=1.5, forbidden=FORBIDDEN, scaled=True
+        window=7.0, period=7.0, samples=samples, spacing=1.0, decay_rate=1.5, forbidden=FORBIDDEN
     )
     return sd.design_schedule(linear, requirement)
 

@@ -17,7 +17,7 @@ from sampling_design._checks import positive
 from sampling_design._record import short
 from sampling_design._units import SECONDS
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, end_bracket, record_table, save_picture, table
+from sampling_design.cli.settings import Settings, end_bracket, end_unseen, record_table, save_picture, table
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
@@ -113,10 +113,6 @@ def design(
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
-    scaled: Annotated[
-        bool | None,
-        typer.Option("--scaled/--physical", help="Coordinates of sigma; scaled where the plant has scales."),
-    ] = None,
     branches: Annotated[
         int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
     ] = None,
@@ -136,7 +132,6 @@ def design(
     plant = reading.plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
     flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate)
-    flags["scaled"] = scaled
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     if zone is not None and start is None:
@@ -152,6 +147,7 @@ def design(
         settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
     _write_design(settings, result, zero, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
+    end_unseen(result)
 
 
 def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, zone: str | None) -> None:
@@ -159,7 +155,7 @@ def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, 
     if folder is None:
         return
     settings.write_json(folder / "design.json", result.to_dict())
-    if result.schedule is not None:
+    if result.schedule is not None and result.sigma > 0:
         _schedule_files(settings, result, result.schedule, folder, (zero, zone))
         settings.wrote(save_picture(result, folder / "design.png", origin=zero))
 

@@ -23,6 +23,7 @@ from sampling_design._checks import positive, whole
 from sampling_design._files import Growing, json_pieces
 from sampling_design._record import Record
 from sampling_design._workers import Workers, check_workers, cluster
+from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
@@ -270,6 +271,12 @@ def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: 
         raise typer.Exit(3)
     if result.lower == 0:
         raise typer.Exit(1)
+
+
+def end_unseen(design: ScheduleDesign) -> None:
+    """Leave with 1 where no schedule sees every state, and with 3 where only none was found."""
+    if not design.sigma > 0:
+        raise typer.Exit(1 if design.upper_bound == 0 else 3)
 
 
 def save_picture(record: object, path: Path, **beside: Any) -> Path:

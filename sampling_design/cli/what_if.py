@@ -19,10 +19,12 @@ from sampling_design.cli.settings import (
     Scheduler,
     Settings,
     end_bracket,
+    end_unseen,
     record_table,
     save_picture,
     workforce,
 )
+from sampling_design.design.pareto import NO_NEED, NO_TIME
 from sampling_design.errors import ArgumentError
 
 
@@ -86,6 +88,7 @@ def pareto(
             plant,
             requirement,
             _counts(counts),
+            rng=np.random.default_rng(settings.seed),
             workers=hands,
             resume=resume,
             progress=progress,
@@ -95,6 +98,9 @@ def pareto(
         settings.wrote(resume)
         settings.wrote(save_picture(front, folder / "pareto.png"))
     settings.show(front.to_dict(), record_table(front), front.explain())
+    if not front.efficient and not any(point.obstacle == NO_NEED for point in front.points):
+        undecided = any(point.upper_bound > 0 or point.obstacle == NO_TIME for point in front.points)
+        raise typer.Exit(3 if undecided else 1)
 
 
 def losses(
@@ -119,10 +125,12 @@ def losses(
         rng = np.random.default_rng(settings.seed)
         half = settings.budget / 2
         design = sd.design_schedule(plant, requirement, rng=rng, budget=half, progress=progress)
-        if design.schedule is None:
+        if design.schedule is None or not design.sigma > 0:
             settings.show({"without": []}, design.explain())
+            end_unseen(design)
             return
-        result = sd.sample_losses(design, every_period=every_period, budget=half, progress=progress)
+        rng = np.random.default_rng(settings.seed)
+        result = sd.sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "losses.json", result.to_dict())

@@ -23,7 +23,7 @@ from sampling_design.design.problem.canonical import CanonicalDesign, canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
+from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
 from sampling_design.design.search.local_search import search
@@ -144,7 +144,7 @@ def design_schedule(
         return _nothing(plant, split, wanted)
     resolved, used, count = resolve(split, wanted)
     least = max(1, resolved.fixed.size, resolved.samples.get("exactly", resolved.samples.get("at_least", 1)))
-    check_size(pose(designed_plant(split, resolved), resolved, least, check=False))
+    check_size(pose(designed_plant(split), resolved, least, check=False))
     if count is None:  # refuses a mode that no output sees
         count = zero_count_bound(split.retained, float(resolved.window or 0))
     run = _Run(
@@ -253,7 +253,7 @@ class _Run:
 
     @property
     def designed(self) -> Plant:
-        return designed_plant(self.split, self.requirement)
+        return designed_plant(self.split)
 
     def say(self, fraction: float, message: str) -> None:
         if self.progress:
@@ -326,11 +326,10 @@ class _Run:
         candidates = [*_candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
         proven = [self.proven(sized.problem, times, mask) for times, mask in candidates]
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
-        sigma = stated(proof, self.requirement)
         return ScheduleDesign(
             schedule=schedule,
-            sigma=sigma.lower,
-            sigma_attained=sigma.upper,
+            sigma=proof.lower,
+            sigma_attained=proof.upper,
             upper_bound=bound.value,
             requirement=self.requirement,
             defaults_used=self.used,
@@ -341,7 +340,7 @@ class _Run:
             bound=bound,
             history=tuple(asdict(trial.in_units(sized.canon.size)) for trial in found.trials),
             solver=sized.solver,
-            status=_status(sigma.lower, bound.value, found.complete and time_left),
+            status=_status(proof.lower, bound.value, found.complete and time_left),
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
 
@@ -444,7 +443,9 @@ def _status(sigma: float, bound: float, finished: bool) -> str:
     """How a search for one count ended."""
     if not finished:
         return "budget"
-    return "complete" if sigma > 0 or bound == 0 else "blind"
+    if sigma > 0:
+        return "complete"
+    return "unseen" if bound == 0 else "blind"
 
 
 def _brought_back(canon: CanonicalDesign, found: Array, chosen: Mask) -> tuple[Array, Mask]:

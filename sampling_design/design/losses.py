@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,9 +13,10 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Table, short
-from sampling_design.design.design import bounded
+from sampling_design.design.design import bounded, design_schedule
 from sampling_design.design.problem.posing import pose, repeated
-from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove, stated
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.schedules.schedule import Details, PeriodicSchedule
@@ -93,6 +95,7 @@ def sample_losses(
     design: ScheduleDesign,
     *,
     every_period: bool = False,
+    rng: np.random.Generator | None = None,
     rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
@@ -105,6 +108,8 @@ def sample_losses(
     every_period : bool
         Leave the sample out of every period (its price), or miss it once (a window that spans several periods
         then keeps the sample of the others).
+    rng : numpy.random.Generator, optional
+        As for `design_schedule`: what designs the schedules with one sample fewer in every period.
     rtol : float
         As for `window_sigma`.
     budget : float, optional [seconds]
@@ -121,15 +126,18 @@ def sample_losses(
     *Claim.* `lower` is proven as in `window_sigma`. `bound` holds for every schedule that meets the
     requirement with one sample fewer, a fixed time that is lost being free of its duty; where a sample is
     missed once, over the periods that a window can touch, plus one, as one long period. Where a sample is lost in
-    every period and there is always room for one more, `bound` is never above `design.upper_bound`.
+    every period, `bound` is that of a design with one sample fewer (as `pareto` states it); where there is always
+    room for one more it is never above `design.upper_bound`.
 
     Raises
     ------
     ArgumentError
-        If the design has no schedule.
+        If the design has no schedule, or one that leaves a state unseen.
     """
     if not isinstance(design, ScheduleDesign) or design.schedule is None:
         raise ArgumentError("`design` must be a ScheduleDesign with a schedule; there is no sample to lose.")
+    if not design.sigma > 0:
+        raise ArgumentError(f"`design` must see every state, or there is nothing to lose. {design.explain()}")
     _checks.positive("rtol", rtol)
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     began, count = time.perf_counter(), len(design.schedule)
@@ -139,12 +147,12 @@ def sample_losses(
         left = max(began + 0.7 * seconds - time.perf_counter(), 0.0) / (count - i)
         share = left if np.isfinite(left) else None
         asked = design.requirement
-        proofs.append(None if rest is None else stated(prove(design.split, rest, asked, rtol, budget=share), asked))
+        proofs.append(None if rest is None else prove(design.split, rest, asked, rtol, budget=share))
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
     bound = np.maximum(
-        _bounds(design, every_period, began + seconds), lower
+        _bounds(design, every_period, began + seconds, rng), lower
     )  # a bound may round to just below a tight proof
     lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
     return SampleLosses(
@@ -152,25 +160,38 @@ def sample_losses(
     )
 
 
-def _bounds(design: ScheduleDesign, every_period: bool, deadline: float) -> Array:
+def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: np.random.Generator | None) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
     periods = 1 if every_period else _periods(design)
-    plant = designed_plant(design.split, requirement)
+    plant = designed_plant(design.split)
     known: dict[float | None, float] = {}
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
     for key in set(keys):
         fixed = (requirement.fixed + schedule.period * np.arange(periods)[:, None]).ravel()
         asked = repeated(requirement, periods).replace(fixed=fixed if key is None else fixed[fixed != key])
         try:
-            sized = bounded(plant, asked, periods * len(schedule) - 1, deadline)
+            if every_period:
+                found = _fewer(design, asked, deadline, rng)
+            else:
+                found = bounded(plant, asked, periods * len(schedule) - 1, deadline).bound.value
             whole = pose(plant, asked, periods * len(schedule), check=False)
             roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
-            known[key] = min(sized.bound.value, design.upper_bound) if roomy else sized.bound.value
+            known[key] = min(found, design.upper_bound) if roomy else found
         except InfeasibleRequirementError:  # too few measurements for the states, or none left
             known[key] = 0.0
     return np.array([known[key] for key in keys])
+
+
+def _fewer(design: ScheduleDesign, asked: Requirement, deadline: float, rng: np.random.Generator | None) -> float:
+    """The bound of a design with one sample fewer in every period; 0 where none is left."""
+    count = len(design.schedule or ()) - 1
+    if count == 0:
+        return 0.0
+    left = max(deadline - time.perf_counter(), 0.0) if np.isfinite(deadline) else None
+    asked = asked.replace(samples=count, target_sigma=None)
+    return design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=left).upper_bound
 
 
 def _periods(design: ScheduleDesign) -> int:

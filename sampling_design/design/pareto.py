@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
@@ -26,6 +27,7 @@ from sampling_design.plants.plant import Plant
 
 Progress = Callable[[float, str], None]
 FORMAT = "sampling-design/pareto/1"
+NO_NEED = "no samples needed"
 NO_TIME = "not designed: the budget ran out"
 _LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a count is not begun
 
@@ -80,7 +82,8 @@ class ParetoFront(Table):
         """Say what more samples buy."""
         good = self.efficient
         if not good:
-            return "None of the counts can be met."
+            needless = any(point.obstacle == NO_NEED for point in self.points)
+            return "No samples needed." if needless else "None of the counts can be met."
         return (
             f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
             f"{short(good[0].sigma)} to {short(good[-1].sigma)}."
@@ -93,6 +96,7 @@ def pareto(
     requirement: Requirement,
     counts: Iterable[int],
     *,
+    rng: np.random.Generator | None = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -107,6 +111,8 @@ def pareto(
     requirement : Requirement
         Its `samples` and `target_sigma` are replaced by each count.
     counts : iterable of int
+    rng : numpy.random.Generator, optional
+        As for `design_schedule`: each count is designed as it is there, by a copy of this one.
     workers : Executor, Client, int or str, optional
         Any `concurrent.futures.Executor`, a Dask client, a number of processes, or the name of a joblib backend.
         Default: one after the other.
@@ -135,6 +141,8 @@ def pareto(
     if not wanted:
         raise ArgumentError("`counts` must hold at least one number of samples.")
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    if rng is not None:
+        options = {**options, "rng": rng}
     key = _key(plant, requirement, options if budget is None else {**options, "budget": budget})
     known = {} if resume is None else _load(resume, key)
     todo = [c for c in wanted if c not in known]
@@ -169,20 +177,23 @@ def _point(job: tuple[Plant, Requirement, int, Tree, float, float, float]) -> Pa
         return ParetoPoint(count, 0.0, 0.0, (), NO_TIME)
     if np.isfinite(seconds):
         options = {**options, "budget": left / rounds}
+    options = {key: copy.deepcopy(value) for key, value in options.items()}  # threads share what they were given
     asked = requirement.replace(samples=count, target_sigma=None)
     try:
-        design = design_schedule(plant, asked, rng=np.random.default_rng(count), **options)
+        design = design_schedule(plant, asked, **options)
     except InfeasibleRequirementError as error:
         return ParetoPoint(count, 0.0, 0.0, (), str(error))
     if design.schedule is None:
-        return ParetoPoint(count, 0.0, 0.0, (), "no samples needed")
-    return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()))
+        return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
+    unseen = "" if design.sigma > 0 else design.explain()
+    return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()), unseen)
 
 
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
     asked = requirement.replace(samples=None, target_sigma=None).to_dict()
-    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in sorted(options.items())}], sort_keys=True)
+    told = {k: v.bit_generator.state if isinstance(v, np.random.Generator) else v for k, v in sorted(options.items())}
+    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in told.items()}], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

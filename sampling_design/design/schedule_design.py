@@ -17,6 +17,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.count.zero_count import ZeroCountBound
+from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
@@ -47,16 +48,16 @@ class ScheduleDesign(Record):
     defaults_used : dict
         What was filled in, and a notice where the default count was cut.
     split : ModalSplit
-        What is retained; sigma refers to the coordinates of `split.retained`.
+        What is retained; sigma refers to the scaled coordinates of `split.retained`, where the plant has scales.
     zero_count : ZeroCountBound or None
     window : WindowSigma or None
-        The proof of sigma, with its curve and its worst window; the same in scaled coordinates.
+        The proof of sigma, with its curve and its worst window: what `window_sigma(split.retained, ...)` says.
     bound : UpperBound or None
         The multipliers that prove `upper_bound`.
     history : tuple of dict
         Every start of the search and where it led.
     status : str
-        "complete"; "budget", cut short; "blind": the search ended, no schedule was found that sees every state, and
+        "complete"; "budget", cut short; "unseen": no admissible schedule sees every state; "blind": none was found, and
         the bound does not show that there is none; or "no samples needed".
     other_counts : dict of int to UpperBound
         With "at_most": the bounds of the other counts of samples, as far as these need one of their own; every
@@ -88,16 +89,9 @@ class ScheduleDesign(Record):
         return max(0.0, 1.0 - self.sigma / self.upper_bound)
 
     @property
-    def sigma_scaled(self) -> float | None:
-        """Proven sigma in scaled coordinates, where the plant has scales; beside sigma, never instead."""
-        if self.window is None or self.window.scaled is None:
-            return None
-        return self.window.scaled.lower
-
-    @property
     def coordinates(self) -> str:
         """Which coordinates sigma, the bound and the gap refer to."""
-        return "scaled" if self.requirement.scaled else "physical"
+        return coordinates_of(self.split.retained)
 
     @property
     def cost(self) -> float:
@@ -112,7 +106,7 @@ class ScheduleDesign(Record):
     def problem(self) -> DesignProblem:
         """The numbers of the design, posed anew from plant and requirement."""
         samples = 1 if self.schedule is None else len(self.schedule)
-        return pose(designed_plant(self.split, self.requirement), self.requirement, samples)
+        return pose(designed_plant(self.split), self.requirement, samples)
 
     @property
     def claim(self) -> Claim:
@@ -145,8 +139,7 @@ class ScheduleDesign(Record):
             return False
         same = 0.001 if self.window is None else self.window.rtol
         proof = prove(self.split, self.schedule, self.requirement, same if rtol is None else rtol)
-        sigma = stated(proof, self.requirement)
-        return sigma.lower >= self.sigma * (1 - 1e-6) and self._bounds_hold()
+        return proof.lower >= self.sigma * (1 - 1e-6) and self._bounds_hold()
 
     @property
     def _counts(self) -> str:
@@ -162,7 +155,7 @@ class ScheduleDesign(Record):
         assert self.schedule is not None
         assert self.bound is not None
         if self.requirement.target_sigma is None and "at_most" in self.requirement.samples:
-            plant = designed_plant(self.split, self.requirement)
+            plant = designed_plant(self.split)
             counts = rival_counts(plant, self.requirement)
             if {len(self.schedule), *self.other_counts} < set(counts):
                 return False
@@ -193,7 +186,6 @@ class ScheduleDesign(Record):
             "coordinates": self.coordinates,
             "sigma": None if self.schedule is None else self.sigma,
             "sigma_attained": None if self.schedule is None else self.sigma_attained,
-            "sigma_scaled": self.sigma_scaled,
             "upper_bound": self.upper_bound if np.isfinite(self.upper_bound) else None,
             "gap": self.gap,
             "cost": self.cost,
@@ -221,9 +213,6 @@ class ScheduleDesign(Record):
             ("retained", f"{self.split.retained.n_states} of {self.plant.n_states} states"),
             ("status", self.status),
         ]
-        if self.sigma_scaled is not None and self.window is not None:
-            other = ("physical", self.window.lower) if self.requirement.scaled else ("scaled", self.sigma_scaled)
-            rows.insert(2, (f"sigma, {other[0]}", f"{short(other[1])} proven"))
         if self.cost:
             limit = self.requirement.cost_limit
             rows.append(("cost of a period", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
@@ -236,21 +225,25 @@ class ScheduleDesign(Record):
                 "No samples needed: every mode decays by itself at the rate asked for. "
                 "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
             )
+        many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
+        if not self.sigma > 0:
+            window = f"every window of {short(self.requirement.window)} {self.plant.time_unit}"
+            if self.upper_bound == 0:
+                return f"No admissible schedule with {many} sees every state in {window}: sigma is 0 for all of them."
+            return (
+                f"No schedule with {many} was found that sees every state in {window}; sigma of none exceeds "
+                f"{short(self.upper_bound)}, which does not show that there is none."
+            )
+        sees = "sees" if len(self.schedule) == 1 else "see"
         return (
-            f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit} see "
-            f"every state direction in every window with sigma >= {short(self.sigma)}; no admissible schedule can "
-            f"exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
+            f"{many} {sees} every state direction in every window with sigma >= {short(self.sigma)}; no admissible "
+            f"schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
         )
 
 
-def designed_plant(split: ModalSplit, requirement: Requirement) -> Plant:
-    """The plant whose sigma is designed: the retained part, scaled where that was asked."""
-    return split.retained.scaled() if requirement.scaled and split.retained.has_scales else split.retained
-
-
-def stated(proof: WindowSigma, requirement: Requirement) -> WindowSigma:
-    """The proof in the coordinates that were asked for."""
-    return proof.scaled if requirement.scaled and proof.scaled is not None else proof
+def designed_plant(split: ModalSplit) -> Plant:
+    """The plant whose sigma is designed: the retained part, in the coordinates that `window_sigma` refers to."""
+    return split.retained.scaled() if split.retained.has_scales else split.retained
 
 
 def prove(

@@ -117,8 +117,7 @@ class Bench:
         self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
         self.split = split_modes(plant, self.requirement.decay_rate)
         retained = self.split.retained
-        self.seen = retained.scaled() if retained.has_scales else retained
-        self.clear = CLEARLY * float(np.max(np.linalg.norm(self.seen.C, axis=1), initial=0.0))
+        self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
         self.window = float(self.requirement.window or default_window(self.split) or 1.0)
         self.period = float(self.requirement.period or self.window)
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
@@ -260,7 +259,7 @@ class Bench:
         told = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
-        shown = window_sigma(self.seen, self.schedule, self.window, budget=LIVE_BUDGET)
+        shown = window_sigma(self.split.retained, self.schedule, self.window, budget=LIVE_BUDGET)
         profile = shown.profile
         broken = [] if shown.lower > self.clear else self._broken(shown, moving)
         return {
@@ -270,7 +269,7 @@ class Bench:
             "lower": shown.lower,
             "upper": shown.upper,
             "worst": shown.witness.t,
-            "scaled": self.split.retained.has_scales,
+            "scaled": shown.coordinates == "scaled",
             "told": [*told, *broken],
             "broken": bool(broken),
         }
@@ -335,7 +334,7 @@ class Bench:
                     marks = [{"t": float(t), "on": row.tolist()} for t, row in zip(moved, on, strict=True)]
                     if not 0 <= moved[k] < self.period or np.unique(moved).size < moved.size:
                         continue
-                    found = window_sigma(self.seen, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
+                    found = window_sigma(self.split.retained, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
                     tried.append((found.lower, sign * share * step, k))
         best = max((sigma for sigma, _, _ in tried), default=0.0)
         if not best > 0:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from sampling_design._record import Record, short
+from sampling_design.plants.plant import Plant
+from sampling_design.plants.time_varying import TimeVaryingPlant
 
 
 class SigmaBracket(Record):
@@ -12,6 +14,7 @@ class SigmaBracket(Record):
     upper: float
     status: str
     rigorous: bool
+    coordinates: str
 
     @property
     def _grounds(self) -> str:
@@ -19,22 +22,25 @@ class SigmaBracket(Record):
             return "nothing is proven"
         return "proven in ball arithmetic" if self.rigorous else "proven"
 
-    def _between(self, *inside: tuple[str, str], scaled: SigmaBracket | None) -> list[tuple[str, str]]:
-        """The rows of the table: both bounds, those of the kind, and sigma in scaled coordinates where there is one."""
-        rows = [
-            ("sigma at least", f"{short(self.lower)} ({self._grounds}, state at the window's start)"),
+    def _between(self, *inside: tuple[str, str]) -> list[tuple[str, str]]:
+        """The rows of the table: both bounds, and those of the kind."""
+        where = f"{self.coordinates} coordinates, state at the window's start"
+        return [
+            ("sigma at least", f"{short(self.lower)} ({self._grounds}; {where})"),
             ("sigma at most", f"{short(self.upper)} (attained)"),
             *inside,
         ]
-        if scaled is not None:
-            rows.append(("sigma, scaled", f"{short(scaled.lower)} to {short(scaled.upper)}"))
-        return rows
 
     def _concluded(self, claim: str, where: str, reasons: dict[str, str]) -> str:
         """The claim, what is attained and where; why the bracket did not close, if `reasons` knows the status."""
         if self.status not in reasons:
             return f"{claim} and {short(self.upper)} is attained. {where}."
         return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
+
+
+def coordinates_of(plant: Plant | TimeVaryingPlant) -> str:
+    """Which coordinates sigma of a plant refers to: those of its scales, where it has any."""
+    return "scaled" if plant.has_scales else "physical"
 
 
 NO_STATES = "The plant has no states: there is nothing to see, and sigma is infinite."

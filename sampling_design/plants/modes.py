@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +46,8 @@ class ModalSplit(Record):
         zero, so that y = y_r + y_s). Either may have no states. If nothing is residual, `retained` is
         the plant itself in its own coordinates.
     basis_retained, basis_residual : (n, n_r), (n, n_s) arrays
-        Right bases in the plant's own coordinates.
+        Right bases in the plant's own coordinates, orthonormal where each state is counted in its scale: the length of
+        z_r is that of the state basis_retained z_r, in units of the scales.
     left_retained, left_residual : (n_r, n), (n_s, n) arrays
         Left bases; together the inverse of the right ones.
     separation : float
@@ -179,7 +180,7 @@ def split_modes(
     *Claim.* A basis_retained = basis_retained A_r and A basis_residual = basis_residual A_s to rounding
     times `condition`. *Method.* Balance by powers of two, real Schur form, group the eigenvalues, move
     the retained ones to the top, and solve A_r X - X A_s = -A_12 for the decoupling; never a Jordan
-    form. Both bases have orthonormal columns in balanced coordinates. *Numerical aspects.* A group of
+    form. *Numerical aspects.* A group of
     eigenvalues is never torn: it is retained if its mean or any member is at or right of the line less
     the offset, because a retained decaying mode costs samples and a residual non-decaying one costs
     the proof. `near_line` lists every eigenvalue whose uncertainty (offset plus rounding times its
@@ -220,7 +221,7 @@ def split_modes(
     verdict = _Verdict(decay_rate, strip, clusters, tuple(kept), np.concatenate(near))
     if select.all() or not select.any():
         return _split(plant, verdict, _undivided(n, bool(select.all())))
-    return _split(plant, verdict, _decouple(form, select))
+    return _split(plant, verdict, _decouple(form, select).in_scales(plant.states.scales))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +247,23 @@ class _Bases:
     A_s: Array | None
     separation: float
     condition: float
+
+    def in_scales(self, scales: Array) -> _Bases:
+        """The same parts, with columns that are orthonormal where each state is counted in its scale."""
+        parts = [
+            _orthonormal(*part, scales) for part in ((self.V_r, self.L_r, self.A_r), (self.V_s, self.L_s, self.A_s))
+        ]
+        (V_r, L_r, A_r), (V_s, L_s, A_s) = parts
+        return replace(self, V_r=V_r, V_s=V_s, L_r=L_r, L_s=L_s, A_r=A_r, A_s=A_s)
+
+
+def _orthonormal(V: Array, L: Array, A: Array | None, scales: Array) -> tuple[Array, Array, Array]:
+    """V R^-1, R L and R A R^-1, with the R that makes the columns of V R^-1, divided by `scales`, orthonormal."""
+    assert A is not None
+    Q, R = np.linalg.qr(V / scales[:, None])
+    signs = np.where(np.diagonal(R) < 0, -1.0, 1.0)
+    R = R * signs[:, None]
+    return scales[:, None] * Q * signs, R @ L, solve_triangular(R, (R @ A).T, trans="T").T
 
 
 def _undivided(n: int, all_retained: bool) -> _Bases:
@@ -304,9 +322,8 @@ def _split(plant: Plant, verdict: _Verdict, bases: _Bases) -> ModalSplit:
 
 
 def _part(plant: Plant, A: Array | None, V: Array, L: Array, what: str, D: Array) -> Plant:
-    """Return one part as a plant; a state's scale is the size that the scales of x give it."""
-    size = np.linalg.norm(L * plant.states.scales, axis=1)
-    names = Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])), scales=size)
+    """Return one part as a plant; its states carry no scales, since its basis is orthonormal in those of x."""
+    names = Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
     undivided = A is None and L.shape[0] > 0
     return Plant(
         L @ plant.A @ V if A is None else A,

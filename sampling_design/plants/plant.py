@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -289,6 +289,12 @@ class Plant(Record):
             inputs=Signals(self.inputs.names),
             disturbances=Signals(self.disturbances.names),
         )
+
+    def unscaled(self) -> Plant:
+        """Return the plant with the same matrices and no scales: its sigma is that in physical units."""
+        bare = [Signals(s.names, s.units) for s in (self.states, self.outputs, self.inputs, self.disturbances)]
+        states, outputs, inputs, disturbances = bare
+        return replace(self, states=states, outputs=outputs, inputs=inputs, disturbances=disturbances)
 
     @property
     def has_scales(self) -> bool:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
-from sampling_design.design.schedule_design import ScheduleDesign, stated
+from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.plotting import style
 from sampling_design.plotting.schedules import draw_schedule
@@ -40,7 +40,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     rows = 1 if schedule.outputs is None else schedule.outputs.shape[1]
     figure, (top, bottom) = style.new_figure(2, ratios=(0.75 + 0.3 * rows, 2.4), row_height=2.6 + 0.1 * rows)
     _time_line(schedule, result, top)
-    shown = stated(result.window, result.requirement)
+    shown = result.window
     draw_window_sigma(shown, bottom)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)

@@ -262,9 +262,9 @@ def _joint(one: WindowSigma, other: WindowSigma) -> WindowSigma:
     return replace(
         worst,
         lower=min(one.lower, other.lower),
+        from_time=min(one.from_time, other.from_time),
         closed=one.closed and other.closed,
         status=open_.status,
-        scaled=None if one.scaled is None or other.scaled is None else _joint(one.scaled, other.scaled),
         rigorous=one.rigorous and other.rigorous,
         slack=max(one.slack, other.slack),
     )

@@ -84,7 +84,7 @@ PROBLEMS = {
     "20 of 40 states, 2 outputs": (forty_states(2), asked(TURN, 20)),
     "20 of 40 states, 4 outputs": (forty_states(4), asked(TURN, 10)),
     "tidal gauge, 30 by daylight": (library.tidal_gauge(), GAUGE),
-    "tidal gauge, the same in metres": (library.tidal_gauge(), GAUGE.replace(scaled=False)),
+    "tidal gauge, the same in metres": (library.tidal_gauge().unscaled(), GAUGE),
 }
 ATTACKED = {
     "spiral e^5": "6.8 %",

@@ -60,8 +60,8 @@ def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
     assert 0 < data["sigma"] <= data["sigma_attained"] <= data["upper_bound"]
     judged = json.loads(shell("sigma", plant("satellite"), folder / "schedule.csv", "--json", "--window", 5554).out)
     assert data["coordinates"] == "scaled"  # the plant has scales
-    assert judged["scaled"]["lower"] == pytest.approx(data["sigma"], rel=1e-9)
-    assert judged["scaled"]["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
+    assert judged["lower"] == pytest.approx(data["sigma"], rel=1e-9)
+    assert judged["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
 
 
 @pytest.mark.parametrize(("start", "until"), [("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")])
@@ -218,3 +218,35 @@ def test_info_says_what_determining_the_state_means_where_most_of_it_decays(shel
     told = " ".join(shell("info", tmp_path / "two.toml").out.split())
     assert "its 2 retained directions. The other one fades by itself and needs no samples" in told
     assert "To determine the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out
+
+
+def required(tmp_path, text):
+    file = tmp_path / "wanted.toml"
+    file.write_text(f'format = "sampling-design/requirement/1"\nspacing = 0.1\nwindow = {2 * np.pi!r}\n{text}\n')
+    return file
+
+
+def test_a_design_that_sees_nothing_is_no_success(shell, tmp_path):
+    """One sample every half turn: all readings are alike but for their sign, whenever they are taken."""
+    wanted = required(tmp_path, f"period = {np.pi!r}\nsamples = 1")
+    for command in (["design", "-o", tmp_path / "out"], ["losses"], ["pareto", "--counts", "1"]):
+        done = shell(command[0], plant("oscillator"), wanted, *command[1:])
+        assert done.code == 1
+        assert "No admissible schedule with 1 sample every 3.14159 s sees" in " ".join(done.out.split())
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"design.json"}
+    told = json.loads((tmp_path / "out" / "design.json").read_text())
+    assert (told["status"], told["sigma"], told["upper_bound"]) == ("unseen", 0.0, 0.0)
+
+
+def test_a_design_that_found_nothing_leaves_the_question_open(shell, tmp_path):
+    wanted = required(tmp_path, f"samples = 2\nfixed = [1.0, {1 + np.pi!r}]")
+    for command in (["design"], ["losses"], ["pareto", "--counts", "2"]):
+        done = shell(command[0], plant("oscillator"), wanted, *command[1:])
+        assert done.code == 3
+        assert "which does not show that there is none" in " ".join(done.out.split())
+
+
+def test_counts_that_need_no_samples_are_met(shell):
+    done = shell("pareto", plant("three_compartment"), "--counts", "1-2")
+    assert done.code == 0
+    assert "No samples needed" in done.out

@@ -70,3 +70,9 @@ def test_the_only_sample_of_a_lap_is_worth_everything():
 def test_without_a_schedule_there_is_nothing_to_lose():
     with pytest.raises(ArgumentError, match="there is no sample to lose"):
         sample_losses(design_schedule(Plant([[-1.0]], [[1.0]])))
+
+
+def test_what_sees_nothing_has_nothing_to_lose():
+    unseen = designed(window=2 * np.pi, period=np.pi, samples=1)
+    with pytest.raises(ArgumentError, match="`design` must see every state, or there is nothing to lose"):
+        sample_losses(unseen)

@@ -114,7 +114,6 @@ def test_another_ending_is_not_written(tmp_path):
         ({"forbidden": [[0.0], [1.0, 2.0]]}, "`forbidden` must be a rectangular array of numbers"),
         ({"outputs": {"y": 3}}, "`outputs.y` must be a table with available and cost, got 3"),
         ({"outputs": {"y": {"cost": -1}}}, "`cost` must not be negative"),
-        ({"scaled": 1}, "`scaled` must be true or false, got 1"),
         ({"time_unit": "fortnight"}, "`time_unit` must be one of"),
     ],
 )

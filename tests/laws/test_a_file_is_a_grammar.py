@@ -63,7 +63,6 @@ REQUIREMENT = sd.Requirement(
     outputs={"p": {"available": [[0.0, 6.0]], "cost": 2.0}, "q": {"cost": 1.0}},
     cost_limit=30.0,
     time_unit="h",
-    scaled=True,
 )
 UNCERTAIN = UncertainPlant(
     Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1.0]]),

@@ -40,7 +40,7 @@ SEEDS = range(int(os.environ.get("UNIT_SEEDS", "1")))
 def in_time(asked, c):
     """The requirement with all its times in the new unit."""
     times = {key: np.multiply(asked[key], c) for key in ("window", "spacing", "forbidden") if key in asked}
-    return Requirement(**{**asked, **times, "period": asked["window"] * c, "scaled": True})
+    return Requirement(**{**asked, **times, "period": asked["window"] * c})
 
 
 @functools.cache

@@ -7,6 +7,7 @@ from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, window_s
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows import bracket
 from sampling_design.plants import library
+from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
 from tests.oracles.observability import scan_windows, sigma_of_window
 
 J = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -173,15 +174,16 @@ def test_satellite_in_si_units_closes():
     assert result.lower <= least
 
 
-def test_scales_are_reported_beside_and_never_instead():
+def test_sigma_refers_to_the_scales_that_the_plant_has():
     plain = Plant(J, np.eye(2))
     scaled = Plant(J, np.eye(2), states=Signals(("a", "b"), scales=np.array([10.0, 0.1])))
     schedule = PeriodicSchedule([0.5, 0.7])
     result = window_sigma(scaled, schedule, 1.3)
-    assert result.upper == window_sigma(plain, schedule, 1.3).upper
-    assert result.scaled.upper == window_sigma(scaled.scaled(), schedule, 1.3).upper
-    assert "sigma, scaled" in str(result)
-    assert window_sigma(plain, schedule, 1.3).scaled is None
+    assert result.upper == window_sigma(scaled.scaled(), schedule, 1.3).upper
+    assert "scaled coordinates" in str(result)
+    assert result.claim.assumptions[-1] == "scaled coordinates"
+    bare = window_sigma(scaled.unscaled(), schedule, 1.3)
+    assert (bare.upper, bare.coordinates) == (window_sigma(plain, schedule, 1.3).upper, "physical")
 
 
 def test_no_states_means_nothing_to_see():
@@ -273,7 +275,6 @@ def test_progress_and_words():
         ({"schedule": [0.0, 1.0]}, r"Use Schedule\(times\)"),
         ({"schedule": Schedule([0.0, 1.0])}, "`window` must fit into the schedule, which spans 1, got 1.5"),
         ({"schedule": Schedule([1.0, 2.0]), "start": 1.0}, "which ends 1 after `start`, got 1.5"),
-        ({"start": 0.0}, "`start` is for finite schedules"),
         ({"start": -1.0}, "`start` must not be negative"),
         ({"schedule": Schedule([])}, "`window` must fit into the schedule"),
         ({"schedule": PeriodicSchedule([1.0], time_unit="h")}, "in h and the plant in s"),
@@ -295,3 +296,37 @@ def test_growth_whose_square_is_no_number_hides_nothing(growth):
     assert found.status == "closed"
     assert found.lower == pytest.approx(np.exp(growth / 2), rel=2e-3)
     assert found.upper == pytest.approx(np.exp(growth / 2), rel=2e-3)
+
+
+LATE = {
+    "one sample short": (PeriodicSchedule([1.0, 1.0], first=2.0), 3.0),
+    "two short, uneven": (PeriodicSchedule([0.5, 0.25, 1.0, 0.75], first=1.7), 2.5),
+    "a masked output": (PeriodicSchedule([0.5, 1.0], first=1.25, outputs=[[True, False], [True, True]]), 3.0),
+    "nothing short": (PeriodicSchedule([1.0, 1.0], first=0.4), 3.0),
+}
+
+
+@pytest.mark.parametrize("rigorous", [False, True])
+@pytest.mark.parametrize("name", LATE)
+def test_the_windows_of_a_late_start_are_covered(name, rigorous):
+    """A claim for every window from time 0 on holds of the finite schedule that is its beginning, from time 0 on."""
+    schedule, window = LATE[name]
+    plant = Plant(OSCILLATOR.A, np.eye(2)) if schedule.outputs is not None else OSCILLATOR
+    found = window_sigma(plant, schedule, window, rigorous=rigorous)
+    head = schedule.between(0.0, 4 * schedule.period + window)
+    assert found.lower <= window_sigma(plant, head, window, start=0.0).upper * (1 + 1e-12)
+    assert found.upper >= window_sigma(plant, head, window, start=0.0).lower * (1 - 1e-12)
+    rhythm = window_sigma(plant, schedule, window, start=schedule.first)
+    assert rhythm.lower >= found.lower * (1 - 1e-6)
+    assert (rhythm.lower > 1.01 * found.upper) == (name != "nothing short")
+    assert (found.from_time, rhythm.from_time) == (0.0, schedule.first)
+    assert found.to_dict()["from_time"] == 0.0
+    assert f"t >= T + {schedule.first:g}" in rhythm.claim.statement
+    assert f"from {schedule.first:g} s on" in rhythm.explain()
+
+
+def test_a_box_of_plants_covers_the_windows_of_a_late_start():
+    stiff = UncertainParameter("omega^2", 0.99, 1.01, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
+    found = window_sigma(UncertainPlant(OSCILLATOR, [stiff]), *LATE["one sample short"])
+    assert found.lower <= 0.678011
+    assert (found.from_time, found.to_dict()["from_time"]) == (0.0, 0.0)

@@ -87,7 +87,7 @@ def test_what_no_window_shows_counts_as_zero():
     assert ended.lower <= ended.upper
 
 
-def test_scales_stand_beside_and_outputs_may_be_left_out():
+def test_sigma_is_counted_in_scales_and_outputs_may_be_left_out():
     unit = np.array([1e-9, 1e6])
     signals = {"states": sd.Signals(("a", "b"), (), unit), "outputs": sd.Signals(("y", "z"), (), [1e-9, 1e6])}
     both = [np.eye(2) * unit[:, None] / unit] * 5
@@ -95,9 +95,9 @@ def test_scales_stand_beside_and_outputs_may_be_left_out():
     plant = TimeVaryingPlant.from_table(KNOTS, table, both, **signals)
     first = sd.Schedule(SAMPLES.times, [[True, False]] * 8)
     found = sd.window_sigma(plant, first, 4.0)
-    assert found.scaled is not None
-    assert found.scaled.upper == pytest.approx(sd.window_sigma(SWING, SAMPLES, 4.0).upper, rel=1e-9)
-    assert sd.window_sigma(plant, sd.Schedule(SAMPLES.times), 4.0).scaled.upper > found.scaled.upper
+    assert found.coordinates == "scaled"
+    assert found.upper == pytest.approx(sd.window_sigma(SWING, SAMPLES, 4.0).upper, rel=1e-9)
+    assert sd.window_sigma(plant, sd.Schedule(SAMPLES.times), 4.0).upper > found.upper
 
 
 def test_bad_arguments_are_refused():

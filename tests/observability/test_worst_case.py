@@ -217,19 +217,17 @@ def test_more_states_than_corners_can_serve_are_refused_in_words():
     assert found.upper == pytest.approx(np.exp(-13.0), rel=1e-6)
 
 
-def test_scales_are_reported_beside_and_never_instead():
+def test_the_worst_case_refers_to_the_scales_that_the_plant_has():
     plain = chain(2)
-    plant = Plant(plain.A, plain.C, states=["p", "v"])
     scaled = Plant(plain.A * np.array([1.0, 10.0]) / np.array([[1.0], [10.0]]), plain.C)
     from sampling_design.plants.plant import Signals
 
     both = Plant(plain.A, plain.C, states=Signals(("p", "v"), (), [1.0, 10.0]))
     family = SpacedWindows(4.0, 2, 0.5)
     found = worst_case_sigma(both, family)
-    assert worst_case_sigma(plant, family).scaled is None
-    assert found.upper == pytest.approx(worst_case_sigma(plain, family).upper)
-    assert found.scaled.upper == pytest.approx(worst_case_sigma(scaled, family).upper)
-    assert "sigma, scaled" in str(found)
+    assert worst_case_sigma(both.unscaled(), family).upper == pytest.approx(worst_case_sigma(plain, family).upper)
+    assert found.upper == pytest.approx(worst_case_sigma(scaled, family).upper)
+    assert "scaled coordinates" in str(found)
 
 
 def test_time_may_be_measured_in_any_unit():

@@ -117,7 +117,7 @@ def joined(spans):
 def facts_of_requirement(source):
     """Every entry, defaults filled in."""
     data = source if isinstance(source, dict) else source.to_dict()
-    plain = ("window", "period", "spacing", "cost_limit", "time_unit", "scaled")
+    plain = ("window", "period", "spacing", "cost_limit", "time_unit")
     facts = {key: data.get(key) for key in plain}
     samples = data.get("samples")
     counts = dict(samples) if isinstance(samples, dict) else {} if samples is None else {"exactly": samples}

@@ -79,8 +79,8 @@ def test_coordinates_of_the_parts_carry_scales_names_and_units():
         assert part.outputs is plant.outputs
         assert part.inputs is plant.inputs
         assert part.disturbances is plant.disturbances
-    assert split.retained.states.scales == pytest.approx([10.0])
-    assert split.residual.states.scales == pytest.approx([5.0])
+    assert split.retained.states.scales == pytest.approx([1.0])
+    assert split.residual.states.scales == pytest.approx([1.0])
     np.testing.assert_array_equal(split.retained.D, [[3.0]])
     np.testing.assert_array_equal(split.residual.D, [[0.0]])
 

@@ -37,7 +37,7 @@ def measure_hypotheses(
     """
     if not len(schedule):
         raise ArgumentError("`schedule` must have at least one sample.")
-    sampling = SamplingSet(schedule)
+    sampling, plant = SamplingSet(schedule), plant.unscaled()  # weights and constants of a proof are physical
     tried = _windows(schedule, plant.n_states) if window is None else [_checks.positive("window", window)]
     for T in tried:
         sigma = _sigma(plant, schedule, T) if sigma_bar is None else _checks.positive("sigma_bar", sigma_bar)
@@ -66,10 +66,4 @@ def _windows(schedule: Schedule | PeriodicSchedule, states: int) -> list[float]:
 
 def _sigma(plant: Plant, schedule: Schedule | PeriodicSchedule, T: float) -> float:
     """Proven lower bound over all real windows, those that begin before the first sample included."""
-    if isinstance(schedule, Schedule):
-        return float(window_sigma(plant, schedule, T, start=0.0).lower)
-    lower = window_sigma(plant, schedule, T).lower
-    if schedule.first > schedule.gaps[0]:
-        head = schedule.between(0.0, schedule.first + T + schedule.period)
-        lower = min(lower, window_sigma(plant, head, T, start=0.0).lower)
-    return float(lower)
+    return float(window_sigma(plant, schedule, T, start=0.0).lower)

@@ -38,10 +38,6 @@ def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
     r = in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
     retained, count = split.retained, None
-    if r.scaled is None:
-        r = r.replace(scaled=retained.has_scales)
-        if retained.has_scales:
-            used["scaled"] = True
     if r.window is None:
         r = r.replace(window=default_window(split) or r.period or 1.0)
         used["window"] = r.window

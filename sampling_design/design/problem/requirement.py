@@ -87,9 +87,6 @@ class Requirement(Record):
         each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
-    scaled : bool, optional
-        Design for sigma in scaled coordinates (x/s_x, y/s_y), or with False in physical ones. Default: scaled where
-        the plant has scales, so that the choice of units decides nothing.
 
     Raises
     ------
@@ -122,7 +119,6 @@ class Requirement(Record):
     outputs: Mapping[str, OutputAccess] = None  # type: ignore[assignment]
     cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
-    scaled: bool | None = field(default=None, kw_only=True)
 
     if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
 
@@ -140,7 +136,6 @@ class Requirement(Record):
             cost_limit: float | None = None,
             *,
             time_unit: str | None = None,
-            scaled: bool | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -158,8 +153,6 @@ class Requirement(Record):
         own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        if not isinstance(self.scaled, (bool, np.bool_, type(None))):
-            raise ArgumentError(f"`scaled` must be true or false, got {self.scaled!r:.60}.")
         for key, value in own.items():
             object.__setattr__(self, key, value)
         if self.period is not None:
@@ -196,8 +189,6 @@ class Requirement(Record):
         if self.samples:
             data["samples"] = dict(self.samples)
         data["decay_rate"] = self.decay_rate
-        if self.scaled is not None:
-            data["scaled"] = bool(self.scaled)
         if self.forbidden.size:
             data["forbidden"] = self.forbidden.tolist()
         if self.fixed.size:
@@ -222,8 +213,6 @@ class Requirement(Record):
         rows += [
             (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
         ]
-        if self.scaled is not None:
-            rows.append(("coordinates", "scaled" if self.scaled else "physical"))
         if self.cost_limit is not None:
             rows.append(("cost limit", f"{short(self.cost_limit)} a period"))
         return rows

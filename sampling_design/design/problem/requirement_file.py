@@ -12,7 +12,6 @@ from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     by_name,
     count,
-    flag,
     list_of,
     nonnegative,
     positive,
@@ -42,7 +41,6 @@ _TREE = table(
         "fixed": list_of(nonnegative),
         "outputs": by_name(_ACCESS),
         "time_unit": time_unit,
-        "scaled": flag,
     },
     whole="the requirement",
 )

@@ -1,4 +1,4 @@
-"""A box of constant parameters as arrays, in balanced coordinates."""
+"""A box of constant parameters as arrays, in balanced coordinates of the scaled plant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BoxModel:
-    """A(theta) = A + sum_k (theta_k - nominal_k) A_k, likewise C, for low <= theta <= high; states x = unit z.
+    """A(theta) = A + sum_k (theta_k - nominal_k) A_k, likewise C, for low <= theta <= high; states x/s_x = unit z.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class BoxModel:
     unit : (n,) array
         The states of which z are the multiples.
     states, outputs : (n,), (p,) arrays
-        What the plant's own states and outputs are multiples of: their scales where those are asked about, else 1.
+        What the plant's own states and outputs are multiples of: their scales.
     place : (m,) array of int
         Which parameters of the plant these are.
     """
@@ -51,7 +51,7 @@ class BoxModel:
     place: npt.NDArray[np.int_]
 
     @classmethod
-    def of(cls, plant: UncertainPlant, name: str, scaled: bool = False) -> BoxModel:
+    def of(cls, plant: UncertainPlant, name: str) -> BoxModel:
         """The box of a plant; `name` is the verb that asks, for its refusals.
 
         Raises
@@ -62,8 +62,7 @@ class BoxModel:
         require_constant_box(plant, name)
         P = plant.nominal
         own = [k for k, each in enumerate(plant.parameters) if each.low < each.high and _moves(plant, k)]
-        x = P.states.scales if scaled else np.ones(P.n_states)
-        y = P.outputs.scales if scaled else np.ones(P.n_outputs)
+        x, y = P.states.scales, P.outputs.scales
         low, high = plant.low[own], plant.high[own]
         half, middle = high / 2 - low / 2, low / 2 + high / 2
         d = balance(P.A * x / x[:, None], P.C * x / y[:, None]).d

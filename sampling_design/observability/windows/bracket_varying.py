@@ -44,14 +44,11 @@ class _Node(NamedTuple):
 
 
 class VaryingSearch:
-    """The bracket of one plant, scaled or physical; transitions are always scaled, and rows refer to scaled states."""
+    """The bracket of one plant; transitions are scaled, and rows refer to scaled states."""
 
-    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces, scaled: bool) -> None:
+    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces) -> None:
         self.plant, self.pieces = plant, pieces
-        states, outputs = plant.states.scales, plant.outputs.scales
-        self.own = np.ones(states.size) if scaled else states  # what a scaled state counts for in sigma
-        self.told = np.ones(outputs.size) if scaled else outputs
-        self.unit = states / self.own
+        self.unit = plant.states.scales
         self.table = plant.A.in_units(self.unit, self.unit) if isinstance(plant.A, MatrixTable) else None
 
     def growth(self, a: float, b: float) -> tuple[float, float]:
@@ -81,7 +78,7 @@ class VaryingSearch:
                 off = size * off + own * (before + off) + 2 * n * n * EPS * size * before
                 flow = F @ flow
             for j in np.flatnonzero(at == k):
-                C = motion.C[k] * self.told[:, None]
+                C = motion.C[k]
                 C = C if mask is None else C[mask[j]]
                 rows.append(C @ flow)
                 wrong.append(float(np.linalg.norm(C)) * (off + 2 * n * n * EPS * length_of(flow)))
@@ -97,9 +94,9 @@ class VaryingSearch:
         return self._node(s, node.rows @ F, off)
 
     def _node(self, at: float, rows: Array, off: float) -> _Node:
-        n, seen = self.plant.n_states, rows / self.own
-        sigma = float(np.linalg.svd(seen, compute_uv=False)[-1]) if len(rows) >= n else 0.0
-        return _Node(at, rows, off, off / float(self.own.min()) + 8 * n * EPS * float(np.linalg.norm(seen)), sigma)
+        n = self.plant.n_states
+        sigma = float(np.linalg.svd(rows, compute_uv=False)[-1]) if len(rows) >= n else 0.0
+        return _Node(at, rows, off, off + 8 * n * EPS * float(np.linalg.norm(rows)), sigma)
 
     def least(self, a: _Node, b: _Node) -> float:
         """A bound from below of sigma between two neighbours."""
@@ -117,9 +114,9 @@ class VaryingSearch:
         return float(np.exp(min(ends)))
 
 
-def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, scaled: bool, rtol: float, budget: float) -> Bracket:
+def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> Bracket:
     """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0."""
-    search, began = VaryingSearch(plant, pieces, scaled), time.monotonic()
+    search, began = VaryingSearch(plant, pieces), time.monotonic()
     nodes = [_first(search, g) for g in range(len(pieces))]
     short = [g for g, own in enumerate(nodes) if len(own[0].rows) < plant.n_states]
     if short:
@@ -178,7 +175,7 @@ def _bracket(
         start=best.at,
         side=pieces.side(g, best.at),
         samples=pieces.samples(g),
-        direction=np.linalg.svd(best.rows / search.own)[2][-1] if len(best.rows) else np.eye(n)[0],
+        direction=np.linalg.svd(best.rows)[2][-1] if len(best.rows) else np.eye(n)[0],
         pieces=pieces,
         nodes=np.array([node.at for own in every for node in own]),
         sigma=np.array([node.sigma for own in every for node in own]),

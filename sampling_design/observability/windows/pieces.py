@@ -27,7 +27,10 @@ SAME_TIME = 32 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Pieces:
-    """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other."""
+    """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other.
+
+    They stand for every window that begins at `start` or later (and ends with the last sample of a finite schedule).
+    """
 
     left: Array
     right: Array
@@ -37,6 +40,7 @@ class Pieces:
     mask: Mask | None
     window: float
     tolerance: float
+    start: float
 
     def __len__(self) -> int:
         return self.left.size
@@ -59,15 +63,16 @@ class Pieces:
 
 
 def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None) -> Pieces:
-    """Return the pieces of all full windows: one period of an endless schedule, else those in [start, last time].
+    """Return the pieces of all full windows that begin at `start` or later.
 
     A finite schedule is judged from its first sample unless `start` says otherwise: where a clock has its zero is no
-    property of the schedule.
+    property of the schedule. An endless one is judged from time 0 on. One period stands for all windows in its rhythm;
+    if its first sample comes later than that rhythm has one, the windows that miss what came before are judged too.
     """
     if isinstance(schedule, PeriodicSchedule):
-        if start is not None:
-            raise ArgumentError("`start` is for finite schedules; an endless one is judged in its rhythm.")
-        low, high = schedule.first, schedule.first + schedule.period
+        start = 0.0 if start is None else start
+        high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
+        low = min(start, schedule.first) if start < missed - SAME_TIME * high else schedule.first
         slack = SAME_TIME * (high + window)
         held = schedule.between(low, high + window + slack)
     else:
@@ -81,17 +86,17 @@ def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: f
                 f"`window` must fit into the schedule, which {spans}, got {short(window)}. "
                 "A finite schedule is judged from its first full window to its last."
             )
-        high = max(high, low)
-    return _cut(held.times, held.outputs, low, high, window)
+        start, high = low, max(high, low)
+    return _cut(held.times, held.outputs, low, high, window, start)
 
 
-def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float) -> Pieces:
+def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float, start: float) -> Pieces:
     """Pieces of the window starts [low, high]; one piece of no width where there is one position only."""
     tolerance = SAME_TIME * max(abs(high) + window, float(np.max(times, initial=0.0)))
     if high - low <= tolerance:
         ends = np.array([low - tolerance, low + window + tolerance])
         held = np.searchsorted(times, ends)
-        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask, window, tolerance)
+        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask, window, tolerance, start)
     events = np.sort(np.concatenate([times, times - window]))
     events = events[(events > low + tolerance) & (events < high - tolerance)]
     cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])
@@ -100,4 +105,4 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
     index = np.arange(cuts.size - 1)
     first = np.searchsorted(leaves, index + 1)
     stop = np.maximum(first, np.searchsorted(enters, index, side="right"))
-    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask, window, tolerance)
+    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask, window, tolerance, start)

@@ -16,7 +16,7 @@ from sampling_design._record import Gridded, Plain, Record, Table, Variable, sho
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
 from sampling_design.observability.windows.bracket_varying import bracket_varying
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
@@ -122,9 +122,13 @@ class WindowSigma(SigmaBracket, Table, Gridded):
         Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "no states", or
         "sampled" where the plant varies in time by functions: `lower` is 0 then, and nothing is proven.
     window : float
+    from_time : float
+        Every window that begins then or later is covered: 0 for an endless schedule, the first sample of a finite one,
+        or what `start` said.
     profile : WindowProfile
-    scaled : WindowSigma or None
-        The same in scaled coordinates, where the plant has scales; never instead of this one.
+    coordinates : str
+        Which both bounds and the witness's direction refer to: "scaled" (x/s_x, y/s_y) where the plant has scales, else
+        "physical".
     time_unit : str
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
@@ -141,7 +145,8 @@ class WindowSigma(SigmaBracket, Table, Gridded):
     window: float
     rtol: float
     profile: WindowProfile
-    scaled: WindowSigma | None = field(default=None, kw_only=True)
+    from_time: float = field(default=0.0, kw_only=True)
+    coordinates: str = field(default="physical", kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
@@ -151,10 +156,10 @@ class WindowSigma(SigmaBracket, Table, Gridded):
         """What `lower` claims, and on what grounds."""
         wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
-            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t, T = {short(self.window)}"
-            + wider,
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
+            f"{short(self.from_time)}, T = {short(self.window)}{wider}",
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
-            assumptions=("the plant's matrices and the sample times are exact",),
+            assumptions=("the plant's matrices and the sample times are exact", f"{self.coordinates} coordinates"),
         )
 
     def _variables(self) -> dict[str, Variable]:
@@ -184,6 +189,7 @@ class WindowSigma(SigmaBracket, Table, Gridded):
             "closed": self.closed,
             "status": self.status,
             "window": self.window,
+            "from_time": self.from_time,
             "rtol": self.rtol,
             "time_unit": self.time_unit,
             "refers_to": "the state at the window's start",
@@ -195,7 +201,7 @@ class WindowSigma(SigmaBracket, Table, Gridded):
                 "samples": witness.samples.tolist(),
                 "direction": witness.direction.tolist(),
             },
-            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+            "coordinates": self.coordinates,
             "claim": self.claim.to_dict(),
         }
 
@@ -203,9 +209,8 @@ class WindowSigma(SigmaBracket, Table, Gridded):
         return self._between(
             ("worst window ends", f"{self.witness.position} {self.time_unit}"),
             ("samples in it", str(self.witness.samples.size)),
-            ("window", f"{short(self.window)} {self.time_unit}"),
+            ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
             ("status", self.status),
-            scaled=self.scaled,
         )
 
     def explain(self) -> str:
@@ -228,7 +233,8 @@ class WindowSigma(SigmaBracket, Table, Gridded):
                 f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
                 f"proven, as A is a function of time and no table. {where}."
             )
-        proven = f"Sigma is at least {short(self.lower)} over every window of {length} ({self._grounds})"
+        later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
+        proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
 
@@ -276,7 +282,7 @@ def window_sigma(
         finite schedule within its horizon, rows C(tau) Phi(tau, t - T); proven of a table, not of functions.
     schedule : Schedule or PeriodicSchedule
         A finite schedule is judged from the window that begins with its first sample (or at `start`) to the one that
-        ends with its last; an endless one in its rhythm, over one period of t.
+        ends with its last; an endless one from time 0 (or `start`) on, for ever.
     window : float [plant.time_unit]
         Length T > 0.
     rtol : float
@@ -290,8 +296,8 @@ def window_sigma(
         for that proof too. Growth within the window hides nothing from balls: e^200 is no obstacle. Over a box every
         cell is proven so (growth that hides sigma from doubles hides it there).
     start : float, optional [plant.time_unit]
-        Of a finite schedule: where its first full window begins, such as 0 where the plan counts from there and not
-        from its first sample.
+        Where the first window begins. Of a finite schedule such as 0, where the plan counts from there and not from its
+        first sample; of an endless one whose `first` comes late such as `first`, to judge its rhythm alone.
 
     Returns
     -------
@@ -302,16 +308,15 @@ def window_sigma(
     Raises
     ------
     ArgumentError
-        If plant and schedule do not fit, the window is not positive or longer than the schedule, or an endless
-        schedule is given a `start`.
+        If plant and schedule do not fit, or the window is not positive or longer than the schedule.
     MissingExtraError
         If `rigorous` is asked for and python-flint is not installed.
 
     Notes
     -----
     *Claim.* `lower` holds for every real t, the limits just after a sample leaves included (there the
-    infimum is often attained). Sigma refers to the state at the window's *start*, in the plant's
-    coordinates; with scales, `scaled` holds the same for the scaled plant.
+    infimum is often attained). Sigma refers to the state at the window's *start*: of a plant with scales in scaled
+    coordinates, x/s_x and y/s_y, else in physical ones (those of a plant with scales: `plant.unscaled()`).
     *Method.* Between two events all relative times shift together, O(s) = O(b) e^{A(b-s)}, so that
     1/sigma(s) = |F(s)| with F(s) = e^{-A(b-s)} O(b)^+. A norm is convex: |F| lies below its chord plus
     (h^2/8) max |A^2 F|, an error of second order, relative to 1/sigma itself whatever the condition
@@ -364,19 +369,14 @@ def sigma_of_pieces(
 
     `reached` is what was found over other pieces: windows that see more than that are not looked at closely.
     """
-    parts = [plant, plant.scaled()] if plant.has_scales else [plant]
-    known = [np.inf if one is None else one.upper for one in (reached, None if reached is None else reached.scaled)]
-    scaled = None
-    for part, least in reversed(list(zip(parts, known, strict=False))):
-        found = bracket_sigma(part, pieces, rtol, seconds / len(parts), progress, least)
-        result = _record(found, pieces.window, rtol, part.time_unit, scaled)
-        if rigorous:
-            result = _in_balls(result, part, schedule, pieces, seconds / len(parts))
-        elif _hidden(found) and find_spec("flint") is not None:
-            result = _in_balls(result, part, schedule, pieces, min(seconds, HANDED_OVER) / len(parts))
-        scaled = result
-    assert scaled is not None
-    return scaled
+    own = plant.scaled() if plant.has_scales else plant
+    found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
+    result = _record(found, rtol, plant.time_unit, coordinates_of(plant))
+    if rigorous:
+        return _in_balls(result, own, schedule, pieces, seconds)
+    if _hidden(found) and find_spec("flint") is not None:
+        return _in_balls(result, own, schedule, pieces, min(seconds, HANDED_OVER))
+    return result
 
 
 def _tolerance(rtol: float | None, default: float) -> float:
@@ -406,13 +406,8 @@ def _varying(
     length, tolerance = _checks.positive("window", window), _tolerance(rtol, OVER_BOX)
     seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
     pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
-    kinds = (True, False) if plant.has_scales else (False,)
-    found: WindowSigma | None = None
-    for scaled in kinds:
-        bracket = bracket_varying(plant, pieces, scaled, tolerance, seconds / len(kinds))
-        found = _record(bracket, length, tolerance, plant.time_unit, found)
-    assert found is not None
-    return found
+    bracket = bracket_varying(plant, pieces, tolerance, seconds)
+    return _record(bracket, tolerance, plant.time_unit, coordinates_of(plant))
 
 
 def _hidden(found: Bracket) -> bool:
@@ -440,8 +435,9 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
 
 
-def _record(found: Bracket, window: float, rtol: float, time_unit: str, scaled: WindowSigma | None) -> WindowSigma:
+def _record(found: Bracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
     """The public record: window starts become window ends."""
+    window = found.pieces.window
     witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)
     left, right = found.pieces.left + window, found.pieces.right + window
     profile = WindowProfile(found.nodes + window, found.sigma, found.owner, left, right, found.piece_lower)
@@ -454,6 +450,7 @@ def _record(found: Bracket, window: float, rtol: float, time_unit: str, scaled: 
         window,
         rtol,
         profile,
-        scaled=scaled,
+        from_time=found.pieces.start,
+        coordinates=coordinates,
         time_unit=time_unit,
     )

@@ -13,7 +13,7 @@ from sampling_design.evidence import Claim
 from sampling_design.observability.box.branching import Branched, branch
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.windows_over_box import WindowsOverBox
@@ -46,8 +46,10 @@ class WindowSigmaOverBox(SigmaBracket):
         "budget", "rounding" or "no states".
     cells : int
         How many cells of parameters and positions were judged.
-    scaled : WindowSigmaOverBox or None
-        The same in scaled coordinates, where the plant has scales.
+    from_time : float [time]
+        As for `WindowSigma`: every window that begins then or later is covered.
+    coordinates : str
+        Which both bounds refer to: "scaled" where the plant has scales, else "physical".
     rigorous : bool
         Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and times.
     slack : float [time]
@@ -64,7 +66,8 @@ class WindowSigmaOverBox(SigmaBracket):
     rtol: float
     cells: int
     plant: UncertainPlant
-    scaled: WindowSigmaOverBox | None = field(default=None, kw_only=True)
+    from_time: float = field(default=0.0, kw_only=True)
+    coordinates: str = field(default="physical", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
 
@@ -90,8 +93,8 @@ class WindowSigmaOverBox(SigmaBracket):
         """What `lower` claims, and on what grounds."""
         balls = ", in ball arithmetic" if self.rigorous else ""
         return Claim(
-            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end t, "
-            f"T = {short(self.window)}",
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end "
+            f"t >= T + {short(self.from_time)}, T = {short(self.window)}",
             theorem="Theorem 14, hypothesis, for each plant of the box" + balls,
             assumptions=("constant parameters in their ranges", "the sample times are exact"),
         )
@@ -108,12 +111,13 @@ class WindowSigmaOverBox(SigmaBracket):
             "closed": self.closed,
             "status": self.status,
             "window": self.window,
+            "from_time": self.from_time,
             "rtol": self.rtol,
             "cells": self.cells,
             "rigorous": self.rigorous,
             "slack": self.slack,
             "time_unit": self.time_unit,
-            "scaled": None if self.scaled is None else self.scaled.to_dict(),
+            "coordinates": self.coordinates,
             "claim": self.claim.to_dict(),
         }
 
@@ -122,9 +126,8 @@ class WindowSigmaOverBox(SigmaBracket):
             ("worst plant", at_parameters(self.worst)),
             ("worst window begins", f"{short(self.window_start)} {self.time_unit}"),
             ("samples in it", str(self.samples.size)),
-            ("window", f"{short(self.window)} {self.time_unit}"),
+            ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
             ("status", f"{self.status}, {self.cells} cells"),
-            scaled=self.scaled,
         )
 
     def explain(self) -> str:
@@ -151,17 +154,11 @@ def window_sigma_over_box(
     *,
     rigorous: bool = False,
 ) -> WindowSigmaOverBox:
-    """Bound sigma over all pieces and plants; in scaled coordinates too where the plant has scales."""
+    """Bound sigma over all pieces and plants."""
     require_moderate(plant.nominal)
-    scaled: WindowSigmaOverBox | None = None
-    for inner in (True, False) if plant.nominal.has_scales else (False,):
-        model = BoxModel.of(plant, "window_sigma", inner)
-        share = seconds / (2 if plant.nominal.has_scales else 1)
-        scaled = _record(_searched(model, pieces, rtol, share, progress), model, pieces, rtol, scaled)
-        if rigorous:
-            scaled = _in_balls(scaled, model, schedule, pieces, share)
-    assert scaled is not None
-    return scaled
+    model = BoxModel.of(plant, "window_sigma")
+    found = _record(_searched(model, pieces, rtol, seconds, progress), model, pieces, rtol)
+    return _in_balls(found, model, schedule, pieces, seconds) if rigorous else found
 
 
 def _in_balls(
@@ -177,13 +174,11 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, rigorous=True, slack=proof.slack)
 
 
-def _record(
-    found: Branched, model: BoxModel, pieces: Pieces, rtol: float, scaled: WindowSigmaOverBox | None
-) -> WindowSigmaOverBox:
+def _record(found: Branched, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
     return WindowSigmaOverBox(
         lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
         samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
-        plant=model.plant, scaled=scaled,
+        plant=model.plant, from_time=pieces.start, coordinates=coordinates_of(model.plant.nominal),
     )  # fmt: skip
 
 

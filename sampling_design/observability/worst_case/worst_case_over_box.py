@@ -14,7 +14,7 @@ from sampling_design.evidence import Claim
 from sampling_design.observability.box.expansion import UP, BoxCells
 from sampling_design.observability.box.model import BoxModel
 from sampling_design.observability.box.question import REASONS, at_parameters
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.worst_case.cells_over_box import (
     FINER,
     WIDE,
@@ -48,6 +48,8 @@ class WorstCaseOverBox(SigmaBracket):
         "closed", "unseen" (some plant and schedule see nothing of a state), "budget" or "no states".
     plants : int
         How many plants were judged one by one.
+    coordinates : str
+        Which both bounds refer to: "scaled" where the plant has scales, else "physical".
     rigorous : bool
         Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and family.
     """
@@ -61,6 +63,7 @@ class WorstCaseOverBox(SigmaBracket):
     rtol: float
     plants: int
     plant: UncertainPlant
+    coordinates: str = field(default="physical", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
 
     @property
@@ -91,6 +94,7 @@ class WorstCaseOverBox(SigmaBracket):
             "rtol": self.rtol,
             "plants": self.plants,
             "rigorous": self.rigorous,
+            "coordinates": self.coordinates,
             "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
             "claim": self.claim.to_dict(),
         }
@@ -102,7 +106,6 @@ class WorstCaseOverBox(SigmaBracket):
             ("worst times", f"{short(self.witness)} {unit}"),
             ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
             ("status", f"{self.status}, {self.plants} plants"),
-            scaled=None,
         )
 
     def explain(self) -> str:
@@ -198,5 +201,5 @@ def _record(
 ) -> WorstCaseOverBox:
     return WorstCaseOverBox(
         lower=min(lower, best[0]), upper=best[0], worst=model.values(best[1]), witness=best[2], status=status,
-        family=family, rtol=rtol, plants=judged, plant=model.plant,
+        family=family, rtol=rtol, plants=judged, plant=model.plant, coordinates=coordinates_of(model.plant.nominal),
     )  # fmt: skip

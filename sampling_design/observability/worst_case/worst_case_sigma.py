@@ -16,7 +16,7 @@ from sampling_design._door import door
 from sampling_design._record import Plain, counted, short
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.periodicity import within_periods
@@ -83,8 +83,8 @@ class WorstCaseSigma(SigmaBracket):
         How many cells of directions were bounded.
     family : SpacedWindows
     profile : WorstCaseProfile
-    scaled : WorstCaseSigma or None
-        The same in scaled coordinates, where the plant has scales; never instead of this one.
+    coordinates : str
+        Which both bounds and `direction` refer to: "scaled" where the plant has scales, else "physical".
     time_unit : str
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
@@ -100,7 +100,7 @@ class WorstCaseSigma(SigmaBracket):
     family: SpacedWindows
     rtol: float
     profile: WorstCaseProfile
-    scaled: WorstCaseSigma | None = field(default=None, kw_only=True)
+    coordinates: str = field(default="physical", kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
 
@@ -117,7 +117,11 @@ class WorstCaseSigma(SigmaBracket):
             f"sigma_n(O_s) >= {short(self.lower)} for all schedules with at least {f.count} samples, at least "
             f"{short(f.spacing)} apart, in every window of {short(f.window)}",
             theorem="Theorem 17" + (", in ball arithmetic" if self.rigorous else ""),
-            assumptions=("the plant's matrices are exact", "every sample measures all outputs"),
+            assumptions=(
+                "the plant's matrices are exact",
+                "every sample measures all outputs",
+                f"{self.coordinates} coordinates",
+            ),
         )
 
     def to_dict(self) -> dict[str, Plain]:
@@ -136,8 +140,8 @@ class WorstCaseSigma(SigmaBracket):
             "rigorous": self.rigorous,
             "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
             "time_unit": self.time_unit,
+            "coordinates": self.coordinates,
             "claim": self.claim.to_dict(),
-            "scaled": None if self.scaled is None else self.scaled.to_dict(),
         }
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -148,7 +152,6 @@ class WorstCaseSigma(SigmaBracket):
             ("family", f"{counted(f.count, 'sample')} in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
             ("status", self.status),
             ("method", f"{self.method}, {self.cells} cells" if self.cells else self.method),
-            scaled=self.scaled,
         )
 
     def explain(self) -> str:
@@ -238,9 +241,8 @@ def worst_case_sigma(
     -----
     *Assumptions.* Every sample measures all outputs; the matrices are exact. That the samples fit,
     (k - 1) epsilon <= T, is a matter of the family, which refuses otherwise and says what would fit.
-    *Claim.* `lower` holds for all real sample times, with sigma of the state at the window's *start*, in
-    the plant's coordinates; with scales, `scaled` holds the same for the scaled plant. `upper` is sigma
-    of `witness`.
+    *Claim.* `lower` holds for all real sample times, with sigma of the state at the window's *start*, of a plant with
+    scales in scaled coordinates. `upper` is sigma of `witness`.
     *Method.* Upper: worst direction and worst times in turn, the latter by dynamic programming on a
     grid, from many starts; then Newton off the grid. Lower: branch and bound over the sphere of states.
     In slacks u_i = tau_i - (i - 1) epsilon the constraint is order alone, so that no gap is ever rounded.
@@ -286,16 +288,11 @@ def worst_case_sigma(
     generator = _checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family)
-    parts = [plant.scaled(), plant] if plant.has_scales else [plant]
-    judged = within_periods(plant, family)
-    result = None
-    for part in parts:
-        result = _bracketed(part, judged, tolerance, seconds / len(parts), generator, progress, result)
-        if rigorous:
-            result = _in_balls(result, part, seconds / len(parts))
-    assert result is not None
-    scaled = None if result.scaled is None else replace(result.scaled, family=family)
-    return replace(result, family=family, scaled=scaled)
+    own = plant.scaled() if plant.has_scales else plant
+    result = _bracketed(own, within_periods(plant, family), tolerance, seconds, generator, progress)
+    if rigorous:
+        result = _in_balls(result, own, seconds)
+    return replace(result, family=family, coordinates=coordinates_of(plant))
 
 
 def _over_box(
@@ -304,9 +301,8 @@ def _over_box(
     """Each plant that is judged has a search of its own."""
 
     def one(member: Plant, tolerance: float, left: float) -> tuple[float, float, Array]:
-        bare = Plant(member.A, member.C)  # sigma in the plant's own coordinates only
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
-        found = worst_case_sigma(bare, replace(family, time_unit=None), tolerance, limit)
+        found = worst_case_sigma(member, replace(family, time_unit=None), tolerance, limit)
         return found.lower, found.upper, found.witness
 
     return worst_case_over_box(plant, family, rtol, seconds, one, rigorous=rigorous)
@@ -341,16 +337,15 @@ def _bracketed(
     seconds: float,
     rng: np.random.Generator,
     progress: Progress | None,
-    scaled: WorstCaseSigma | None,
 ) -> WorstCaseSigma:
     """The record for one plant in its own coordinates."""
     if plant.n_states == 0:
         times = _checks.freeze(family.spacing * np.arange(family.count))
         proof, method = Proof(np.inf, Attained(np.inf, times, np.zeros(0)), "no states", 0), "no states"
-        return _record(plant, family, rtol, proof, times, method, scaled)
+        return _record(plant, family, rtol, proof, times, method)
     rows = SpacedRows(plant, family.window, family.count, family.spacing)
     proof, method = _proof(rows, rtol, seconds, rng, progress)
-    return _record(plant, family, rtol, proof, rows.times(proof.attained.slacks), method, scaled)
+    return _record(plant, family, rtol, proof, rows.times(proof.attained.slacks), method)
 
 
 def _proof(
@@ -387,7 +382,6 @@ def _record(
     proof: Proof,
     times: Array,
     method: str,
-    scaled: WorstCaseSigma | None,
 ) -> WorstCaseSigma:
     """The public record, its witness evaluated afresh by the room's own sigma."""
     upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
@@ -405,6 +399,5 @@ def _record(
         family=family,
         rtol=rtol,
         profile=WorstCaseProfile(*frozen),
-        scaled=scaled,
         time_unit=plant.time_unit,
     )

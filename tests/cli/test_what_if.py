@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import sampling_design as sd
-from sampling_design.design.pareto import ParetoFront
+from sampling_design.design.pareto import ParetoFront, ParetoPoint
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
@@ -55,7 +55,7 @@ def test_a_clock_ends_pareto_only_where_it_is_asked_to(shell, monkeypatch):
 
     def asked(plant, requirement, counts, *, budget, **rest):
         given.append(budget)
-        return ParetoFront(())
+        return ParetoFront((ParetoPoint(2, 1.0, 1.0, (0.0, 1.0)),))
 
     monkeypatch.setattr(sd, "pareto", asked)
     assert shell("pareto", OSCILLATOR, "--counts", "2").code == 0

@@ -20,7 +20,7 @@ from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sheet import write_form
 
-W, V, GAP = 0.01, 0.1, 51.5
+W, V, GAP = 0.01, 0.1, 51.75
 NIGHTS = {"Mon-Thu": [["20:00", "04:00"]], "Sat": [["22:00", "04:00"]]}
 ZONES = ("Europe/Berlin", "America/New_York", "Australia/Lord_Howe")
 HOLIDAYS = ("2028-02-29", "2028-03-01", "2028-04-14", "2028-04-17", "2028-07-05")
@@ -110,3 +110,40 @@ def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
     told = json.loads((tmp_path / "log.json").read_text())
     assert len(told["actual"]) == len(dates.entries)
     assert max(map(abs, told["deviations"])) < 1e-9
+
+
+def above(times):
+    """How far the level is above its tolerance between samples, over time."""
+    gaps = np.diff(times)
+    return float(np.sum(gaps * np.maximum(V + W * gaps - (V + W * GAP), 0.0)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whatever_days_are_closed_no_more_is_claimed_than_the_real_gaps_allow(seed):
+    """Days drawn at random from three months, some of them side by side; those of the first week and the last are not."""
+    rng = np.random.default_rng(seed)
+    days = np.sort(rng.choice(np.arange(10, 80), 12, replace=False))
+    closed = [(datetime(2028, 1, 3) + timedelta(days=int(day))).date().isoformat() for day in days]
+    plan = watched("Europe/Berlin", GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY), holidays=closed)
+    dates = plan_dates(plan, 13)
+    times = np.array([entry.time for entry in dates.entries])
+    assert all(is_open(entry.date, closed) for entry in dates.entries)
+    attained = (V + W * float(np.diff(times).max())) / (V + W * GAP)
+    claimed = max(e.ratio for e in dates.exceptions)
+    assert dates.keeps == (attained <= 1)
+    assert attained <= claimed * (1 + 1e-9)
+    if attained > 1:
+        assert claimed == pytest.approx(attained, rel=1e-9)
+    for k in np.flatnonzero([entry.added for entry in dates.entries]):
+        assert above(np.delete(times, k)) > above(times)
+
+
+def test_a_fortnight_without_samples_is_said_and_nothing_is_added_in_vain():
+    closed = [f"2028-02-{day:02d}" for day in range(7, 21)]
+    dates = plan_dates(watched("Europe/Berlin", GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY), holidays=closed), 10)
+    times = np.array([entry.time for entry in dates.entries])
+    attained = (V + W * float(np.diff(times).max())) / (V + W * GAP)
+    (exception,) = [e for e in dates.exceptions if e.what.startswith("closed")]
+    assert (exception.proven, exception.ratio) == (False, pytest.approx(attained, rel=1e-9))
+    assert not dates.keeps
+    assert not any(entry.added for entry in dates.entries)

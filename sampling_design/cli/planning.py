@@ -13,7 +13,6 @@ from rich.table import Table
 
 import sampling_design as sd
 from sampling_design._checks import number
-from sampling_design._units import SECONDS
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, save_picture, table
 from sampling_design.errors import ArgumentError
@@ -114,7 +113,7 @@ def next_sample(
     ] = None,
     now: Annotated[
         str | None,
-        typer.Option(metavar="DATE", help="Local date, or time since the start; default: the last sample."),
+        typer.Option(metavar="DATE", help="Local date, or time passed since the start; default: the last sample."),
     ] = None,
 ) -> None:
     """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
@@ -140,14 +139,10 @@ next_sample.__name__ = "next"
 
 
 def _record(result: Plan, path: Path) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
-    """The measurements in clock time since the plan's start."""
+    """The measurements in the time that has passed since the plan's start."""
     rows = reading.measurements(path, result.plant, result.schedule.origin)
-    calendar, unit = result.requirement.calendar, result.plant.time_unit
-    found: list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] = []
-    for t, taken in zip(*rows.samples(), strict=True):
-        clock = t if calendar is None else calendar.clock(t * SECONDS[unit] / 60) * 60 / SECONDS[unit]
-        found.append((float(clock), np.where(taken, 0.0, np.nan), None))  # whatever was read
-    return found
+    samples = zip(*rows.samples(), strict=True)
+    return [(float(t), np.where(taken, 0.0, np.nan), None) for t, taken in samples]  # whatever was read
 
 
 def _now(result: Plan, text: str | None) -> float | None:
@@ -161,7 +156,7 @@ def _now(result: Plan, text: str | None) -> float | None:
         if calendar is None:
             raise ArgumentError(f"`--now` must be a number of {result.plant.time_unit}, got {text!r}.") from None
     date = parse_date("--now", text, calendar.zone)
-    return calendar.clock(calendar.elapsed_at(date)) * 60 / SECONDS[result.plant.time_unit]
+    return calendar.elapsed_at(date) / result.minutes(1.0)
 
 
 def _times(result: Plan) -> Table:

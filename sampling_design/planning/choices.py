@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.due import GoalDue, exceeded_since, first_due, kept_from, reached_at
+from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, planned
@@ -44,13 +45,13 @@ class NextChoices:
     """The choices for the next sample of a plan, after a history."""
 
     def __init__(self, plan: Plan, history: SampleSequence, now: float):
-        self.plan, self.history, self.now = plan, history, now
+        self.plan, self.history, self.now, self.clock = plan, history, now, plan.clock
         self.level = max(NEAR, plan.ratio)
-        self._known: dict[tuple[int, bytes], float] = {}
-        self._chosen: dict[tuple[int, bytes], SampleSequence] = {}
+        self._known: dict[tuple[float, bytes], float] = {}
+        self._chosen: dict[tuple[float, bytes], SampleSequence] = {}
         self._options: dict[int | None, list[Option]] = {}
         self._due_at: dict[tuple[int | None, float], GoalDue | None] = {}
-        self._after: dict[float, list[tuple[Array, Mask]]] = {}
+        self._after: dict[float, list[tuple[Array, Mask, PlanClock]]] = {}
         self._added: dict[int, list[Option]] = {}
 
     def exceeded(self) -> GoalDue | None:
@@ -65,28 +66,28 @@ class NextChoices:
 
     def _listed(self, sensor: int | None) -> list[Option]:
         problem, step = self.plan.problem, self.plan.problem.step
-        first = int(np.floor(self.now / step + 1e-6)) + 1
+        first = int(np.floor(float(self.clock.shown(self.now)) / step + 1e-6)) + 1
         found = []
-        for i in range(first, first + problem.steps):
+        for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):
             allowed = self.allowed(i)
             mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
             mask = allowed if sensor is None and not mask.any() else mask
-            if i - self.history.times[-1] / step < problem.spacing - 1e-6:
+            if t - self.history.times[-1] < (problem.spacing - 1e-6) * step or t <= self.now + 1e-6 * step:
                 continue
             if mask.any():
-                found.append((i * step, mask))
+                found.append((t, mask))
         return found
 
     def allowed(self, i: int) -> Mask:
-        """What may be measured at a step since the start, holidays left out."""
+        """What may be measured at a step of the clock since the start; holidays and skipped hours are left out."""
         problem = self.plan.problem
         mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
         return np.asarray(mask if self.is_open(i * problem.step) else np.zeros_like(mask))
 
-    def is_open(self, t: float) -> bool:
-        """Whether a time is within the hours of the place and on no closed day."""
+    def is_open(self, clock: float) -> bool:
+        """Whether a clock time is within the hours of the place, on no closed day, and not skipped."""
         calendar = self.plan.requirement.calendar
-        return calendar is None or calendar.is_open(round(self.plan.minutes(t), 6), holidays=True)
+        return calendar is None or calendar.is_open(self.plan.minutes(clock), holidays=True)
 
     def due(self, i: int) -> Mask:
         """What the plan's sample at a step, or the next one after it, measures."""
@@ -95,8 +96,8 @@ class NextChoices:
         following = at[np.argmin((at - i) % steps)]
         return np.asarray(self.plan.chosen[following])
 
-    def followed(self, start: float) -> list[tuple[Array, Mask]]:
-        """The plan's samples from a time on until all that is over.
+    def followed(self, start: float) -> list[tuple[Array, Mask, PlanClock]]:
+        """The plan's samples from a time on until all that is over, and the clock that they keep to.
 
         Without those on closed days; where there are such, also with the samples that `plan_dates` adds for them.
         """
@@ -104,34 +105,39 @@ class NextChoices:
             return self._after[start]
         plan = self.plan
         span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
-        times, seen = planned(plan, start, start + span)
-        closed = times[[not self.is_open(t) for t in times.tolist()]] if plan.requirement.calendar else times[:0]
-        if not closed.size:
-            self._after[start] = [(times, seen)]
+        times, seen = planned(plan, start, start + span, self.clock)
+        clock = replace(self.clock, until=float(times[-1]))
+        shown = clock.shown(times)
+        odd = ~np.array([self.is_open(t) for t in shown.tolist()], dtype=bool)
+        closed = odd.any()
+        odd[1:] |= np.abs(np.diff(shown - times)) > SAME * plan.problem.step  # the first after a change of the clocks
+        if not odd.any():
+            self._after[start] = [(times, seen, clock)]
             return self._after[start]
-        last = float(closed[-1])
-        times, seen = planned(plan, start, last + span)
-        keep = np.array([t > last or self.is_open(t) for t in times.tolist()], dtype=bool)
-        ways = [(times[keep], seen[keep])]
-        more = [(t, mask) for t, mask in self._dated(last) if start <= t <= last + plan.schedule.period]
+        last = float(times[odd][-1])
+        times, seen = planned(plan, start, last + span, clock)
+        shown = clock.shown(times).tolist()
+        keep = np.array([t > last or self.is_open(c) for t, c in zip(times.tolist(), shown, strict=True)], dtype=bool)
+        ways = [(times[keep], seen[keep], clock)]
+        dated = self._dated(last) if closed else []
+        more = [(t, mask) for t, mask in dated if start <= t <= last + plan.schedule.period]
         if more:
             both = np.concatenate([times[keep], [t for t, _ in more]])
             order = np.argsort(both, kind="stable")
             masks = np.concatenate([seen[keep], np.array([mask for _, mask in more])])
-            ways.append((both[order], masks[order]))
+            ways.append((both[order], masks[order], clock))
         self._after[start] = ways
         return ways
 
     def _dated(self, last: float) -> list[Option]:
-        """Clock times and sensors of the samples that are added for closed days up to one of them."""
-        calendar, names = self.plan.requirement.calendar, self.plan.plant.outputs.names
-        periods = max(1, int(np.ceil(last / self.plan.schedule.period)) + 1)
-        if calendar is None or last < 0:
+        """Times and sensors of the samples that are added for closed days up to one of them."""
+        names = self.plan.plant.outputs.names
+        periods = max(1, int(np.ceil(float(self.clock.shown(last)) / self.plan.schedule.period)) + 1)
+        if last < 0:
             return []
         if periods not in self._added:
-            minute = 1 / self.plan.minutes(1.0)
             self._added[periods] = [
-                (calendar.clock(entry.time / minute) * minute, np.isin(names, entry.outputs))
+                (entry.time, np.isin(names, entry.outputs))
                 for entry in plan_dates(self.plan, periods, prove=False).entries
                 if entry.added
             ]
@@ -145,8 +151,9 @@ class NextChoices:
         if calendar is None:
             return np.inf
         for each in calendar.holidays:
-            begins = (datetime.fromisoformat(each) - calendar.first) / timedelta(minutes=1) / plan.minutes(1.0)
-            times = planned(plan, max(begins, t + span), begins + day)[0]
+            clock = (datetime.fromisoformat(each) - calendar.first) / timedelta(minutes=1) / plan.minutes(1.0)
+            begins, ends = self.clock.elapsed([clock, clock + day]).tolist()
+            times = planned(plan, max(begins, t + span), ends, self.clock)[0]
             if times.size:
                 return float(times[0])
         return np.inf
@@ -156,18 +163,18 @@ class NextChoices:
         t, mask = choice
         step = self.plan.problem.step
         resume = t + max(self.plan.problem.spacing - 1e-6, 1e-6) * step
-        for times, seen in self.followed(resume):
+        for times, seen, clock in self.followed(resume):
             every = np.concatenate([self.history.times, [t], times])
             masks = np.concatenate([self.history.seen, mask[None], seen])
-            yield SampleSequence(every, masks, self.history.first, since=self.now)
+            yield SampleSequence(every, masks, self.history.first, clock, since=self.now)
 
     def sequence(self, choice: Option) -> SampleSequence:
         """The best of them, as far as is known."""
         key = self._key(choice)
         return self._chosen[key] if key in self._chosen else next(self.sequences(choice))
 
-    def _key(self, choice: Option) -> tuple[int, bytes]:
-        return round(choice[0] / self.plan.problem.step), choice[1].tobytes()
+    def _key(self, choice: Option) -> tuple[float, bytes]:
+        return choice[0], choice[1].tobytes()
 
     def _until(self, sequence: SampleSequence) -> float:
         """When it is no longer worth looking: one and a half periods after the last change."""
@@ -221,7 +228,7 @@ class NextChoices:
     def _due(self, options: list[Option]) -> int:
         """Which option is the plan's next sample; the first one where the place is closed then."""
         step = self.plan.problem.step
-        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2)[0]
+        due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2, self.clock)[0]
         times = np.array([t for t, _ in options])
         same = np.flatnonzero(np.min(np.abs(times[:, None] - due[None, :]), axis=1, initial=np.inf) < step / 4)
         return int(same[0]) if same.size else 0
@@ -254,7 +261,7 @@ class NextChoices:
         for t, _ in own:
             if t > kept + tiny:
                 break
-            option = t, self.allowed(round(t / self.plan.problem.step))
+            option = t, self.allowed(round(float(self.clock.shown(t)) / self.plan.problem.step))
             found = self._kept(option, kept + tiny)
             if found < planned_ - tiny and found <= kept + tiny:
                 best, kept = option, found

@@ -33,7 +33,7 @@ class NextSample(Record):
     ----------
     plan : Plan
     now : float
-        [the plant's time unit] since the start of the plan.
+        Time that has passed since the start of the plan [the plant's time unit], as all times here; `date` names it.
     latest : float
         With the sensors `outputs`; after it the plan's own times follow. Where no time keeps every tolerance from now
         on: that after which they are all kept again soonest. -inf: none is known.
@@ -85,7 +85,7 @@ class NextSample(Record):
     def date(self, t: float) -> datetime | None:
         """Local date of a time, where the plan has a calendar."""
         calendar = self.plan.requirement.calendar
-        return None if calendar is None or not np.isfinite(t) else calendar.instant(self.plan.minutes(t))
+        return None if calendar is None or not np.isfinite(t) else calendar.date(self.plan.minutes(t))
 
     def when(self, t: float, since: float | None = None) -> str:
         """A time in words: local where there is a calendar; with no more of its date than one needs after `since`."""
@@ -218,11 +218,11 @@ def next_sample(
     plan : Plan
         Whose tolerances are kept.
     record : Measurements or iterable of (t, y, u), optional
-        What was measured since the plan began, in order [the plant's time unit since its start]; only the times and the
-        outputs that are not NaN matter. Before its first sample, the plan was followed. Default: it was followed until
-        `now`.
+        What was measured since the plan began, in order; only the times and the outputs that are not NaN matter.
+        Before its first sample, the plan was followed. Default: it was followed until `now`.
     now : float, optional
-        Default: the last sample of the record, else 0.
+        Default: the last sample of the record, else 0. All times have passed since the plan's start [the plant's time
+        unit], so that a day on which clocks are put forward has 23 h.
     prove : bool
         Prove the answer by gains over all real times; else it rests on the search alone.
 
@@ -332,15 +332,21 @@ def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> Sample
     span = (looks_back(plan) + 1) * mean + plan.schedule.period
     tiny = 1e-6 * plan.problem.step
     if taken is None or not taken[0].size:
-        times, seen = planned(plan, now - span, now + tiny)
-        return SampleSequence(times, seen, times.size)
+        times, seen = planned(plan, now - span, now + tiny, plan.clock)
+        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock)
     first = float(taken[0][0])
-    before = planned(plan, first - span, first - tiny)
-    wanted = planned(plan, first - tiny, now + tiny)
+    before = planned(plan, first - span, first - tiny, plan.clock)
+    wanted = planned(plan, first - tiny, now + tiny, plan.clock)
     same = 0
     for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
         if abs(t - due) > tiny or not np.array_equal(mask, meant):
             break
         same += 1
     times, seen = np.concatenate([before[0], taken[0]]), np.concatenate([before[1], taken[1]])
-    return SampleSequence(times, seen, before[0].size + same)
+    return SampleSequence(times, seen, min(before[0].size + same, _unchanged(plan, times)), plan.clock)
+
+
+def _unchanged(plan: Plan, times: Array) -> int:
+    """How many samples there are before the clocks are first changed between them."""
+    changed = np.flatnonzero(np.abs(np.diff(plan.clock.shown(times) - times)) > 1e-6 * plan.problem.step)
+    return int(changed[0]) + 1 if changed.size else times.size

@@ -4,18 +4,22 @@ Over a leap year with both changes of the clocks, holidays, and hours that pass 
 level that drifts by `W` an hour at most, read to `V`: after a gap of h hours it is known to V + W h, exactly.
 """
 
+import contextlib
 import json
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+import typer
 
 import sampling_design as sd
+from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.settings import Settings
 from sampling_design.cli.track import log
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sheet import write_form
@@ -112,6 +116,46 @@ def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
     assert max(map(abs, told["deviations"])) < 1e-9
 
 
+def following(dates, clocks):
+    """The last eight samples before a change of the clocks, and the moment from which times are counted."""
+    (day,) = [e.date for e in dates.exceptions if e.what.startswith(f"clocks {clocks}")]
+    taken = [entry for entry in dates.entries if entry.date.date().isoformat() < day][-8:]
+    return taken, dates.entries[0].date.astimezone(UTC) - timedelta(hours=dates.entries[0].time)
+
+
+@pytest.mark.parametrize("clocks", ["forward", "back"])
+def test_the_next_sample_is_as_late_as_the_hours_that_pass_allow(year, clocks):
+    """The latest half hour at which the place is open and no more has passed than keeps the tolerance."""
+    plan, dates = year
+    taken, zero = following(dates, clocks)
+    found = sd.next_sample(plan, [(entry.time, [1.0], None) for entry in taken])
+    last, place, latest = taken[-1].date.astimezone(UTC), ZoneInfo(plan.requirement.calendar.zone), None
+    for halves in range(1, 120):
+        local = (last + timedelta(minutes=30 * halves)).astimezone(place)
+        if is_open(local) and not local.fold and V + W * halves / 2 <= 0.998 * (V + W * GAP):
+            latest = local
+    assert (found.proven, found.keeps) == (True, True)
+    assert found.date(found.latest) == latest
+    assert found.latest == pytest.approx((latest.astimezone(UTC) - zero) / timedelta(hours=1), rel=1e-12)
+    assert (V + W * (found.latest - taken[-1].time)) / (V + W * GAP) <= found.ratio * (1 + 1e-9)
+
+
+def test_now_as_a_local_date_is_the_time_that_passed(year, tmp_path):
+    plan, dates = year
+    save_plan(plan, tmp_path / "plan.json")
+    for clocks in ("forward", "back"):
+        taken, zero = following(dates, clocks)
+        monday = (taken[-1].date + timedelta(days=7 - taken[-1].date.weekday())).replace(hour=9, minute=0)
+        form = ["date,gauge", *(f"{entry.date.isoformat()},1.5" for entry in taken)]
+        (tmp_path / "measured.csv").write_text("\n".join(form) + "\n")
+        files, local = (tmp_path / "plan.json", tmp_path / "measured.csv"), monday.replace(tzinfo=None).isoformat()
+        with contextlib.suppress(typer.Exit):  # by then the tolerance is broken
+            next_command(Settings("next", output=tmp_path, quiet=True), *files, now=local)
+        told = json.loads((tmp_path / "next.json").read_text())["now"]
+        assert told["time"] == pytest.approx((monday.astimezone(UTC) - zero) / timedelta(hours=1), rel=1e-12)
+        assert told["date"] == monday.isoformat()
+
+
 def above(times):
     """How far the level is above its tolerance between samples, over time."""
     gaps = np.diff(times)
@@ -120,7 +164,7 @@ def above(times):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_whatever_days_are_closed_no_more_is_claimed_than_the_real_gaps_allow(seed):
-    """Days drawn at random from three months, some of them side by side; those of the first week and the last are not."""
+    """Twelve days drawn at random from three months, some of them side by side."""
     rng = np.random.default_rng(seed)
     days = np.sort(rng.choice(np.arange(10, 80), 12, replace=False))
     closed = [(datetime(2028, 1, 3) + timedelta(days=int(day))).date().isoformat() for day in days]

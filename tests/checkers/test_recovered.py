@@ -25,7 +25,7 @@ from sampling_design.recovery.readings import Above, Below, Mean
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
 from tests.oracles.estimators import transition
 
-SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], [[0.0], [1.0]], name="spring")
+SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]], name="spring")
 GIVEN = {"w_bound": 0.05, "v_bound": 0.2}
 
 

@@ -11,7 +11,10 @@ from sampling_design.cli.settings import Settings
 from sampling_design.cli.track import log
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import save_plan
+from sampling_design.planning.plan import proven_plan
+from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sheet import write_form, write_sheet
 
@@ -91,6 +94,26 @@ def test_times_without_a_calendar_are_no_dates(week):
     bare = replace(week, requirement=week.requirement.replace(calendar=None))
     with pytest.raises(ArgumentError, match="has no calendar: its times are no dates"):
         plan_dates(bare)
+
+
+def test_two_closed_days_with_a_sample_between_them_are_judged_together():
+    """One is read on Mon, Wed and Fri, two on Sat: without Fri and Mon nobody reads one for a week."""
+    ten = {"Mon": [["10:00", "11:00"]], "Wed": [["10:00", "11:00"]], "Fri": [["10:00", "11:00"]]}
+    sat = {"Sat": [["10:00", "11:00"]]}
+    plant = sd.Plant(np.zeros((2, 2)), np.eye(2), time_unit="h", states=("one", "two"), outputs=("a", "b"))
+    wanted = sd.PlanRequirement(
+        {"one": 1.35, "two": 3.0},
+        raster="1 h",
+        w_bound=[0.01, 0.01],
+        sensors={"a": {"noise_bound": 0.1, "hours": ten}, "b": {"noise_bound": 0.1, "hours": sat}},
+        calendar={"start": "2026-03-30", "hours": {**ten, **sat}, "holidays": ["2026-04-03", "2026-04-06"]},
+    )
+    problem = pose_plan(plant, wanted)
+    dates = plan_dates(proven_plan(problem, problem.allowed, PlanBound((), None, None), "complete"), 3)
+    assert not dates.keeps
+    assert max(e.ratio for e in dates.exceptions) == pytest.approx((0.1 + 0.01 * 168) / 1.35, rel=1e-9)
+    assert "not kept: 2026-04-03, 2026-04-06" in dates.explain()
+    assert not any(entry.added for entry in dates.entries)
 
 
 def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):

@@ -95,12 +95,10 @@ def test_rows_and_flows_are_exponentials_however_often_the_plant_turns(growth):
     np.testing.assert_allclose(rows.rows(r).reshape(-1, 1, 2), rows.C @ flows, rtol=0, atol=1e-9)
 
 
-def test_a_window_of_many_turns_is_designed_within_its_budget():
-    design = sd.design_schedule(
-        sd.named_plant("oscillator"), sd.Requirement(window=1e5, samples=4, spacing=1.0), budget=3.0, branches=0
-    )
-    assert design.gap < 0.02
-    assert design.upper_bound <= np.sqrt(2)  # four readings of one coordinate show each of two at most twice
+def test_a_window_of_many_turns_is_designed_to_its_bound():
+    asked = sd.Requirement(window=1e4, samples=4, spacing=1.0)
+    design = sd.design_schedule(sd.named_plant("oscillator"), asked, starts=1, branches=0)
+    assert design.gap < 1e-3  # rows read off cubics led to 3.9 %
 
 
 def test_a_schedule_that_sees_more_than_was_said_is_refined():

@@ -5,6 +5,7 @@ A record lists its rows once, in `_rows`; everything that shows it is made from 
 
 from __future__ import annotations
 
+import inspect
 import math
 from abc import ABCMeta
 from collections.abc import Mapping, Sequence
@@ -27,6 +28,12 @@ Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] |
 
 class _Kind(ABCMeta):
     """The class of the classes of records: a call that does not fit their fields ends in one sentence."""
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        """What the fields take: help and editors would show the call below, which takes anything."""
+        own = inspect.signature(cls.__init__)
+        return own.replace(parameters=list(own.parameters.values())[1:])
 
     if not TYPE_CHECKING:  # a checker would take every call for one that fits
 

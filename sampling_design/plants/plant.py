@@ -302,7 +302,7 @@ class Plant(Record):
         return bool(np.any(self.states.scales != 1) or np.any(self.outputs.scales != 1))
 
     @classmethod
-    def from_control(cls, system: control.StateSpace | control.TransferFunction, **details: Any) -> Plant:
+    def from_control(cls, system: object, **details: Any) -> Plant:
         """Return the plant of a continuous-time system of `control`; `details` as for `Plant` (time_unit, ...).
 
         What `to_control` made comes back whole, with G, units and scales. A transfer function becomes its observer
@@ -314,7 +314,7 @@ class Plant(Record):
             If it is a discrete-time system, has a delay, is neither linear nor a transfer function, or is improper.
         """
         check_system(system)
-        return cls(system, **details)
+        return cls(system, **details)  # type: ignore[arg-type]
 
     @classmethod
     def _foreign(cls, system: object) -> Callable[[object, str], Plant] | None:

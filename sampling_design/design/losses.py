@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._record import Plain, Table, short
 from sampling_design.design.design import bounded, design_schedule
@@ -95,7 +96,7 @@ def sample_losses(
     design: ScheduleDesign,
     *,
     every_period: bool = False,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
@@ -108,7 +109,7 @@ def sample_losses(
     every_period : bool
         Leave the sample out of every period (its price), or miss it once (a window that spans several periods
         then keeps the sample of the others).
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         As for `design_schedule`: what designs the schedules with one sample fewer in every period.
     rtol : float
         As for `window_sigma`.
@@ -160,7 +161,7 @@ def sample_losses(
     )
 
 
-def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: np.random.Generator | None) -> Array:
+def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: Seed) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
@@ -184,7 +185,7 @@ def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: np
     return np.array([known[key] for key in keys])
 
 
-def _fewer(design: ScheduleDesign, asked: Requirement, deadline: float, rng: np.random.Generator | None) -> float:
+def _fewer(design: ScheduleDesign, asked: Requirement, deadline: float, rng: Seed) -> float:
     """The bound of a design with one sample fewer in every period; 0 where none is left."""
     count = len(design.schedule or ()) - 1
     if count == 0:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import _checks
+from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._files import from_json, read_text, to_json, write_text
 from sampling_design._record import Plain, Table, counted, short
@@ -96,7 +97,7 @@ def pareto(
     requirement: Requirement,
     counts: Iterable[int],
     *,
-    rng: np.random.Generator | None = None,
+    rng: Seed = None,
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -111,7 +112,7 @@ def pareto(
     requirement : Requirement
         Its `samples` and `target_sigma` are replaced by each count.
     counts : iterable of int
-    rng : numpy.random.Generator, optional
+    rng : numpy.random.Generator or its seed, optional
         As for `design_schedule`: each count is designed as it is there, by a copy of this one.
     workers : Executor, Client, int or str, optional
         Any `concurrent.futures.Executor`, a Dask client, a number of processes, or the name of a joblib backend.

@@ -6,8 +6,7 @@ Names and rooms load on first use, so that importing this package costs nothing 
 type checkers know of it stands beside it in `__init__.pyi`, which `python -m tests.house.front_door` writes.
 """
 
-import sys
-from importlib import import_module
+from sampling_design._lazy import lazy
 
 __version__ = "0.1.0"
 
@@ -110,35 +109,5 @@ _ROOMS = (
     "sweeps",
     "validation",
 )
-_HOME = {name: room for room, names in _FRONT_DOOR.items() for name in names}
-
-__all__ = ["__version__", *sorted(_HOME)]
-
-
-def __getattr__(name: str) -> object:
-    if name in _HOME:
-        value = getattr(import_module(f"sampling_design.{_HOME[name]}"), name)
-    elif name in _ROOMS:
-        value = import_module(f"sampling_design.{name}")
-    else:
-        raise _absent(name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted([*__all__, *_ROOMS])
-
-
-def _absent(name: str) -> AttributeError | ImportError:
-    """Return the error for a name that is not here, with the one that was probably meant."""
-    message = f"module 'sampling_design' has no attribute {name!r}"
-    if name.startswith("_"):
-        return AttributeError(message)
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, __dir__(), n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    # `from sampling_design import NAME` swallows an AttributeError with its words, and says only "cannot import name"
-    importing = bool(hint) and sys._getframe(2).f_code.co_name == "_handle_fromlist"
-    return (ImportError if importing else AttributeError)(message + hint)
+__getattr__, __dir__, _ = lazy(__name__, _FRONT_DOOR, modules=_ROOMS)
+__all__ = ["__version__", *sorted(name for names in _FRONT_DOOR.values() for name in names)]

@@ -21,7 +21,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -29,50 +28,15 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.errors import SamplingDesignError
-
-BESIDE = {
-    "plants.clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
-    "plants.modes": ("ModalSplit",),
-    "observability.count.zero_count": ("ZeroCountBound",),
-    "observability.count.pbh": ("UnseenModes", "require_observable"),
-    "observability.windows.window_sigma": ("WindowSigma", "WindowWitness", "WindowProfile"),
-    "observability.worst_case.worst_case_sigma": ("WorstCaseSigma", "WorstCaseProfile"),
-    "certificates.form.verdict": ("Verification",),
-    "certificates.compare.robustness": ("Robustness",),
-    "certificates.existence.counterexample": ("Counterexample",),
-    "certificates.compare.four_horizons": ("FourHorizons",),
-    "certificates.exact.information": ("InformationCurve",),
-    "certificates.form.horizon": ("Horizon",),
-    "certificates.compare.tradeoff": ("TradeoffCurve",),
-    "certificates.compare.contraction": ("spectral_radius", "least_contracting"),
-    "nonlinear.detectability": ("DetectabilityEvidence",),
-    "nonlinear.report": ("ThyroidReport",),
-    "estimators.online.estimator": ("Estimator",),
-    "validation.report": ("Finding", "ValidationReport"),
-    "validation.scenario": ("SimulatedRecord",),
-    "validation.schedule_log": ("ScheduleLog",),
-    "observability.count.default_window": ("default_window",),
-    "schedules.family": ("SamplingFamily",),
-    "schedules.files": ("schedule_to_dict", "schedule_from_dict"),
-    "schedules.family_files": ("family_to_dict", "family_from_dict"),
-    "schedules.calendar": ("CalendarEntry", "calendar", "write_calendar_csv"),
-    "certificates.form.constants": ("Constant", "ConstantList"),
-    "certificates.paper.restarts": ("restart_times", "output_predictor"),
-    "certificates.paper.proof_constants": ("ProofConstants",),
-    "design.problem.requirement_file": ("requirement_from_dict",),
-    "design.bounds.evidence": ("UpperBound", "BoundPart"),
-    "design.losses": ("SampleLosses",),
-    "design.schedule_design": ("ScheduleDesign",),
-    "design.pareto": ("ParetoFront", "ParetoPoint"),
-}
-"""What verbs of the front door return and take, in their rooms."""
+from tests.house.front_door import lazy_rooms
 
 
 @functools.cache
 def public() -> dict[str, Any]:
     """Everything that is public: the front door, and what its verbs return and take, in their rooms."""
-    homes = [*sd._FRONT_DOOR.items(), *BESIDE.items()]
-    found = {name: getattr(import_module(f"sampling_design.{room}"), name) for room, names in homes for name in names}
+    rooms = [module for room, module in lazy_rooms().items() if room != "explorer"]
+    found = {name: getattr(sd, name) for names in sd._FRONT_DOOR.values() for name in names}
+    found |= {name: getattr(room, name) for room in rooms for names in room._NAMES.values() for name in names}
     return found
 
 

@@ -1,1 +1,31 @@
 """What a schedule proves: certificates of detectability from samples, exact and from the paper."""
+
+from sampling_design._lazy import lazy
+
+_NAMES = {
+    "compare.contraction": ("least_contracting", "spectral_radius"),
+    "compare.four_horizons": ("FourHorizons", "four_horizons"),
+    "compare.robustness": ("Robustness", "robustness"),
+    "compare.tradeoff": ("TradeoffCurve", "tradeoff_curve"),
+    "detectability.best_rate": ("certify_detectability", "detectability_from_proof"),
+    "detectability.dissipation": ("DetectabilityCertificate",),
+    "exact.bound_weights": ("weights_from_bounds",),
+    "exact.certificate": ("Certificate",),
+    "exact.information": ("InformationCurve", "information_curve"),
+    "existence.counterexample": ("Counterexample", "find_counterexample"),
+    "existence.largest_box": ("largest_box",),
+    "existence.periodic": ("certificate_exists", "smallest_repair"),
+    "families.certify_family": ("certify_family",),
+    "families.family_certificate": ("FamilyCertificate",),
+    "files": ("load_certificate",),
+    "form.constants": ("Constant", "ConstantList"),
+    "form.horizon": ("Horizon",),
+    "form.verdict": ("Verification",),
+    "paper.proof_constants": ("ProofConstants", "certify_from_proof", "constants_from_proof"),
+    "paper.restarts": ("output_predictor", "restart_times"),
+}
+__getattr__, __dir__, __all__ = lazy(
+    __name__,
+    _NAMES,
+    modules=("compare", "detectability", "exact", "existence", "families", "form", "inclusion", "paper", "rigorous"),
+)

@@ -1,1 +1,14 @@
 """Where to put the samples: requirements, schedules, and the bound that no schedule can beat."""
+
+from sampling_design._lazy import lazy
+
+_NAMES = {
+    "bounds.evidence": ("BoundPart", "UpperBound"),
+    "design": ("design_schedule",),
+    "losses": ("SampleLosses", "sample_losses"),
+    "pareto": ("ParetoFront", "ParetoPoint"),
+    "problem.requirement": ("OutputAccess", "Requirement"),
+    "problem.requirement_file": ("read_requirement", "requirement_from_dict", "write_requirement"),
+    "schedule_design": ("ScheduleDesign",),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("bounds", "problem", "search"))

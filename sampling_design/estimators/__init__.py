@@ -1,1 +1,19 @@
 """Estimators: the state, and a radius that holds it, from rare and irregular measurements."""
+
+from sampling_design._lazy import lazy
+
+_NAMES = {
+    "constraints.constraints": ("Constraints",),
+    "constraints.convex_set": ("ConvexSet",),
+    "estimate_file": ("write_estimates",),
+    "gap_flows.cost_function": ("CostFunction",),
+    "kalman": ("KalmanFilter",),
+    "mhe": ("MovingHorizonEstimator",),
+    "online.estimate": ("Estimate",),
+    "online.estimator": ("EstimateRecord", "Estimator", "GuaranteeWarning", "Sample"),
+    "records.measurements": ("Measurements", "read_measurements", "write_measurements"),
+    "set_membership": ("SetMembershipEstimator",),
+}
+__getattr__, __dir__, __all__ = lazy(
+    __name__, _NAMES, modules=("constraints", "gap_flows", "online", "records", "window")
+)

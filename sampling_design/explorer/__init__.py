@@ -1,8 +1,11 @@
 """What happens when a sample moves: a time line to drag, in a browser or a notebook."""
 
-from sampling_design.explorer.bench import Bench
-from sampling_design.explorer.notebook import explore
-from sampling_design.explorer.scenes import SCENES, scene
-from sampling_design.explorer.server import serve
+from sampling_design._lazy import lazy
 
-__all__ = ["SCENES", "Bench", "explore", "scene", "serve"]
+_NAMES = {
+    "bench": ("Bench",),
+    "notebook": ("explore",),
+    "scenes": ("SCENES", "scene"),
+    "server": ("serve",),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -1,5 +1,14 @@
 """Nonlinear plants and their moving horizon estimation, on CasADi (extra `nonlinear`)."""
 
-from sampling_design.nonlinear import thyroid
+from sampling_design._lazy import lazy
 
-__all__ = ["thyroid"]
+_NAMES = {
+    "collocation": ("Collocation",),
+    "conversion": ("from_expressions", "from_linear"),
+    "detectability": ("DetectabilityEvidence", "check_detectability"),
+    "experiment": ("thyroid_experiment",),
+    "mhe": ("NonlinearMovingHorizonEstimator",),
+    "model": ("NonlinearPlant",),
+    "report": ("ThyroidReport",),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("examples", "thyroid"))

@@ -1,5 +1,15 @@
 """Plants: what is measured, independent of when."""
 
-from sampling_design.plants import library
+from sampling_design._lazy import lazy
 
-__all__ = ["library"]
+_NAMES = {
+    "clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
+    "files": ("read_plant", "write_plant"),
+    "library": ("named_plant",),
+    "modes": ("ModalSplit", "split_modes"),
+    "plant": ("Plant", "Signals"),
+    "sparse": ("SparsePlant", "split_sparse"),
+    "uncertain": ("UncertainPlant",),
+    "uncertain_parameter": ("UncertainParameter",),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("library",))

@@ -1,1 +1,18 @@
 """Schedules: when something is measured, independent of what."""
+
+from sampling_design._lazy import lazy
+
+_NAMES = {
+    "calendar": ("CalendarEntry", "write_calendar_csv", "write_ics"),
+    "family": ("SamplingFamily",),
+    "family_files": ("family_from_dict", "family_to_dict"),
+    "files": ("read_schedule", "schedule_from_dict", "schedule_to_dict", "write_schedule"),
+    "gap_range": ("GapRange",),
+    "jitter": ("Jitter",),
+    "lost_samples": ("LostSamples",),
+    "sampling_set": ("SamplingSet",),
+    "schedule": ("PeriodicSchedule", "Schedule"),
+    "spaced_windows": ("SpacedWindows",),
+    "time_stamps": ("import_time_stamps",),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

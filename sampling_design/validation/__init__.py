@@ -1,1 +1,10 @@
 """Validation: does what was promised come true? Trials, worst cases, and a report that compares."""
+
+from sampling_design._lazy import lazy
+
+_NAMES = {
+    "report": ("Finding", "ValidationReport"),
+    "scenario": ("SimulatedRecord", "simulate_record"),
+    "schedule_log": ("ScheduleLog", "compare_schedule"),
+}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

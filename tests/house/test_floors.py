@@ -26,6 +26,7 @@ FLOORS = {
     "__main__": 9,
 }
 GROUND = {
+    "_lazy",
     "errors",
     "_door",
     "evidence",

@@ -18,7 +18,7 @@ import pytest
 import sampling_design
 from sampling_design._door import hints_of
 from sampling_design.schedules.schedule import Details
-from tests.house.front_door import STUB, stub
+from tests.house.front_door import lazy_rooms, stubs
 from tests.house.sources import PACKAGE, ROOT, SOURCES, nodes
 
 PROMISED = [
@@ -90,16 +90,36 @@ def test_every_room_opens_at_the_door():
     assert ast.literal_eval(found) == [f"sampling_design.{room}" for room in sampling_design._ROOMS]
 
 
+def test_what_lives_in_a_room_is_reached_and_completed_through_it():
+    """After `import sampling_design as sd` alone: names, sub-rooms and files; an unknown name says the nearest."""
+    listed = {room: [*module.__all__] for room, module in lazy_rooms().items()}
+    code = "import ast, sys, sampling_design as sd\nlisted = ast.literal_eval(sys.argv[1])\n"
+    code += "print([f'{r}.{n}' for r in listed for n in listed[r] if n not in dir(getattr(sd, r))])\n"
+    code += "print([f'{r}.{n}' for r in listed for n in listed[r] if getattr(getattr(sd, r), n) is None])"
+    told = subprocess.run([sys.executable, "-c", code, repr(listed)], capture_output=True, text=True, check=True).stdout
+    assert told == "[]\n[]\n"
+    front = {name: place for place, names in sampling_design._FRONT_DOOR.items() for name in names}
+    for room, module in lazy_rooms().items():
+        names = {name: f"{room}.{place}" for place, found in module._NAMES.items() for name in found}
+        assert {name: place for name, place in names.items() if front.get(name, place) != place} == {}
+    assert {"four_horizons", "compare", "exact"} <= set(listed["certificates"])
+    with pytest.raises(AttributeError, match="has no attribute 'four_horizon'; did you mean 'four_horizons'"):
+        sampling_design.certificates.four_horizon  # noqa: B018
+    with pytest.raises(ImportError, match="did you mean 'four_horizons'"):
+        exec("from sampling_design.certificates import four_horizon")
+
+
 def test_dir_lists_the_front_door():
-    assert set(sampling_design.__all__) | set(sampling_design._ROOMS) == set(dir(sampling_design))
+    assert {*sampling_design.__all__, *sampling_design._ROOMS} == {*dir(sampling_design), "__version__"}
 
 
 def test_records_of_the_door_travel_between_processes():
     assert pickle.loads(pickle.dumps(sampling_design.Plant)) is sampling_design.Plant
 
 
-def test_the_stub_is_the_table():
-    assert STUB.read_text() == stub(), "write it anew: python -m tests.house.front_door"
+def test_the_stubs_are_the_tables():
+    told = {path: path.read_text() if path.is_file() else "" for path in PACKAGE.rglob("__init__.pyi")}
+    assert told == stubs(), "write them anew: python -m tests.house.front_door"
 
 
 def test_the_package_ships_its_types():

@@ -7,7 +7,8 @@ the least sigma over all real positions is the least over the *closed* pieces, l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,7 @@ class Pieces:
     right: Array
     first: Indices
     stop: Indices
+    _: KW_ONLY
     times: Array
     mask: Mask | None
     window: float
@@ -93,10 +95,14 @@ def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: f
 def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float, start: float) -> Pieces:
     """Pieces of the window starts [low, high]; one piece of no width where there is one position only."""
     tolerance = SAME_TIME * max(abs(high) + window, float(np.max(times, initial=0.0)))
+    pieces = partial(Pieces, times=times, mask=mask, window=window, tolerance=tolerance, start=start)
     if high - low <= tolerance:
         ends = np.array([low - tolerance, low + window + tolerance])
         held = np.searchsorted(times, ends)
-        return Pieces(np.array([low]), np.array([low]), held[:1], held[1:], times, mask, window, tolerance, start)
+        here = np.array([low])
+        return Pieces(
+            here, here, *np.split(held, 2), times=times, mask=mask, window=window, tolerance=tolerance, start=start
+        )
     events = np.sort(np.concatenate([times, times - window]))
     events = events[(events > low + tolerance) & (events < high - tolerance)]
     cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])
@@ -105,4 +111,6 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
     index = np.arange(cuts.size - 1)
     first = np.searchsorted(leaves, index + 1)
     stop = np.maximum(first, np.searchsorted(enters, index, side="right"))
-    return Pieces(cuts[:-1], cuts[1:], first, stop, times, mask, window, tolerance, start)
+    return Pieces(
+        cuts[:-1], cuts[1:], first, stop, times=times, mask=mask, window=window, tolerance=tolerance, start=start
+    )

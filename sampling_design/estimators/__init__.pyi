@@ -1,0 +1,21 @@
+# Written from the table in __init__.py by `python -m tests.house.front_door`.
+from sampling_design.estimators import constraints as constraints
+from sampling_design.estimators import gap_flows as gap_flows
+from sampling_design.estimators import online as online
+from sampling_design.estimators import records as records
+from sampling_design.estimators import window as window
+from sampling_design.estimators.constraints.constraints import Constraints as Constraints
+from sampling_design.estimators.constraints.convex_set import ConvexSet as ConvexSet
+from sampling_design.estimators.estimate_file import write_estimates as write_estimates
+from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
+from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
+from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
+from sampling_design.estimators.online.estimate import Estimate as Estimate
+from sampling_design.estimators.online.estimator import EstimateRecord as EstimateRecord
+from sampling_design.estimators.online.estimator import Estimator as Estimator
+from sampling_design.estimators.online.estimator import GuaranteeWarning as GuaranteeWarning
+from sampling_design.estimators.online.estimator import Sample as Sample
+from sampling_design.estimators.records.measurements import Measurements as Measurements
+from sampling_design.estimators.records.measurements import read_measurements as read_measurements
+from sampling_design.estimators.records.measurements import write_measurements as write_measurements
+from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator

@@ -1,0 +1,23 @@
+# Written from the table in __init__.py by `python -m tests.house.front_door`.
+from sampling_design.observability import box as box
+from sampling_design.observability import count as count
+from sampling_design.observability import windows as windows
+from sampling_design.observability import worst_case as worst_case
+from sampling_design.observability.count.critical_length import critical_length as critical_length
+from sampling_design.observability.count.default_window import default_window as default_window
+from sampling_design.observability.count.loss_tolerance import loss_tolerance as loss_tolerance
+from sampling_design.observability.count.pbh import UnseenModes as UnseenModes
+from sampling_design.observability.count.pbh import require_observable as require_observable
+from sampling_design.observability.count.pbh import unseen_modes as unseen_modes
+from sampling_design.observability.count.zero_count import ZeroCountBound as ZeroCountBound
+from sampling_design.observability.count.zero_count import zero_count_bound as zero_count_bound
+from sampling_design.observability.windows.sampled import observability_gramian as observability_gramian
+from sampling_design.observability.windows.sampled import observability_matrix as observability_matrix
+from sampling_design.observability.windows.sampled import sigma_min as sigma_min
+from sampling_design.observability.windows.window_sigma import WindowProfile as WindowProfile
+from sampling_design.observability.windows.window_sigma import WindowSigma as WindowSigma
+from sampling_design.observability.windows.window_sigma import WindowWitness as WindowWitness
+from sampling_design.observability.windows.window_sigma import window_sigma as window_sigma
+from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseProfile as WorstCaseProfile
+from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma as WorstCaseSigma
+from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma as worst_case_sigma

@@ -100,9 +100,7 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
         ends = np.array([low - tolerance, low + window + tolerance])
         held = np.searchsorted(times, ends)
         here = np.array([low])
-        return Pieces(
-            here, here, *np.split(held, 2), times=times, mask=mask, window=window, tolerance=tolerance, start=start
-        )
+        return pieces(here, here, held[:1], held[1:])
     events = np.sort(np.concatenate([times, times - window]))
     events = events[(events > low + tolerance) & (events < high - tolerance)]
     cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])
@@ -111,6 +109,4 @@ def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float
     index = np.arange(cuts.size - 1)
     first = np.searchsorted(leaves, index + 1)
     stop = np.maximum(first, np.searchsorted(enters, index, side="right"))
-    return Pieces(
-        cuts[:-1], cuts[1:], first, stop, times=times, mask=mask, window=window, tolerance=tolerance, start=start
-    )
+    return pieces(cuts[:-1], cuts[1:], first, stop)

@@ -112,6 +112,24 @@ def test_dates_of_a_frame_count_from_the_first(tmp_path):
     assert found.origin.startswith("2026-01-05T08:00")
 
 
+@pytest.mark.parametrize("name", [None, "Time", "Date", "t", "when"])
+def test_an_index_of_dates_is_the_date_whatever_its_name(name):
+    index = pandas.DatetimeIndex(["2026-01-05 00:00", "2026-01-05 06:00", "2026-01-05 12:00"], name=name)
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
+    frame = pandas.DataFrame({"gauge": [1.0, np.nan, 2.0]}, index=index)  # an empty row, as `resample` leaves it
+    for given in (frame, frame.reset_index().rename(columns={frame.reset_index().columns[0]: "time"})):
+        found = sd.read_measurements(given, plant)
+        assert found.times.tolist() == [0.0, 12.0]
+        assert found.origin == "2026-01-05T00:00:00+00:00"
+
+
+@pytest.mark.parametrize("name", ["Time", "t", "TIME"])
+def test_an_index_of_numbers_may_be_the_time(name):
+    plant = sd.Plant([[0.0]], [[1.0]], outputs=["gauge"])
+    frame = pandas.DataFrame({"gauge": [1.0, 2.0]}, index=pandas.Index([0.5, 1.5], name=name))
+    assert sd.read_measurements(frame, plant).times.tolist() == [0.5, 1.5]
+
+
 def test_a_bad_frame_is_refused_in_the_words_of_a_file():
     with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
         sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -125,8 +126,8 @@ def next_sample(
     result = reading.plan(plan_file)
     record = None
     if measurements_file is not None:
-        record = _record(result, measurements_file)
-    found = sd.next_sample(result, record, now=_now(result, now))
+        record = _record(settings, result, measurements_file)
+    found = sd.next_sample(result, record, now=_now(settings, result, now))
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "next.json", found.to_dict())
@@ -138,14 +139,18 @@ def next_sample(
 next_sample.__name__ = "next"
 
 
-def _record(result: Plan, path: Path) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
-    """The measurements in the time that has passed since the plan's start."""
-    rows = reading.measurements(path, result.plant, result.schedule.origin)
+def _record(
+    settings: Settings, result: Plan, path: Path
+) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
+    """The measurements in the time that has passed since the plan's start; dates without a zone are the plan's."""
+    calendar = result.requirement.calendar
+    zone = None if calendar is None else calendar.zone
+    rows = reading.measurements(settings, path, result.plant, result.schedule.origin, zone)
     samples = zip(*rows.samples(), strict=True)
     return [(float(t), np.where(taken, 0.0, np.nan), None) for t, taken in samples]  # whatever was read
 
 
-def _now(result: Plan, text: str | None) -> float | None:
+def _now(settings: Settings, result: Plan, text: str | None) -> float | None:
     """A date, or a number in the plant's time unit."""
     if text is None:
         return None
@@ -156,6 +161,8 @@ def _now(result: Plan, text: str | None) -> float | None:
         if calendar is None:
             raise ArgumentError(f"`--now` must be a number of {result.plant.time_unit}, got {text!r}.") from None
     date = parse_date("--now", text, calendar.zone)
+    if datetime.fromisoformat(text).tzinfo is None:
+        settings.notice(f"Dates without a zone are read in {calendar.zone}.")
     return calendar.elapsed_at(date) / result.minutes(1.0)
 
 

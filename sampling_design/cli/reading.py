@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
     from sampling_design.certificates.exact.certificate import SampledCertificate
     from sampling_design.checkers.outcome import Verdict
+    from sampling_design.cli.settings import Settings
     from sampling_design.design.problem.requirement import Requirement
     from sampling_design.estimators.records.measurements import Measurements
     from sampling_design.planning.plan_record import Plan
@@ -77,9 +78,14 @@ def plan(path: Path) -> Plan:
     return _read("plan", load_plan, path)
 
 
-def measurements(path: Path, about: Plant, origin: str | None) -> Measurements:
-    """The measurements of a file."""
-    return _read("measurement", lambda where: sd.read_measurements(where, about, origin=origin), path)
+def measurements(
+    settings: Settings, path: Path, about: Plant, origin: str | None, zone: str | None = None
+) -> Measurements:
+    """The measurements of a file; where its dates have no zone, which one was taken is told."""
+    found = _read("measurement", lambda where: sd.read_measurements(where, about, origin=origin, zone=zone), path)
+    if found.assumed_zone:
+        settings.notice(f"Dates without a zone are read in {found.assumed_zone}.")
+    return found
 
 
 def certificate(path: Path, about: Plant | None) -> SampledCertificate | DetectabilityCertificate:

@@ -96,11 +96,12 @@ def estimate(
     plant = reading.plant(plant_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
-    record = reading.measurements(measurement_file, plant, None if schedule is None else schedule.origin)
+    record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
         _check_origins(record, schedule)
     if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
+    record = record.in_order()
     start = record.start if certificate_file is None and schedule is None else 0.0
     certificate, words = _guarantee(settings, plant, record, certificate_file, schedule, eta, bounds)
     settings.notice(words)
@@ -339,7 +340,7 @@ def log(
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
-    record = reading.measurements(measurement_file, plant, schedule.origin)
+    record = reading.measurements(settings, measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
     split = sd.split_modes(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told

@@ -24,6 +24,9 @@ Array = npt.NDArray[np.float64]
 KINDS = ("white", "steady", "held", "sine")
 """How a random disturbance moves: anew in each cell, never, once in a while, or at one frequency."""
 
+NOISES = ("independent", "extremal", "constant")
+"""How random noise varies: drawn anew within its bound at each sample, anew on it, or once on it for all samples."""
+
 
 UNMOVED = 1e-12
 """Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
@@ -121,8 +124,13 @@ def norm_of(bound: Array) -> float:
     return float(bound) if bound.ndim == 0 else float(np.linalg.norm(bound))
 
 
-def draw_inputs(line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.random.SeedSequence]) -> Inputs:
-    """Return random inputs within the bounds, one run per seed; each kind of disturbance in turn."""
+def draw_inputs(
+    line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.random.SeedSequence], noise: str | None = None
+) -> Inputs:
+    """Return random inputs within the bounds, one run per seed; of any kind, the noise unless one is named.
+
+    Half of the runs have independent noise, a quarter extremal and a quarter constant.
+    """
     plant = line.plant
     n, q, p = plant.n_states, plant.n_disturbances, plant.n_outputs
     e0, w = np.empty((len(seeds), n)), np.empty((len(seeds), line.cells, q))
@@ -131,9 +139,17 @@ def draw_inputs(line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.rando
         rng = np.random.default_rng(seed)
         e0[k] = within(bounds.e0, rng.normal(size=n))
         w[k] = _disturbance(line, bounds.w, rng)
-        signs = rng.choice([-1.0, 1.0], size=p) if rng.random() < 0.5 else rng.normal(size=(line.samples.size, p))
-        v[k] = most_along(bounds.v, np.broadcast_to(signs, v[k].shape)) if signs.ndim == 1 else within(bounds.v, signs)
+        share = rng.random()
+        kind = noise or NOISES[2 if share < 0.25 else 1 if share < 0.5 else 0]
+        v[k] = _noise(bounds.v, kind, v[k].shape, rng)
     return Inputs(e0, w, v * line.masks)
+
+
+def _noise(bound: Array, kind: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    if kind == "independent":
+        return within(bound, rng.normal(size=shape))
+    drawn = rng.choice([-1.0, 1.0], size=shape[-1] if kind == "constant" else shape)
+    return most_along(bound, np.broadcast_to(drawn, shape))
 
 
 def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Array:
@@ -203,6 +219,8 @@ class SimulatedRecord(Record):
         Place of each sample in `times`.
     w : (T, q), v : (N, p) arrays
         Disturbance, constant over each cell between two of the times, and measurement noise.
+    noise : str
+        Its kind: "independent", "extremal" or "constant".
     """
 
     measurements: Measurements
@@ -211,6 +229,7 @@ class SimulatedRecord(Record):
     at: npt.NDArray[np.intp]
     w: Array
     v: Array
+    noise: str = "independent"
 
     @property
     def truth(self) -> Array:
@@ -224,7 +243,8 @@ class SimulatedRecord(Record):
     def explain(self) -> str:
         """Say what was simulated."""
         span = f"{short(self.times[-1])} {self.measurements.plant.time_unit}"
-        return f"{counted(len(self.at), 'sample')} of a simulated truth over {span}, exact up to rounding."
+        count = counted(len(self.at), "sample")
+        return f"{count} of a simulated truth over {span}, exact up to rounding, with {self.noise} noise."
 
 
 @door
@@ -237,6 +257,7 @@ def simulate_record(
     inputs: Sequence[tuple[float, npt.ArrayLike]] = (),
     w_bound: npt.ArrayLike | None = None,
     v_bound: npt.ArrayLike | None = None,
+    noise: str = "independent",
     rng: Seed = None,
 ) -> SimulatedRecord:
     """Simulate a plant on a schedule, exactly: w is constant over cells much shorter than the gaps.
@@ -254,6 +275,8 @@ def simulate_record(
         From t on u holds; before the first, zero.
     w_bound, v_bound : float or array, optional
         A number bounds the norm, a vector each entry. Default: the plant's scales.
+    noise : "independent", "extremal" or "constant"
+        Drawn anew within its bound at each sample, anew on its bound, or once on its bound for all samples.
     rng : numpy.random.Generator or its seed, optional
         Default seed 0.
 
@@ -277,11 +300,11 @@ def simulate_record(
     seed = _checks.generator(rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     bounds = ScenarioBounds.of(plant, w_bound, v_bound)
     line = build_timeline(plant, schedule, duration)
-    drawn = draw_inputs(line, bounds, seed)
+    drawn = draw_inputs(line, bounds, seed, _checks.word("noise", noise, NOISES))
     changes = _inputs(plant, inputs)
     start = np.zeros(plant.n_states) if x0 is None else _checks.vector("x0", x0, plant.n_states)
     states = _trajectory(line, start, drawn.w[0], changes)
-    return _measured(line, states, drawn, changes)
+    return _measured(line, states, drawn, changes, noise)
 
 
 def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
@@ -325,7 +348,9 @@ def _flows(plant: Plant, lengths: Array, matrix: str) -> tuple[Array, Array]:
     return exact_flow(plant, lengths, getattr(plant, matrix))
 
 
-def _measured(line: Timeline, states: Array, drawn: Inputs, changes: list[tuple[float, Array]]) -> SimulatedRecord:
+def _measured(
+    line: Timeline, states: Array, drawn: Inputs, changes: list[tuple[float, Array]], noise: str
+) -> SimulatedRecord:
     """Put outputs at the samples and inputs at their times into one record, in order of time."""
     plant, when = line.plant, line.times[line.samples]
     stamps = np.unique(np.concatenate([when, [t for t, _ in changes], [0.0] if plant.n_inputs else []]))
@@ -336,5 +361,5 @@ def _measured(line: Timeline, states: Array, drawn: Inputs, changes: list[tuple[
     y[rows] = np.where(line.masks > 0, outputs + u[rows] @ plant.D.T, np.nan)
     record = Measurements(plant, stamps, y, u)
     return SimulatedRecord(
-        record, line.times, states, line.samples, drawn.w[0], np.where(line.masks > 0, drawn.v[0], 0.0)
+        record, line.times, states, line.samples, drawn.w[0], np.where(line.masks > 0, drawn.v[0], 0.0), noise
     )

@@ -110,8 +110,8 @@ def test_mistakes_are_named(tmp_path, text, message):
 
 
 def test_more_mistakes(tmp_path):
-    with pytest.raises(FileFormatError, match=r"line 2 measures nothing, and line 4 does\. Leave a lost sample out"):
-        read_measurements(written(tmp_path, "time,gauge\n0,\n1,\n2,0.5\n"), BLIND)
+    with pytest.raises(FileFormatError, match="in line 2 is skipped or repeated by the clocks of Europe/Berlin"):
+        read_measurements(written(tmp_path, "date,gauge\n2026-10-25T02:30,1\n"), BLIND, zone="Europe/Berlin")
     with pytest.raises(FileFormatError, match="the date given as origin is not ISO 8601"):
         read_measurements(written(tmp_path, "date,gauge\n2026-01-01,1\n"), BLIND, origin="yesterday")
     with pytest.raises(FileFormatError, match="no such file"):
@@ -129,8 +129,8 @@ def test_a_form_is_read_as_far_as_it_is_filled_in(tmp_path, rows):
     found = read_measurements(written(tmp_path, "time,gauge\n" + taken + later), BLIND)
     assert found.times.tolist() == list(range(rows))
     assert found.y[-1] == pytest.approx(0.1 * (rows - 1))
-    with pytest.raises(FileFormatError, match=f"line {rows + 2} measures nothing, and line {rows + BLOCK + 4} does"):
-        read_measurements(written(tmp_path, "time,gauge\n" + taken + later + f"{2 * rows + BLOCK},1.0\n"), BLIND)
+    again = read_measurements(written(tmp_path, "time,gauge\n" + taken + later + f"{2 * rows + BLOCK},1.0\n"), BLIND)
+    assert again.times.tolist() == [*range(rows), 2 * rows + BLOCK]  # what lies between was missed
 
 
 def test_estimates_file(tmp_path):
@@ -186,3 +186,48 @@ def test_inputs_without_samples_cost_each_its_own():
     for t, u in sorted([*zip(times.tolist(), inputs.tolist(), strict=True), (1.005, [0.3])]):
         late.update(t, None, u)
     assert quick.predict(2.5).x == pytest.approx(late.predict(2.5).x, abs=1e-12)
+
+
+def test_a_row_that_measures_nothing_is_a_missed_visit(tmp_path):
+    text = "time,gauge\n0,\n1,0.5\n2,\n3,0.25\n4,\n"
+    found = read_measurements(written(tmp_path, text), BLIND)
+    assert (found.times.tolist(), found.y.tolist()) == ([1.0, 3.0], [[0.5], [0.25]])
+
+
+@pytest.mark.parametrize(
+    ("given", "place"),
+    [
+        ({}, "UTC"),
+        ({"origin": "2026-03-27T00:00:00+01:00"}, "UTC+01:00"),
+        ({"origin": "2026-03-27T00:00:00+01:00", "zone": "Europe/Berlin"}, "Europe/Berlin"),
+    ],
+)
+def test_dates_without_a_zone_are_those_of_the_plan(tmp_path, given, place):
+    """Over the change of clocks too: the zone knows of it, an offset and UTC do not. Durations are elapsed time."""
+    hours = Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
+    text = "date,gauge\n2026-03-28T12:00,1\n2026-03-29T12:00,2\n"
+    for blank in ("", "2026-03-29T13:00,\n"):  # a block of plain rows, and one with a missed visit
+        found = read_measurements(written(tmp_path, text + blank), hours, **given)
+        assert found.assumed_zone == place
+        assert np.diff(found.times).tolist() == [23.0 if place == "Europe/Berlin" else 24.0]
+        assert found.times[0] == (36.0 if given else 0.0)
+        assert f"read in {place}" in str(found)
+    told = read_measurements(written(tmp_path, text.replace(":00,", ":00+01:00,")), hours, **given)
+    assert told.assumed_zone == ""
+    with pytest.raises(ArgumentError, match="`zone` must be the name of a time zone"):
+        read_measurements(written(tmp_path, text), hours, zone="Nowhere")
+
+
+def test_a_record_is_gone_through_in_order_of_time():
+    """Each sample has its estimate: the latest was answered twice, and the earlier never."""
+    rows = [(1.0, [0.5]), (3.0, [0.1]), (2.0, [0.3])]
+    table = Measurements(BLIND, [t for t, _ in rows], [y for _, y in rows])
+    for record in (rows, table):
+        found = MovingHorizonEstimator(BLIND, horizon=5.0).run(record)
+        assert found.times.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("y", [["1.5"], "1.5", [b"1"], [None, "2"]])
+def test_text_is_no_measurement(y):
+    with pytest.raises(ArgumentError, match="`y` must hold numbers, got"):
+        MovingHorizonEstimator(BLIND, horizon=5.0).update(1.0, y)

@@ -126,3 +126,23 @@ def test_a_truth_beyond_all_numbers_is_refused_and_not_left_out(growth):
     plant = Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
     with pytest.raises(ArgumentError, match="`duration` must end before the state grows beyond all numbers, at t = "):
         simulate_record(plant, PeriodicSchedule([0.5]), 6.0, x0=[1.0, 0.0])
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize("bound", [0.1, None], ids=["norm", "entries"])
+def test_noise_varies_unless_it_is_asked_to_stand_still(outputs, bound):
+    """Seven records of five seeds had the same number at every sample, and did not say so."""
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2)[:outputs])
+    size = [0.1] * outputs if bound is None else bound
+    for seed in range(6):
+        for noise in ("independent", "extremal", "constant"):
+            record = simulate_record(
+                plant, PeriodicSchedule([0.7]), 20.0, v_bound=size, noise=noise, rng=np.random.default_rng(seed)
+            )
+            assert record.noise == noise
+            assert f"{noise} noise" in record.explain()
+            assert (np.ptp(record.v, axis=0) == 0).all() == (noise == "constant")
+            within = np.abs(record.v).max() if bound is None else np.linalg.norm(record.v, axis=1).max()
+            assert within <= 0.1 * (1 + 1e-12)
+    with pytest.raises(ArgumentError, match="`noise` must be one of independent, extremal, constant"):
+        simulate_record(plant, PeriodicSchedule([0.7]), 3.0, noise="white")

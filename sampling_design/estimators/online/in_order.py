@@ -155,7 +155,10 @@ class OnlineEstimator(ABC):
 
     def _check_y(self, value: object, t: float, limited: bool) -> Array:
         try:
-            y = np.array(value, dtype=np.float64, ndmin=1)
+            given = np.asarray(value)
+            if given.dtype.kind in "cUSO" and any(isinstance(each, (str, bytes, complex)) for each in given.flat):
+                raise TypeError
+            y = np.array(given, dtype=np.float64, ndmin=1)
         except (TypeError, ValueError):
             raise ArgumentError(f"`y` must hold numbers, got {value!r:.60} at t = {t!r}.") from None
         p = self.plant.n_outputs
@@ -222,7 +225,8 @@ class OnlineEstimator(ABC):
         ----------
         record : Measurements, pandas DataFrame or iterable of (t, y, u)
             A frame has the columns of a measurement file, `time` or `date` also as its index; dates count from the
-            first (`read_measurements` takes another origin).
+            first (`read_measurements` takes another origin). It is gone through in order of time, so that every sample
+            has its estimate; `update` and `stream` take samples as they come.
         progress : callable, optional
             Called with a fraction in [0, 1] and a message after each hundredth of the record.
 
@@ -242,14 +246,19 @@ class OnlineEstimator(ABC):
         return EstimateRecord.collect(self.plant, found)
 
 
+def _stamp(item: object) -> float:
+    """The time stamp of a sample; NaN where it says nothing."""
+    t = item[0] if isinstance(item, (tuple, list)) and item else None
+    return float(t) if isinstance(t, (int, float)) else np.nan
+
+
 def _stamps(samples: list[object]) -> list[float]:
     """The time stamps of samples, where they say something."""
-    times = [item[0] for item in samples if isinstance(item, (tuple, list)) and item]
-    return [t for t in times if isinstance(t, float) and math.isfinite(t)]
+    return [t for t in map(_stamp, samples) if math.isfinite(t)]
 
 
 def listed(record: object, plant: Measured) -> list[object]:
-    """The samples of a record, whatever it is made of; a frame is read like a file of measurements of `plant`.
+    """The samples of a record in order of time, whatever it is made of; a frame is read like a file of `plant`.
 
     Raises
     ------
@@ -259,9 +268,11 @@ def listed(record: object, plant: Measured) -> list[object]:
         If it is a frame that holds no measurements of this plant.
     """
     if isinstance(record, DataFrame):
-        return list(read_measurements(record, plant))
+        return list(read_measurements(record, plant).in_order())
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):
-        return list(record)
+        found = list(record)
+        times = _stamps(found)
+        return sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found
     raise ArgumentError(
         f"`record` must be Measurements, a DataFrame or a list of (t, y, u), got {_checks.described(record)}."
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from itertools import islice
 from typing import Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.recovery.readings import Told
+from sampling_design.schedules.time_stamps import time_zone
 
 Array = npt.NDArray[np.float64]
 Numbered = tuple[int, str]
@@ -48,7 +49,9 @@ class Measured(Protocol):
     def n_inputs(self) -> int: ...
 
 
-def read_table(where: str, lines: Iterator[str], plant: Measured, origin: str | None) -> MeasurementTable:
+def read_table(
+    where: str, lines: Iterator[str], plant: Measured, origin: str | None, zone: str | None = None
+) -> MeasurementTable:
     """Return what the lines of a file say, read block by block.
 
     Raises
@@ -65,7 +68,7 @@ def read_table(where: str, lines: Iterator[str], plant: Measured, origin: str | 
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in ("time", "date") and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
-    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin))
+    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin), zone)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
     while block := list(islice(held, BLOCK)):
         table.add_block(block)
@@ -73,18 +76,39 @@ def read_table(where: str, lines: Iterator[str], plant: Measured, origin: str | 
 
 
 class _Clock:
-    """Turns dates into times since the origin, by default the first date seen."""
+    """Turns dates into times since the origin, by default the first date seen.
 
-    def __init__(self, where: str, plant: Measured, zero: datetime | None):
-        self.where, self.unit, self.zero = where, SECONDS[plant.time_unit], zero
+    A date without a zone is one of `zone` (its IANA name), else of the origin's own offset, else of UTC; `naive` says
+    whether there was one, and `place` where it was taken to be.
+    """
+
+    def __init__(self, where: str, plant: Measured, zero: datetime | None, zone: str | None):
+        self.where, self.unit, self.zero, self.naive = where, SECONDS[plant.time_unit], zero, False
+        self.zone: tzinfo = UTC if zero is None or zero.tzinfo is None else zero.tzinfo
+        self.place = str(self.zone)
+        if zone is not None:
+            self.zone, self.place = time_zone(zone), zone
 
     def time(self, line: int, cell: str) -> float:
         return _number(self.where, line, "time", cell)
 
     def date(self, line: int, cell: str) -> float:
-        date = date_of(self.where, line, cell)
+        return self.since(line, cell, date_of(self.where, line, cell, None))
+
+    def since(self, line: int, cell: str, date: datetime) -> float:
+        """Time of a date, with or without a zone of its own; elapsed time, whatever the clocks did meanwhile."""
+        if date.tzinfo is None:
+            self.naive = True
+            early, late = (date.replace(tzinfo=self.zone, fold=fold).utcoffset() for fold in (0, 1))
+            if early != late:
+                raise FileFormatError(
+                    f"{self.where}: the date in line {line} is skipped or repeated by the clocks of {self.place}: "
+                    f"{cell!r:.60}. Give its offset.",
+                    self.where,
+                )
+            date = date.replace(tzinfo=self.zone)
         self.zero = date if self.zero is None else self.zero
-        return (date - self.zero).total_seconds() / self.unit
+        return (date.astimezone(UTC) - self.zero.astimezone(UTC)).total_seconds() / self.unit
 
 
 class MeasurementTable:
@@ -99,7 +123,11 @@ class MeasurementTable:
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows = _Rows()
         self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
-        self._empty = 0  # line of the first row that measures nothing: a form is filled in from its head
+
+    @property
+    def assumed_zone(self) -> str:
+        """Where dates without a zone were taken to be; "" where there were none."""
+        return self.clock.place if self.clock.naive else ""
 
     @property
     def origin(self) -> str:
@@ -116,13 +144,13 @@ class MeasurementTable:
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
-        plain = self._plain(lines) if self._seen is None and not self._empty else None
+        plain = self._plain(lines) if self._seen is None else None
         if plain is not None:
             times, y, u = plain
-            self._blocks.append((times, y, u, np.array([number for number, _ in lines])))
-            self.told += [()] * times.size
-            self._latest = float(times[-1])
-            self._held = u[-1]
+            self._latest, self._held = float(times[-1]), u[-1]
+            kept = np.isfinite(y).any(axis=1) | bool(u.shape[1])
+            self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
+            self.told += [()] * int(kept.sum())
             return
         for number, cells in _files.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
@@ -154,7 +182,7 @@ class MeasurementTable:
         )
         y = _beside(outputs, times.size)
         u = _beside(inputs, times.size)
-        if y is None or u is None or (not inputs and np.isnan(y).all(axis=1).any()):
+        if y is None or u is None:
             return None
         u = held_on(u, self._held)
         return None if np.isnan(u).any() else (times, y, u)
@@ -166,9 +194,10 @@ class MeasurementTable:
             dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
         except ValueError:
             return None
-        dates = [date.replace(tzinfo=UTC) if date.tzinfo is None else date for date in dates]
-        self.clock.zero = zero = dates[0] if self.clock.zero is None else self.clock.zero
-        return np.array([(date - zero).total_seconds() for date in dates]) / self.clock.unit
+        try:
+            return np.array([self.clock.since(0, "", date) for date in dates])
+        except FileFormatError:
+            return None  # said again with its line
 
     def _column(self, cells: tuple[str, ...], blank: bool = True) -> Array | None:
         return _files.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
@@ -192,13 +221,7 @@ class MeasurementTable:
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         inputs = self._filled(line, inputs)
         if np.isnan(outputs).all() and not told and not inputs:
-            self._empty = self._empty or line
-            return
-        if self._empty:
-            raise FileFormatError(
-                f"{self.where}: line {self._empty} measures nothing, and line {line} does. Leave a lost sample out.",
-                self.where,
-            )
+            return  # a visit that was missed, or is still to come
         content = _content(outputs, inputs, told)
         if self._seen is None and t <= self._latest:
             self._seen = self._all_seen()
@@ -315,7 +338,7 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
         known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
         _checks.known_keys("the header", header, known)
     except ArgumentError as error:
-        slip = f" A column that is neither is left out; the plant names {', '.join(wanted)}."
+        slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
         raise FileFormatError(f"{where}: unknown column: {error}{slip}", where) from None
     return stamps[0]
 
@@ -332,14 +355,14 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
     return value
 
 
-def date_of(where: str, line: int, cell: str) -> datetime:
+def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> datetime:
     try:
         date = datetime.fromisoformat(cell)
     except ValueError:
         at = f"in line {line}" if line else "given as origin"
         slip = " Write 2026-03-16 08:00: year, month, day." if any(mark in cell for mark in "./") else ""
         raise FileFormatError(f"{where}: the date {at} is not ISO 8601: {cell!r:.60}.{slip}", where) from None
-    return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+    return date.replace(tzinfo=zone) if date.tzinfo is None else date
 
 
 def dated(zero: datetime, t: float, unit: str) -> str:

@@ -38,7 +38,11 @@ class DataFrame(Protocol):
     """What is asked of a pandas DataFrame, so that reading one needs no pandas here."""
 
     index: Any
+    columns: Any
 
+    def __getitem__(self, name: object) -> Any: ...
+    def rename(self, *, columns: dict[Any, str]) -> DataFrame: ...
+    def rename_axis(self, mapper: str) -> DataFrame: ...
     def reset_index(self) -> DataFrame: ...
     def to_csv(self, *, index: bool) -> str: ...
 
@@ -57,6 +61,8 @@ class Measurements(Record):
         Inputs from each time on; NaN where unchanged. Default: none given.
     origin : str
         Date (ISO 8601) of time 0, if known.
+    assumed_zone : str
+        Zone in which dates without one were read; "" where there were none.
     told : tuple of tuples of Told, optional
         For each row its limits and means (`Below`, `Above`, `Mean`); y is NaN there. Default: none.
 
@@ -77,6 +83,7 @@ class Measurements(Record):
     y: Array
     u: Array = None  # type: ignore[assignment]
     origin: str = field(default="", kw_only=True)
+    assumed_zone: str = field(default="", kw_only=True)
     told: tuple[tuple[Told, ...], ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -245,7 +252,9 @@ class Measurements(Record):
         counts = np.sum(self.measured, axis=0)
         per_output = ", ".join(f"{n}: {c}" for n, c in zip(self.plant.outputs.names, counts, strict=True))
         span = f"{short(self.times.min())} to {short(self.times.max())} {self.plant.time_unit}" if len(self) else "-"
-        return [("rows", str(len(self))), ("time", span), ("measured", per_output), ("origin", self.origin or "-")]
+        return [("rows", str(len(self))), ("time", span), ("measured", per_output), ("origin", self.origin or "-")] + (
+            [("dates without a zone", f"read in {self.assumed_zone}")] if self.assumed_zone else []
+        )
 
     def explain(self) -> str:
         """Say what was measured."""
@@ -255,22 +264,29 @@ class Measurements(Record):
 
 @door
 def read_measurements(
-    path: str | os.PathLike[str] | DataFrame, plant: Plant | Measured, *, origin: str | None = None
+    path: str | os.PathLike[str] | DataFrame,
+    plant: Plant | Measured,
+    *,
+    origin: str | None = None,
+    zone: str | None = None,
 ) -> Measurements:
     """Return the measurements in a CSV file, or in a pandas DataFrame with the same columns.
 
     Parameters
     ----------
     path : path or DataFrame
-        Header `time` (in the plant's time unit) or `date` (ISO 8601; naive means UTC), then the plant's
-        output names, then its input names, in any order. An empty output cell is "not measured" (rows at the end that
-        measure nothing are a form not filled in yet), an empty input cell "unchanged"; "<0.5" and ">8" are limits of
-        detection. A column NAME_since beside an output NAME holds where a composite sample began, in the unit of the
+        Header `time` (in the plant's time unit) or `date` (ISO 8601), then the plant's
+        output names, then its input names, in any order. An empty output cell is "not measured" (a row that measures
+        nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and ">8" are limits
+        of detection. A column NAME_since beside an output NAME holds where a composite sample began, in the unit of the
         first column: the output is the mean from then on. Lines that start with # are comments. Of a frame, `time` or
-        `date` may be the index, and NaN is what an empty cell is.
+        `date` may be the index, as may dates without a name; a column of dates is one of dates whatever its name says,
+        and NaN is what an empty cell is.
     plant : Plant
     origin : str, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
+    zone : str, optional
+        IANA name of the zone of dates without one. Default: the offset of `origin`, else UTC. `assumed_zone` tells.
 
     Returns
     -------
@@ -280,21 +296,34 @@ def read_measurements(
     ------
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
-        an input has no value in the first row, a row before another that was measured holds nothing, or a time comes
-        twice with different values.
+        an input has no value in the first row, a time comes twice with different values, or a date without a zone is
+        skipped or repeated by its clocks.
+    ArgumentError
+        If there is no zone of that name.
     """
     where, lines = _lines_of(path)
-    table = read_table(where, lines, plant, origin)
+    table = read_table(where, lines, plant, origin, zone)
     times, y, u = table.arrays()
-    return Measurements(plant, times, y, u, origin=table.origin, told=tuple(table.told) if any(table.told) else ())
+    told = tuple(table.told) if any(table.told) else ()
+    return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, told=told)
 
 
 def _lines_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
         return os.fspath(source), _files.text_lines(source)
-    columns = source.reset_index() if source.index.name in ("time", "date") else source
-    return "the frame", iter(str(columns.to_csv(index=False)).splitlines())
+    known = {"time": "time", "date": "date"}
+    columns = source
+    if not any(str(name).lower() in known for name in source.columns):
+        index, kind = str(source.index.name).lower(), getattr(source.index.dtype, "kind", "")
+        if kind == "M" or index in (*known, "t"):
+            columns = source.rename_axis("date" if kind == "M" else known.get(index, "time")).reset_index()
+    stamps = {
+        name: "date"
+        for name in columns.columns
+        if str(name).lower() in known and getattr(columns[name].dtype, "kind", "") == "M"
+    }
+    return "the frame", iter(str(columns.rename(columns=stamps).to_csv(index=False)).splitlines())
 
 
 @door

@@ -6,10 +6,10 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +37,11 @@ Array = npt.NDArray[np.float64]
 class DataFrame(Protocol):
     """What is asked of a pandas DataFrame, so that reading one needs no pandas here."""
 
-    index: Any
-    columns: Any
+    index: object
+    columns: Iterable[object]
 
-    def __getitem__(self, name: object) -> Any: ...
-    def rename(self, *, columns: dict[Any, str]) -> DataFrame: ...
+    def __getitem__(self, name: object) -> object: ...
+    def rename(self, *, columns: dict[object, str]) -> DataFrame: ...
     def rename_axis(self, mapper: str) -> DataFrame: ...
     def reset_index(self) -> DataFrame: ...
     def to_csv(self, *, index: bool) -> str: ...
@@ -315,15 +315,16 @@ def _lines_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, Iterator
     known = {"time": "time", "date": "date"}
     columns = source
     if not any(str(name).lower() in known for name in source.columns):
-        index, kind = str(source.index.name).lower(), getattr(source.index.dtype, "kind", "")
+        index, kind = str(getattr(source.index, "name", "")).lower(), _kind(source.index)
         if kind == "M" or index in (*known, "t"):
             columns = source.rename_axis("date" if kind == "M" else known.get(index, "time")).reset_index()
-    stamps = {
-        name: "date"
-        for name in columns.columns
-        if str(name).lower() in known and getattr(columns[name].dtype, "kind", "") == "M"
-    }
+    stamps = {name: "date" for name in columns.columns if str(name).lower() in known and _kind(columns[name]) == "M"}
     return "the frame", iter(str(columns.rename(columns=stamps).to_csv(index=False)).splitlines())
+
+
+def _kind(column: object) -> str:
+    """The kind of what a column of a frame holds: "M" for dates."""
+    return str(getattr(getattr(column, "dtype", None), "kind", ""))
 
 
 @door

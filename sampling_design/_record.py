@@ -32,7 +32,7 @@ class _Kind(ABCMeta):
     @property
     def __signature__(cls) -> inspect.Signature:
         """What the fields take: help and editors would show the call below, which takes anything."""
-        own = inspect.signature(cls.__init__)
+        own = inspect.signature(cls.__init__)  # type: ignore[misc]  # of a class, which a metaclass sees as an instance
         return own.replace(parameters=list(own.parameters.values())[1:])
 
     if not TYPE_CHECKING:  # a checker would take every call for one that fits

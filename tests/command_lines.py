@@ -1,6 +1,7 @@
 """Command lines with valid and broken files and flags, for the law that nothing raw comes out of the command line.
 
-`python -m tests.command_lines 300 7` runs 300 of them from seed 7 and prints what is raw.
+`python -m tests.command_lines 300 7` runs 300 of them from seed 7 and prints what is raw, `... 300 7 wrong` as many
+that have something wrong with them, drawn from the grammar of the commands' own arguments.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ import warnings
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from typer.main import get_command
 
 import sampling_design as sd
+from sampling_design.cli.app import app
 from sampling_design.cli.settings import NO_BUDGET
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
@@ -162,6 +166,48 @@ def drawn(count: int, seed: int) -> list[list[str]]:
     return lines
 
 
+def options(name: str) -> list[Any]:
+    """The options that a command declares, those of every command among them."""
+    declared = get_command(app).commands[name].params
+    return [one for one in declared if one.param_type_name == "option" and not {"--version", "--help"} & {*one.opts}]
+
+
+def wrong(count: int, seed: int) -> list[list[str]]:
+    """So many random command lines with something wrong in each: one thing, in every third two."""
+    rng = np.random.default_rng(seed)
+    names, lines = list(COMMANDS), []
+    for k in range(count):
+        name = names[k % len(names)] if k < len(names) else str(rng.choice(names))
+        arguments = [str(files()[USUAL[kind]]) for kind in COMMANDS[name][0]]
+        line = [name, *arguments, *ALWAYS.get(name, []), "--quiet"]
+        line += [] if name in NO_BUDGET else ["--budget", "3"]
+        for _ in range(1 + (rng.random() < 1 / 3)):
+            line = _spoilt(line, len(arguments), rng)
+        lines.append(line)
+    return lines
+
+
+def _spoilt(line: list[str], arguments: int, rng: np.random.Generator) -> list[str]:
+    """The line with one thing wrong: an option's value, number or name; an argument's file or number."""
+    chosen = options(line[0])[int(rng.integers(len(options(line[0]))))]
+    flag = str(rng.choice(chosen.opts))
+    values = [str(rng.choice(VALUES)) for _ in range(0 if chosen.is_flag else chosen.nargs)]
+    kind = int(rng.integers(10))
+    if kind < 5:  # a value that is none, or one for what takes none
+        return [*line, flag, *(values or [str(rng.choice(VALUES))])]
+    if kind == 5:  # a value too few, or one for what takes none
+        return [*line, *([flag, *values[:-1]] if values else [f"{flag}={rng.choice(VALUES)}"])]
+    if kind == 6:  # misspelt
+        return [*line, flag[:-1] + "x", *values]
+    if kind == 7 and len(line) > 1:  # something left out
+        at = int(rng.integers(1, len(line)))
+        return line[:at] + line[at + 1 :]
+    if kind == 8 or not arguments:
+        return [*line, str(rng.choice([str(path) for path in files().values()]))]
+    at = int(rng.integers(1, 1 + arguments))
+    return [*line[:at], str(rng.choice([str(path) for path in files().values()])), *line[at + 1 :]]
+
+
 @dataclass
 class Ended:
     """What a command line came to."""
@@ -218,7 +264,7 @@ def main() -> None:
     """Run as many command lines as asked, and list the raw ones."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     count, seed = int(sys.argv[1]), int(sys.argv[2])
-    lines = drawn(count, seed)
+    lines = wrong(count, seed) if sys.argv[3:] else drawn(count, seed)
     os.chdir(tempfile.mkdtemp(prefix="command-lines-cwd-"))
     ends: Counter[object] = Counter()
     raw = 0

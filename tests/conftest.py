@@ -17,7 +17,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests import rigour
+from tests import raised, rigour
 
 settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
@@ -34,13 +34,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Let every certificate that the tests make be decided in ball arithmetic."""
     rigour.register(config)
+    raised.register(config)
     config.addinivalue_line("markers", "long: left out of a run of everything, and run by `--long`, as .ci/run does")
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Tell the processes of a distributed run which files somebody named: they cannot see it."""
+    """Tell the processes of a distributed run what somebody named, or whether nobody did: they cannot see it."""
     node.workerinput["named"] = named(node.config)
+    node.workerinput["everything"] = node.config.pluginmanager.has_plugin("raised")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -234,8 +234,9 @@ def test_numbers_of_arrays_are_those_of_lists():
 
 
 def test_data_of_too_many_values_are_refused(monkeypatch):
+    data = json.loads(text())
     monkeypatch.setattr(strict, "MOST_ITEMS", 10)
-    assert "holds more than 10 values" in check(json.loads(text()))["reason"]
+    assert "holds more than 10 values" in check(data)["reason"]
 
 
 def test_weights_that_no_factor_holds_are_undecided():

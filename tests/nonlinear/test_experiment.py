@@ -14,6 +14,11 @@ from sampling_design.nonlinear.thyroid import NOISE_BOUND, PRIOR_START, SCALING,
 
 
 @pytest.fixture(scope="module")
+def five_days():
+    return patient_run("per_day", 1, days=5.0)
+
+
+@pytest.fixture(scope="module")
 def twenty_days():
     return patient_run("per_day", 1)
 
@@ -23,43 +28,46 @@ def test_the_rmse_is_that_of_the_definition():
     assert rmse(errors) == pytest.approx(np.sqrt((25 + 0 + 144) / 3))
 
 
-def test_the_set_up_is_the_papers(twenty_days):
-    assert twenty_days.truth[0] == pytest.approx(TRUE_START)
-    assert twenty_days.times[:3] == pytest.approx([0.0, 1 / 12, 1 / 6])
-    assert np.all(np.abs(twenty_days.outputs - twenty_days.truth[:, [1, 2, 4]]) <= NOISE_BOUND * (1 + 1e-12))
-    gaps = np.diff(twenty_days.times[twenty_days.sampled])
-    assert twenty_days.sampled[0]
+def test_the_set_up_is_the_papers(five_days):
+    assert five_days.truth[0] == pytest.approx(TRUE_START)
+    assert five_days.times[:3] == pytest.approx([0.0, 1 / 12, 1 / 6])
+    assert np.all(np.abs(five_days.outputs - five_days.truth[:, [1, 2, 4]]) <= NOISE_BOUND * (1 + 1e-12))
+    gaps = np.diff(five_days.times[five_days.sampled])
+    assert five_days.sampled[0]
     assert 0.5 - 1e-9 <= gaps.min() <= gaps.max() <= 1.5 + 1e-9
-    assert len(twenty_days.solves_standard) == twenty_days.times.size
-    assert len(twenty_days.solves_sample_based) == twenty_days.sampled.sum()
-    assert {s.status for s in (*twenty_days.solves_standard, *twenty_days.solves_sample_based)} == {"ok"}
+    assert len(five_days.solves_standard) == five_days.times.size
+    assert len(five_days.solves_sample_based) == five_days.sampled.sum()
+    assert {s.status for s in (*five_days.solves_standard, *five_days.solves_sample_based)} == {"ok"}
     weights = paper_weights()
     assert np.diag(weights.P2) / SCALING**2 == pytest.approx([1, 5, 1, 1, 1, 1])
     assert weights.Qw[1, 1] == pytest.approx(1.39e-4)
 
 
-def test_both_schemes_agree_at_the_first_sample_and_find_the_truth(twenty_days):
-    assert twenty_days.standard[0] == pytest.approx(twenty_days.sample_based[0], rel=1e-9)
+def test_both_schemes_agree_at_the_first_sample_and_find_the_truth(five_days):
+    assert five_days.standard[0] == pytest.approx(five_days.sample_based[0], rel=1e-9)
     # TSH_c is not measured and keeps the prior's error at t = 0
-    assert twenty_days.sample_based[0, 5] == pytest.approx(PRIOR_START[5], rel=1e-4)
+    assert five_days.sample_based[0, 5] == pytest.approx(PRIOR_START[5], rel=1e-4)
+    assert five_days.rmse("standard", "after_day_1") < 0.01
+    assert five_days.rmse("sample_based", "after_day_1") < 0.04
+
+
+@pytest.mark.long
+def test_with_the_first_instant_the_figures_are_near_the_papers(twenty_days):
     assert twenty_days.rmse("standard", "after_day_1") < 0.01
     assert twenty_days.rmse("sample_based", "after_day_1") < 0.04
     assert twenty_days.rmse("standard", "without_start") < 0.015
     assert twenty_days.rmse("sample_based", "without_start") < 0.06
-
-
-def test_with_the_first_instant_the_figures_are_near_the_papers(twenty_days):
     standard, sparse = twenty_days.rmse("standard"), twenty_days.rmse("sample_based")
     assert standard == pytest.approx(0.22, abs=0.01)
     assert 1.0 < sparse / standard < 1.05
 
 
-def test_between_samples_the_estimate_is_the_open_loop(twenty_days):
+def test_between_samples_the_estimate_is_the_open_loop(five_days):
     from sampling_design.nonlinear.simulation import simulate
 
-    first, second = np.flatnonzero(twenty_days.sampled)[1:3]
-    path = simulate(thyroid(), twenty_days.sample_based[first], twenty_days.times[first:second])
-    assert twenty_days.sample_based[first:second] * SCALING == pytest.approx(path * SCALING, abs=1e-7)
+    first, second = np.flatnonzero(five_days.sampled)[1:3]
+    path = simulate(thyroid(), five_days.sample_based[first], five_days.times[first:second])
+    assert five_days.sample_based[first:second] * SCALING == pytest.approx(path * SCALING, abs=1e-7)
 
 
 @pytest.mark.long
@@ -147,10 +155,10 @@ def test_failed_problems_are_counted_and_printed():
     assert "| per_day | after day 1 | - | - | - |" in report.to_markdown()
 
 
-def test_the_page_says_what_cannot_be_known(twenty_days):
+def test_the_page_says_what_cannot_be_known(five_days):
     from sampling_design.nonlinear.report import ThyroidReport
 
-    report = ThyroidReport(("per_day",), 1, 20.0, 0, (twenty_days.summary(),))
+    report = ThyroidReport(("per_day",), 1, 20.0, 0, (five_days.summary(),))
     page = report.to_markdown()
     assert "| the paper | t = 0 counted | 0.2244 | 0.2275 | 1.014 |" in page
     assert f"{report.ratio('per_day'):.3f}" in page
@@ -159,8 +167,8 @@ def test_the_page_says_what_cannot_be_known(twenty_days):
     assert "cannot be known" in page
     assert "`sampling-design thyroid --runs 1 --days 20 --seed 0 --reading per_day -o DIR`" in page
     assert "t = 0 counted" in str(report)
-    finer = ThyroidReport(("per_day",), 1, 20.0, 0, (twenty_days.summary(),), degree=6).to_markdown()
+    finer = ThyroidReport(("per_day",), 1, 20.0, 0, (five_days.summary(),), degree=6).to_markdown()
     assert "--seed 0 --degree 6 --reading per_day -o DIR`" in finer
     assert "Radau collocation of degree 6" in finer
-    assert "samples instead of" in twenty_days.explain()
-    assert twenty_days.figure(2).explain().startswith("The measured states")
+    assert "samples instead of" in five_days.explain()
+    assert five_days.figure(2).explain().startswith("The measured states")

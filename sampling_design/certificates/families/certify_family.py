@@ -328,8 +328,6 @@ def certify_family(
     (True, True)
     """
     report = progress or (lambda fraction, message: None)
-    if not isinstance(plant, Plant):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     family = in_plant_terms(plant, family)
     weights = weights_of(plant, Qw, R, Qv)
     given = None if P2 is None else _checks.definite("P2", P2, plant.n_states)

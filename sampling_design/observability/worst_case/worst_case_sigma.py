@@ -270,10 +270,6 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    if not isinstance(plant, (Plant, UncertainPlant)):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    if not isinstance(family, SpacedWindows):
-        raise ArgumentError(f"`family` must be a SpacedWindows, got {type(family).__name__}.")
     if family.time_unit is not None and family.time_unit != plant.time_unit:
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."

@@ -1,0 +1,126 @@
+"""Which `raise` of the package a test run has raised: a whole run tells those that none of its tests has.
+
+The house's exceptions note from where they are made; the `raise` is the statement in which that line lies, there or up
+to four calls above (`raise refused(...)`). What a run starts in processes of its own does not count.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "sampling_design"
+ROOTS = {
+    "errors": "SamplingDesignError",
+    "checkers.strict": "BadFile",
+    "checkers.outcome": "Refused",
+    "explorer.socket_frames": "ConnectionOver",
+    "_ball_flow": "OutOfTime",
+    "certificates.rigorous.ball_problem": "Unproven",
+    "planning.work": "WorkSpentError",
+    "certificates.exact.weight_choice": "_Late",
+    "_door": "_Unchecked",
+}
+"""Every exception that the house defines is one of these or inherits from one (a test walks the package)."""
+OTHERS = {"NotImplementedError", "AttributeError", "KeyboardInterrupt", "typer.Exit", "typer.BadParameter"}
+OTHERS |= {"TypeError", "ArithmeticError", "OverflowError", "IndexError", "np.linalg.LinAlgError"}
+"""Exceptions of others, which note nothing."""
+DEEP = 5
+MOST_UNRAISED = 150
+"""Of a whole run. Lower it; never raise it."""
+Place = tuple[str, int]
+SEEN: set[Place] = set()
+
+
+def watch() -> None:
+    """Note from now on from where the house's exceptions are made."""
+    for module, name in ROOTS.items():
+        kind = getattr(importlib.import_module(f"sampling_design.{module}"), name)
+        if "__new__" not in vars(kind):
+            kind.__new__ = _noting(kind)
+
+
+def _noting(kind: type) -> Any:
+    def made(cls: type, *arguments: Any, **named: Any) -> Any:
+        frame: Any = sys._getframe(1)
+        for _ in range(DEEP):
+            if frame is None:
+                break
+            SEEN.add((frame.f_code.co_filename, frame.f_lineno))
+            frame = frame.f_back
+        return super(kind, cls).__new__(cls, *arguments)  # type: ignore[misc]
+
+    return made
+
+
+def statements(tree: ast.AST) -> Iterator[ast.Raise]:
+    """Every `raise` that makes an exception of the house: not one again, and not one that it caught or was handed."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Raise) and node.exc is not None:
+            made = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
+            name = ast.unparse(made)
+            of_a_class = isinstance(node.exc, ast.Call | ast.IfExp) or name.lstrip("_")[:1].isupper()
+            if of_a_class and name not in OTHERS:
+                yield node
+
+
+def unraised(paths: Iterable[Path], seen: set[Place]) -> list[str]:
+    """Every `raise` in these files in which no line lies that was seen."""
+    found = []
+    for path in paths:
+        lines = {line for name, line in seen if name == str(path)}
+        for node in statements(ast.parse(path.read_text())):
+            if not lines & set(range(node.lineno, (node.end_lineno or node.lineno) + 1)):
+                found.append(
+                    f"{path.relative_to(PACKAGE.parent) if path.is_relative_to(PACKAGE) else path.name}:{node.lineno}"
+                )
+    return found
+
+
+class Raised:
+    """The pytest plugin: gathers what the processes of a run have seen, and judges a whole one."""
+
+    def __init__(self, whole: bool) -> None:
+        self.whole, self.missing = whole, list[str]()
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take over what a process of a distributed run has seen."""
+        SEEN.update((name, line) for name, line in getattr(node, "workeroutput", {}).get("raised", ()))
+
+    def pytest_deselected(self) -> None:
+        """Note that this is no whole run."""
+        self.whole = False
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Hand over what was seen, or judge it."""
+        if hasattr(session.config, "workeroutput"):
+            here = str(PACKAGE)
+            session.config.workeroutput["raised"] = [place for place in SEEN if place[0].startswith(here)]
+        elif self.whole and not session.exitstatus:
+            self.missing = unraised(sorted(PACKAGE.rglob("*.py")), SEEN)
+            if len(self.missing) > MOST_UNRAISED:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """Name them."""
+        if self.missing:
+            terminalreporter.section("raised by no test")
+            for place in self.missing:
+                terminalreporter.line(place, red=len(self.missing) > MOST_UNRAISED)
+
+
+def register(config: pytest.Config) -> None:
+    """Watch a run of everything, in this process and in those of pytest-xdist."""
+    told = getattr(config, "workerinput", None)
+    everything = config.args_source == config.ArgsSource.TESTPATHS and not config.getoption("--long")
+    if told["everything"] if told is not None else everything:
+        watch()
+        config.pluginmanager.register(Raised(told is None), "raised")

@@ -107,8 +107,9 @@ def _nearby(where: str) -> str:
     with suppress(OSError, ValueError):
         found = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
         name = Path(where).name
-        near = [each for each in sorted(found) if Path(each).stem == name] or difflib.get_close_matches(name, found, 1)
-        return f" Did you mean {near[0]}?" if near else ""
+        stems = {Path(each).stem: each for each in sorted(found, reverse=True)}  # an ending makes no two names alike
+        near = [name] if name in stems else difflib.get_close_matches(Path(name).stem, stems, 1)
+        return f" Did you mean {stems[near[0]]}?" if near else ""
     return ""
 
 

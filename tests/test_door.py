@@ -107,6 +107,7 @@ def test_a_door_leaves_name_signature_and_module():
             "`KalmanFilter` has no argument `w_bounds`. Did you mean 'w_",
         ),
         (lambda: OSCILLATOR.transition(), "`Plant.transition` needs `t`"),
+        (lambda: sd.KalmanFilter.run(None, [1.0], [[0.1]]), r"takes 1 argument by place \(record\), got 2"),
         (lambda: sd.Plant.from_control(), "`Plant.from_control` needs `system`"),
     ],
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import _files
+from sampling_design import _files, read_plant
 from sampling_design._files import csv_rows
 from sampling_design.errors import FileFormatError
 
@@ -152,3 +152,10 @@ def test_what_no_one_means_is_one_sentence(reader, text):
     else:
         with pytest.raises(FileFormatError, match="is not valid"):
             reader(text.format("1"), "f")
+
+
+@pytest.mark.parametrize(("asked", "near"), [("nope.toml", ""), ("osk.toml", "osc.toml"), ("osc.json", "osc.toml")])
+def test_a_file_that_is_missing_suggests_none_that_shares_its_ending_only(tmp_path, asked, near):
+    (tmp_path / "osc.toml").write_text("")
+    with pytest.raises(FileFormatError, match=rf"no such file\.{f' Did you mean {near}.' if near else ''}$"):
+        read_plant(tmp_path / asked)

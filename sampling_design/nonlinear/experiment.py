@@ -147,7 +147,7 @@ def _estimates(
 
 @door
 def thyroid_experiment(
-    runs: int = 50,
+    runs: int = 1,
     *,
     cases: Sequence[str] = ("per_second", "per_day"),
     days: float = 20.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import platform
 from collections.abc import Callable, Iterable
@@ -15,7 +16,9 @@ from sampling_design._door import door
 from sampling_design._journal import Journal, digest
 from sampling_design._workers import Workers, check_workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.errors import ArgumentError
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError, CallError
+from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.report import ValidationReport
@@ -114,6 +117,9 @@ def validate(
     unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {_checks.described(unknown[0])}.")
+    options = inspect.signature(MovingHorizonEstimator).parameters
+    for key in estimator.keys() - options.keys():
+        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {likely(key, options)}")
     check_workers(workers)
     bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
     source = _checks.generator(rng)

@@ -1,10 +1,14 @@
 """The command thyroid in short runs."""
 
+import inspect
 import json
 import subprocess
 import sys
 
 import pytest
+
+from sampling_design import thyroid_experiment
+from sampling_design.cli.thyroid import thyroid
 
 WITHOUT = """
 import sys
@@ -13,6 +17,13 @@ from sampling_design.cli import main
 if __name__ == "__main__":
     main()
 """
+
+
+def test_the_command_and_the_function_have_the_same_defaults():
+    command, verb = (inspect.signature(each).parameters for each in (thyroid, thyroid_experiment))
+    shared = command.keys() & verb.keys() - {"workers"}
+    assert {"runs", "days", "degree"} <= shared
+    assert {key: command[key].default for key in shared} == {key: verb[key].default for key in shared}
 
 
 def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):

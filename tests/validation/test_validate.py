@@ -217,6 +217,13 @@ def test_workers_who_are_nobody_are_refused_before_any_work(workers, words):
         judged("oscillator", workers=workers)
 
 
+def test_an_option_that_no_estimator_has_is_named():
+    with pytest.raises(ArgumentError, match="`validate` and its MovingHorizonEstimator have no argument `estimator`"):
+        judged("oscillator", estimator=3)
+    with pytest.raises(ArgumentError, match="have no argument `horizn`"):
+        judged("oscillator", horizn=3)
+
+
 def test_a_generator_is_a_generator():
     with pytest.raises(ArgumentError, match="`rng` must be a whole number of at least 0, got -1"):
         judged("oscillator", rng=-1)

@@ -219,7 +219,7 @@ class Estimator(Protocol):
         """Forget all samples and start again from a prior."""
         ...
 
-    def run(self, record: object, progress: Progress | None = None) -> EstimateRecord:
+    def run(self, record: object, *, progress: Progress | None = None) -> EstimateRecord:
         """Take in a whole record."""
         ...
 

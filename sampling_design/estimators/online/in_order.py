@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ AHEAD = 512
 @doors
 class OnlineEstimator(ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
+
+    _order: ClassVar[str] = "Times and values make one record: Measurements(times, y)."
 
     plant: Plant
     weights: Weights
@@ -218,7 +221,7 @@ class OnlineEstimator(ABC):
         for item in samples:
             yield self.update(*triple(item))
 
-    def run(self, record: object, progress: Progress | None = None) -> EstimateRecord:
+    def run(self, record: object, *, progress: Progress | None = None) -> EstimateRecord:
         """Take in a whole record of samples and return all estimates.
 
         Parameters

@@ -75,6 +75,10 @@ class Cells:
             if not len(low):
                 break
             M, E, moving = self.spread(low, high, of_f)
+            finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
+            unbounded = each * 2**CORNERS * int(np.sum(~finite))  # as if they were judged, or halving had no end
+            spent += unbounded
+            self.work.spend(PRICE * unbounded)
             good = np.zeros(len(low), bool)
             most = BATCH if robust is None else max(1, BATCH // (8 * each))
             for first in range(0, len(low), most):

@@ -83,6 +83,19 @@ def test_a_function_that_is_not_defined_is_undecided(slopes):
     assert both(data) in ("undecided", "refuted")
 
 
+@pytest.mark.parametrize(
+    ("code", "low", "high"),
+    [
+        ([["x", 0], ["power", 0, 1e308], ["w", 0], ["add", 1, 2]], 0.5, 2.0),  # a slope that overflows wherever it grows
+        ([["x", 0], ["w", 0], ["mul", 0, 1], ["twice", 2]], -1.0, 1.0),  # any slope at all: w has no bound
+    ],
+)
+def test_slopes_without_a_bound_are_undecided_and_halving_ends(code, low, high, slopes):
+    found = check(nonlinear(slopes, {"code": code, "outputs": [3]}, low=low, high=high))
+    assert found["verdict"] == "undecided"
+    assert "cells of the region are left" in found["reason"]
+
+
 def bent(by):
     return {"code": [["x", 0], ["constant", by], ["sin", 0], ["mul", 1, 2], ["add", 0, 3]], "outputs": [4]}
 

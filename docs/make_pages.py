@@ -233,7 +233,8 @@ def records_of(room: str) -> dict[str, object]:
         for name, thing in vars(module).items():
             public = issubclass(thing, Record) if isinstance(thing, type) else "door" in getattr(thing, "__dict__", {})
             own = public and thing.__module__ == module.__name__
-            if own and not name.startswith("_") and name not in sampling_design.__all__:
+            listed = name in sampling_design.__all__ or f"{file}.{name}" in BESIDE.get(room, ())
+            if own and not name.startswith("_") and not listed:
                 found[f"{file}.{name}"] = thing
     return found
 

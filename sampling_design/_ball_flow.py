@@ -94,7 +94,8 @@ class Split:
         sides = flint().arb_mat(n, n)
         for i in range(n):
             sides[i, i] = max(d[0] if i < k else d[1], least)
-        return self.V * sides * self.V.transpose()
+        made: Matrix = self.V * sides * self.V.transpose()
+        return made
 
 
 class BallFlow:
@@ -241,8 +242,8 @@ class FlowNode:
             assert self._second is not None
             self._falling = fallen(self.flow.slope(self.Y)), fallen(self._second)
         yield top(right.Y + duration * self.flow.carried(self._falling[0], duration))
-        bulge = duration**2 / 8 * self.flow.carried(self._falling[1], duration)
-        yield top(self.Y + bulge).max(top(right.Y + bulge))
+        bend = duration**2 / 8 * self.flow.carried(self._falling[1], duration)
+        yield top(self.Y + bend).max(top(right.Y + bend))
 
     def after(self, duration: Ball, top: Callable[[Matrix], Ball]) -> FlowNode:
         """The node `duration` later."""

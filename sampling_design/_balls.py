@@ -61,13 +61,15 @@ def precision(bits: int = BITS) -> Iterator[None]:
 
 def ball(x: float) -> Ball:
     """Return the double x as a ball of radius zero."""
-    return flint().arb(float(x))
+    made: Ball = flint().arb(float(x))
+    return made
 
 
 def matrix(X: npt.ArrayLike) -> Matrix:
     """Return doubles (m, n) as a matrix of balls of radius zero."""
     owned = np.asarray(X, dtype=np.float64)
-    return flint().arb_mat(*owned.shape, owned.ravel().tolist())
+    made: Matrix = flint().arb_mat(*owned.shape, owned.ravel().tolist())
+    return made
 
 
 def symmetric(X: npt.ArrayLike) -> Matrix:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -81,7 +81,8 @@ def solve(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an inaccurate solution is a status here, not a warning
-            problem.solve(solver=cp.CLARABEL, max_iter=iterations, max_threads=THREADS, **settings, **limits)
+            solve: Callable[..., object] = problem.solve
+            solve(solver=cp.CLARABEL, max_iter=iterations, max_threads=THREADS, **settings, **limits)
         raw = str(problem.status)
     except cp.error.SolverError as error:
         raw = f"solver error: {error}"

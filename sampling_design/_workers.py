@@ -312,7 +312,8 @@ def cluster(address: str) -> Client:
     ):  # what is lost is said once, by us
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        found: Client = DaskClient(address, timeout=PATIENCE)
+        connect: Callable[..., Client] = DaskClient
+        found = connect(address, timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:
         raise ArgumentError(
             f"`scheduler` must be the address of a running Dask scheduler such as tcp://10.0.0.5:8786, got {address!r} "

@@ -74,4 +74,5 @@ def explore(
         widget.send({"number": message.get("number"), "answer": answer})
 
     widget.on_msg(heard)
-    return widget
+    made: AnyWidget = widget
+    return made

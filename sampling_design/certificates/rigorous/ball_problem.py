@@ -90,7 +90,8 @@ class BallWeights:
     def noise_of(self, seen: npt.NDArray[np.bool_]) -> Matrix:
         """V restricted to the measured outputs."""
         index = np.flatnonzero(seen)
-        return flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
+        made: Matrix = flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
+        return made
 
 
 def noise(G: Array, Qw: Array) -> Matrix:
@@ -116,7 +117,8 @@ def noise(G: Array, Qw: Array) -> Matrix:
             drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
     if not n:
         return matrix(np.zeros((0, 0)))
-    return flint().arb_mat([[flint().arb(x.numerator) / x.denominator for x in row] for row in found])
+    made: Matrix = flint().arb_mat([[flint().arb(x.numerator) / x.denominator for x in row] for row in found])
+    return made
 
 
 def positive(name: str, value: float) -> float:
@@ -189,18 +191,21 @@ class BallFrame:
         Not in doubles: where Y holds directions 1e16 times better known than others, their gain would drown.
         """
         CY = self.rows[i] * Y
-        return (CY * self.rows[i].transpose() + self.noises[i]).solve(CY).transpose().mid()
+        made: Matrix = (CY * self.rows[i].transpose() + self.noises[i]).solve(CY).transpose().mid()
+        return made
 
     def with_gain(self, Y: Matrix, i: int, gain: Matrix) -> Matrix:
         """Y after sample i with that gain: at least what the best gain leaves (Joseph's form)."""
         left = self.identity - gain * self.rows[i]
-        return left * Y * left.transpose() + gain * self.noises[i] * gain.transpose()
+        made: Matrix = left * Y * left.transpose() + gain * self.noises[i] * gain.transpose()
+        return made
 
     def sampled(self, Y: Matrix, i: int) -> Matrix:
         """Y after sample i, exactly."""
         C = self.rows[i]
         CY = C * Y
-        return Y - CY.transpose() * (CY * C.transpose() + self.noises[i]).solve(CY)
+        made: Matrix = Y - CY.transpose() * (CY * C.transpose() + self.noises[i]).solve(CY)
+        return made
 
 
 class ScheduleFrame(BallFrame):

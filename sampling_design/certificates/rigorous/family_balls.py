@@ -98,7 +98,8 @@ class BallIntervals:
 
 
 def _ball(time: Fraction) -> Ball:
-    return flint().arb(time.numerator) / time.denominator
+    made: Ball = flint().arb(time.numerator) / time.denominator
+    return made
 
 
 def family(data: Tree, stated: list[Stated], clock: Clock) -> Decision:

@@ -114,7 +114,8 @@ def flow(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, eta: Ball) 
     side, n, q = off.tolist(), P.nrows(), Qw.nrows()
     rows = [[*(-x for x in corner[i]), *(-x for x in (side[i] if q else []))] for i in range(n)]
     rows += [[*(-side[i][k] for i in range(n)), *Qw.tolist()[k]] for k in range(q)]
-    return flint().arb_mat(rows)
+    made: Matrix = flint().arb_mat(rows)
+    return made
 
 
 def sized(P: Matrix, slope: Matrix, A: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
@@ -125,7 +126,8 @@ def sized(P: Matrix, slope: Matrix, A: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
         drift = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
         values.append(abs(slope[i, i]) + 2 * drift + eta * abs(P[i, i]))
     values += [Qw[k, k] for k in range(q)]
-    return flint().arb_mat([[values[i] if i == j else ball(0.0) for j in range(n + q)] for i in range(n + q)])
+    made: Matrix = flint().arb_mat([[values[i] if i == j else ball(0.0) for j in range(n + q)] for i in range(n + q)])
+    return made
 
 
 def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
@@ -232,7 +234,8 @@ def of_some(X: Matrix, seen: Mask) -> Matrix:
     rows = X.tolist()
 
     def part(left: list[int], right: list[int]) -> Matrix:
-        return flint().arb_mat([[rows[i][j] for j in right] for i in left])
+        made: Matrix = flint().arb_mat([[rows[i][j] for j in right] for i in left])
+        return made
 
     return part(own, own) - part(own, other) * part(other, other).solve(part(other, own))
 

@@ -202,7 +202,8 @@ class Assembly:
                 pair = [(self.done[k][0], made[k]) for k in each.places]
                 made.append(joined(each.word, pair[0], pair[1])[1])
         zero = ball(0.0)
-        return flint().arb_mat([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
+        result: Matrix = flint().arb_mat([[made[k].get(column, zero) for column in self.columns] for k in self.outputs])
+        return result
 
     def widths(self) -> dict[tuple[int, tuple[str, int]], Array]:
         """By how much each slope moves the derivatives: its radius times what one of it adds."""

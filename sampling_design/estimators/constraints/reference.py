@@ -137,7 +137,7 @@ class _Program:
 
     def add_square(self, value: Array, step: Expression) -> None:
         """Add |value + scale step|^2."""
-        self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (value @ step)]
+        self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (step @ value)]
         self.constant += float(value @ value)
 
     def keep_inside(self, chosen: ConvexSet, value: Array, step: Expression, mask: Array | None = None) -> None:
@@ -152,7 +152,7 @@ class _Program:
         if not seen.all():
             return
         if chosen.rows.shape[0]:
-            self.parts.append(chosen.rows @ step <= (chosen.offsets - chosen.rows @ value) / self.scale)
+            self.parts.append(step @ chosen.rows.T <= (chosen.offsets - chosen.rows @ value) / self.scale)
         for ball in chosen.balls:
             if ball.radius == 0:
                 self.parts.append(ball.shape @ step == ball.shape @ (ball.centre - value) / self.scale)

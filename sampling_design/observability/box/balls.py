@@ -111,7 +111,8 @@ def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:
     `size` is what differences of s are small beside.
     """
     if all(x == 0 for x in form.entries()):
-        return flint().arb(0)
+        made: Ball = flint().arb(0)
+        return made
     try:
         root = np.linalg.inv(np.linalg.cholesky(floats(W)))
         guess = float(np.linalg.eigvalsh(symmetrise(root @ floats(form) @ root.T))[-1])

@@ -248,7 +248,8 @@ def _proven(
 
 def fraction(time: Fraction) -> Ball:
     """A rational number as a ball."""
-    return flint().arb(time.numerator) / time.denominator
+    made: Ball = flint().arb(time.numerator) / time.denominator
+    return made
 
 
 class BallRows:

@@ -186,7 +186,8 @@ def _rest(metric: Metric, after: list[Ball]) -> Ball:
         second = beyond_first_in_balls(along)
         row = (rate * size).exp() * (metric.seen * second + metric.shown * (along + second))
         total += row * row
-    return total.upper()
+    made: Ball = total.upper()
+    return made
 
 
 def _worth(G: Array, W: Array, rest: Ball) -> float:

@@ -56,7 +56,7 @@ def judged(problem):
     times = design.schedule.times
     mask = problem.open(times) if design.schedule.outputs is None else design.schedule.outputs
     assert problem.open(times).any(axis=1).all()
-    assert sigma_of(problem, times, mask) == pytest.approx(design.sigma, rel=1e-4)
+    assert design.sigma <= sigma_of(problem, times, mask) * (1 + SAME)  # which takes what nearly ties for tied
     best, _ = best_hours(problem)
     assert best <= design.upper_bound * (1 + SAME)
     assert design.sigma >= best * (1 - SHORT_OF_A_GRID)
@@ -104,7 +104,7 @@ def loosened(rng, problem):
     return replace(problem, forbidden=[[a, b - 0.5 * (b - a) * rng.uniform()] for a, b in problem.forbidden])
 
 
-def never_worse(problem, seed):
+def assert_never_worse(problem, seed):
     rng = np.random.default_rng([seed, 1])
     sigma = 0.0
     for _ in range(3):
@@ -121,10 +121,10 @@ def test_smaller_spacing_costs_the_first_hour_nothing():
 
 @pytest.mark.parametrize("seed", [7])
 def test_demands_that_are_loosened_never_lower_sigma(seed):
-    never_worse(random_hours(np.random.default_rng(seed)), seed)
+    assert_never_worse(random_hours(np.random.default_rng(seed)), seed)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(100, 120))
 def test_many_demands_that_are_loosened_never_lower_sigma(seed):
-    never_worse(random_hours(np.random.default_rng(seed)), seed)
+    assert_never_worse(random_hours(np.random.default_rng(seed)), seed)

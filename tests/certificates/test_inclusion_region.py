@@ -86,8 +86,8 @@ def test_a_function_that_is_not_defined_is_undecided(slopes):
 @pytest.mark.parametrize(
     ("code", "low", "high"),
     [
-        ([["x", 0], ["power", 0, 1e308], ["w", 0], ["add", 1, 2]], 0.5, 2.0),  # a slope that overflows wherever it grows
-        ([["x", 0], ["w", 0], ["mul", 0, 1], ["twice", 2]], -1.0, 1.0),  # any slope at all: w has no bound
+        ([["x", 0], ["power", 0, 1e308], ["w", 0], ["add", 1, 2]], 0.5, 2.0),  # slopes overflow
+        ([["x", 0], ["w", 0], ["mul", 0, 1], ["twice", 2]], -1.0, 1.0),  # w has no bound, and so no slope
     ],
 )
 def test_slopes_without_a_bound_are_undecided_and_halving_ends(code, low, high, slopes):

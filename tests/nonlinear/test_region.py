@@ -7,6 +7,7 @@ import pytest
 from sampling_design import GapRange, NonlinearPlant, certify, load_certificate
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
+from sampling_design.certificates.inclusion.layout import graph_for
 from sampling_design.certificates.inclusion.members import InclusionWeights
 from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.certificates.rigorous.decide import judged
@@ -74,9 +75,10 @@ def test_a_growth_rate_known_to_a_third_bears_gaps_of_an_hour():
     """Cells judged by the norm of what their Jacobian is off, against the diagonal alone, leave this one open."""
     plant = examples.bioreactor().in_region([9.0, 0.4, 0.2], [10.0, 0.7, 0.4])
     weights = InclusionWeights(*weights_of(plant.centre, None, None, None))
-    search = InclusionSearch(plant, GapRange(0.1, 1.0), weights, 3.0)
+    gaps = GapRange(0.1, 1.0)
+    search = InclusionSearch(plant, gaps, graph_for(gaps, 0, plant.centre.n_outputs), weights, 3.0)
     found = search.solve(0.02, 2)
-    data = search.certificate(found, 0.02, 9, 0.0).to_dict()
+    data = search.certificate(found, 0.02, 2, 9, 0.0).to_dict()
     assert judged(data, False, 0.0).passed
     data["eta"] = 0.3
     del data["digest"]

@@ -442,6 +442,7 @@ def wrong() -> dict[str, Callable[[], Any]]:
         "empty schedule": lambda: sd.Schedule([]), "nothing to see": lambda: sd.Plant([[1.0]], [[0.0]]),
         "no states": lambda: sd.Plant(np.zeros((0, 0)), np.zeros((1, 0))),
         "folder": lambda: str(folder()), "module": lambda: np, "range": lambda: range(3),
+        "pair of arrays": lambda: (np.ones(2), np.ones(2)), "one-sided pair": lambda: (0.1, np.inf),
     }  # fmt: skip
 
 

@@ -388,8 +388,8 @@ class RecordProgram:
     def _through(self) -> Array:
         """(K-1, n, n) how a difference of costates passes a time with the filter's gains, and the gap before."""
         H = np.where(self.readings.below[:, None], 0.0, self.H / self.unit[:, None])
-        squares = self._per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), -1))
         n = len(self.table.D)
+        squares = self._per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), n**2))
         return np.asarray(np.matmul(np.swapaxes(self.F, 1, 2), np.eye(n) - squares.reshape(-1, n, n)[1:]))
 
     def _per_time(self, values: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -193,12 +193,16 @@ def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
     if isinstance(entry, tuple):
         if len(entry) != 2:
             raise ArgumentError(f"`{argument}` must be a number or a pair (lower, upper), got {entry!r:.60}.")
-        low, high = (float(x) if x in (np.inf, -np.inf) else _checks.number(argument, x) for x in entry)
+        low, high = (float(x) if _is_infinite(x) else _checks.number(argument, x) for x in entry)
         if low > high:
             raise ArgumentError(f"`{argument}` must be a pair (lower, upper), got {entry!r:.60}: lower exceeds upper.")
         if np.isinf(low) or np.isinf(high):
             return np.inf, 0.0
         return (high - low) / 2, (high + low) / 2
-    if isinstance(entry, (int, float)) and entry == np.inf:
+    if _is_infinite(entry) and entry == np.inf:
         return np.inf, 0.0
     return _checks.nonnegative(argument, entry), 0.0
+
+
+def _is_infinite(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float, np.floating)) and bool(np.isinf(value))

@@ -197,3 +197,40 @@ def test_limits_stay_where_they_are_when_a_late_sample_is_replayed():
     for k in (0, 2, 3, 1):
         again = late.update(*rows[k])
     assert np.allclose(again.x, last.x, atol=1e-10)
+
+
+READ_AT_ONE = [0.3, 0.4, Below(0.5), Above(0.1), Mean(0.3, since=0.5), Mean(0.4, since=0.5), Mean(Below(0.5), since=0.5)]
+
+
+@pytest.mark.parametrize("first", READ_AT_ONE, ids=str)
+@pytest.mark.parametrize("late", [False, True], ids=["in order", "late"])
+def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late):
+    two = sd.Plant([[0.0]], [[1.0], [1.0]])
+    for second in READ_AT_ONE:
+        mhe = sd.MovingHorizonEstimator(two, horizon=3.0, w_bound=1.0, v_bound=0.2, initial_error=5.0)
+        for row in [(0.0, [0.3, np.nan]), *([(1.5, [0.3, np.nan])] if late else []), (1.0, [first, np.nan])]:
+            before = mhe.update(*row)
+        state = mhe.state
+        if first == second:
+            again = mhe.update(1.0, [second, np.nan])
+            assert mhe.state is state
+            np.testing.assert_array_equal(again.x, before.x)
+        else:
+            with pytest.raises(ArgumentError, match="was already given as .* duplicates must agree, and an output has"):
+                mhe.update(1.0, [second, np.nan])
+            assert mhe.state is state
+        mhe.update(1.0, [np.nan, second])  # what the other output says stands beside it
+        joined = sd.MovingHorizonEstimator(two, horizon=3.0, w_bound=1.0, v_bound=0.2, initial_error=5.0)
+        for row in [(0.0, [0.3, np.nan]), (1.0, [first, second]), *([(1.5, [0.3, np.nan])] if late else [])]:
+            whole = joined.update(*row)
+        np.testing.assert_allclose(mhe.predict(2.0).x, joined.predict(2.0).x, rtol=0, atol=1e-12)
+        assert whole.certified
+        with pytest.raises(ArgumentError, match="measures twice at 1.0"):
+            interval(two, [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])], **GIVEN)
+
+
+@pytest.mark.parametrize("nothing", [(0.1, np.inf), (-np.inf, np.inf), {"y1": np.inf}], ids=str)
+def test_readings_without_a_bound_say_nothing_of_an_interval(nothing):
+    rows = [(0.0, [0.5]), (2.0, [0.5])]
+    found = interval(WALK, rows, w_bound=0.1, v_bound=nothing, initial_error=1.0)
+    assert (found.lower[0], found.upper[0]) == pytest.approx((-1.2, 1.2), rel=1e-6)

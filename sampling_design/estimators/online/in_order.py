@@ -20,7 +20,7 @@ from sampling_design.estimators.online.history import Node, State
 from sampling_design.estimators.records.measurement_table import Measured
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Told, told
+from sampling_design.recovery.readings import Told, as_typed, told
 
 Array = npt.NDArray[np.float64]
 
@@ -309,17 +309,32 @@ def _with_input(state: State, sample: Taken) -> State:
 
 
 def _merge(old: Taken, new: Taken) -> Taken | None:
-    """Join two samples at one time; None if the new one adds nothing."""
+    """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
     if new.y is None:
         return old
-    limits = tuple(dict.fromkeys((*old.told, *new.told)))
-    both = np.isfinite(old.y) & np.isfinite(new.y)
-    if np.any(old.y[both] != new.y[both]):
-        raise ArgumentError(
-            f"`y` at t = {old.t!r} was already given as {old.y.tolist()}, got {new.y.tolist()}: duplicates must agree."
-        )
-    if new.u is None and limits == old.told and not np.any(np.isnan(old.y) & np.isfinite(new.y)):
+    before, now = _said(old), _said(new)
+    for output in before.keys() & now.keys():
+        if before[output] != now[output]:
+            raise ArgumentError(
+                f"`y` at t = {old.t!r} was already given as {_as_given(old)}, got {_as_given(new)}: duplicates must "
+                "agree, and an output has one reading at a time."
+            )
+    if new.u is None and now.keys() <= before.keys():
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return Taken(old.t, y, None, limits)
+    return Taken(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
+
+
+def _said(sample: Taken) -> dict[int, float | Told]:
+    """What a sample says of each output that it reads."""
+    y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
+    return y | {each.output: each for each in sample.told}
+
+
+def _as_given(sample: Taken) -> list[object]:
+    """What a sample says of each output, as a user gives it."""
+    values: list[object] = sample.y.tolist()
+    for each in sample.told:
+        values[each.output] = as_typed(each)
+    return values

@@ -216,7 +216,7 @@ def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late)
             assert mhe.state is state
             np.testing.assert_array_equal(again.x, before.x)
         else:
-            with pytest.raises(ArgumentError, match="was already given as .* duplicates must agree, and an output has"):
+            with pytest.raises(ArgumentError, match=r"was already given as .* duplicates must agree, and an output has"):
                 mhe.update(1.0, [second, np.nan])
             assert mhe.state is state
         mhe.update(1.0, [np.nan, second])  # what the other output says stands beside it
@@ -225,7 +225,7 @@ def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late)
             whole = joined.update(*row)
         np.testing.assert_allclose(mhe.predict(2.0).x, joined.predict(2.0).x, rtol=0, atol=1e-12)
         assert whole.certified
-        with pytest.raises(ArgumentError, match="measures twice at 1.0"):
+        with pytest.raises(ArgumentError, match=r"measures twice at 1\.0"):
             interval(two, [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])], **GIVEN)
 
 

@@ -16,6 +16,7 @@ from sampling_design.certificates.exact import efforts, precise, riccati, weight
 from sampling_design.certificates.exact import proof as proofs
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.errors import UndecidedError
@@ -32,6 +33,47 @@ def test_a_drawn_plant_is_certified(seed):
     made = certify(plant, schedule)
     assert made.verify().passed
     assert np.isfinite(made.horizon().minimum)
+
+
+SEEN_LATE = {
+    "scalar": lambda a: Plant([[a]], [[1.0]]),
+    "spiral": lambda a: Plant([[a, 2.0], [-2.0, a]], [[1.0, 0.0]]),
+    "defective": lambda a: Plant([[a, 1.0], [0.0, a]], [[1.0, 0.0]]),
+    "undisturbed": lambda a: Plant([[a, 0.0], [1.0, -1.0]], [[0.0, 1.0]], G=[[0.0], [1.0]]),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "growth", "gaps", "first"),
+    [
+        ("scalar", 2.0, [1.0, 1.0], 2.0),
+        ("scalar", 5.0, [0.3] * 8, 2.4),
+        ("defective", 2.0, [0.5, 1.0, 0.7], 2.2),
+        *(
+            pytest.param(kind, growth, gaps, sum(gaps), marks=pytest.mark.long)
+            for kind in SEEN_LATE
+            for growth in (0.3, 2.0, 5.0)
+            for gaps in ([1.0, 1.0], [0.3] * 8)
+        ),
+    ],
+)
+def test_a_growing_plant_is_certified_however_late_its_first_sample(kind, growth, gaps, first):
+    """Before the first sample the error outgrows all that the rhythm ever leaves: no P1 can be judged by that alone."""
+    assert first > gaps[0]
+    plant = SEEN_LATE[kind](growth)
+    made = certify(plant, PeriodicSchedule(gaps, first))
+    assert made.lam >= np.exp((2 * growth + made.eta) * (first - gaps[0]))
+    assert made.verify().passed
+
+
+def test_the_least_noise_of_a_late_start_is_that_of_its_windows():
+    """From a known state the error of x' = a x + w has variance (e^{ct} - 1)/c after t, c = 2a + eta."""
+    plant, eta, first = Plant([[2.0]], [[1.0]]), 0.5, 2.0
+    problem = window_problem(
+        plant, PeriodicSchedule([1.0, 1.0], first), np.eye(1), np.eye(1), np.eye(1), np.eye(1), eta
+    )
+    rate = 4.0 + eta
+    assert WindowSet.of(problem).least_floor(np.ones(1)) == pytest.approx(np.expm1(rate * first) / rate, rel=1e-12)
 
 
 @pytest.mark.long

@@ -120,8 +120,9 @@ class PreciseWindows:
         """Y in the middle and at the end of gaps in the long run; finite: along the windows from P2^-1 = `prior`."""
         with precision(BITS):
             found = [floats(Y) for Y in self._later(2)]
-            if not found:
-                found = [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(matrix(prior), i, r, 2)]
+            if self.steady is None or self.times.first > self.times.gaps[0]:
+                X = matrix(prior if self.steady is None else 0 * prior)
+                found += [floats(Y) for i, r, _ in self.starts(1) for Y in self._window(X, i, r, 2)]
         return np.array(found)
 
     def least_floor(self, size: Array) -> float:

@@ -44,7 +44,7 @@ class Windows(Protocol):
         """Y after each sample of the period in the long run; None for a finite schedule."""
 
     def long_run(self, prior: Array) -> Array:
-        """Y in the long run; of a finite schedule, along its windows from P2^-1 = `prior`."""
+        """Y in the long run and of windows before it; of a finite schedule, along those from P2^-1 = `prior`."""
 
     def least_floor(self, size: Array) -> float:
         """The largest eigenvalue of size Y size in the long run."""
@@ -84,20 +84,31 @@ class WindowSet:
         return cls(problem, index, problem.flow(remaining), (F.reshape(shape), W.reshape(shape)), steady, work)
 
     def least_floor(self, size: Array) -> float:
-        """The largest eigenvalue of size Y size in the long run (finite: of the windows without prior error).
+        """The largest eigenvalue of size Y size in the long run and on the way there (of windows without prior error).
 
         No certificate with this eta has a smaller 1/lambda_min(P1), states counted in units of 1/size.
         """
         Y = self.long_run(np.zeros((self.problem.size, self.problem.size)))
         return float(np.linalg.eigvalsh(Y * size * size[:, None])[..., -1].max())
 
+    @property
+    def cycle(self) -> Array:
+        """Y within the gaps of the long-run period, (times, n, n); none of a finite schedule."""
+        n = self.problem.size
+        if self.steady is None:
+            return np.zeros((0, n, n))
+        follower = (np.arange(self.problem.count) + 1) % self.problem.count
+        return push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower]).reshape(-1, n, n)
+
     def long_run(self, prior: Array) -> Array:
-        """Y within the gaps of the long-run period; of a finite schedule, along its windows from P2^-1 = `prior`."""
-        if self.steady is not None:
-            follower = (np.arange(self.problem.count) + 1) % self.problem.count
-            return push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
-        Y, _, valid = self._paths(prior)
-        return np.asarray(Y[valid])
+        """Y within the gaps of the long-run period; of a finite schedule, along its windows from P2^-1 = `prior`.
+
+        A first sample that comes later than in the rhythm has windows that rise above the long run even from zero.
+        """
+        if self.problem.period is not None and not self.problem.times[0] > self.problem.gaps[0]:
+            return self.cycle
+        Y, _, valid = self._paths(prior if self.steady is None else np.zeros_like(prior), gains=False)
+        return np.concatenate([self.cycle, Y[valid]])
 
     def _paths(self, X: Array, gains: bool = True) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """Y and Phi at the noted times, shape (times, windows, n, n), and which of them lie within the schedule.
@@ -139,8 +150,7 @@ class WindowSet:
         half = np.asarray(np.linalg.inv(L), dtype=np.float64)
         Y, _, valid = self._paths(half.T @ half, gains=False)
         tops = []
-        if self.steady is not None:
-            cycle = self.long_run(P).reshape(-1, *P.shape)
+        if len(cycle := self.cycle):
             tops.append(_tops(L.T @ cycle @ L, np.ones(len(cycle), dtype=bool))[0].max())
         logs, _ = _tops(L.T @ Y @ L, valid)
         top = logs.max(axis=0)
@@ -152,12 +162,7 @@ class WindowSet:
         half = np.asarray(np.linalg.inv(L), dtype=np.float64)
         X = half.T @ half
         Y, Phi, valid = self._paths(X)
-        if self.steady is not None:
-            follower = (np.arange(self.problem.count) + 1) % self.problem.count
-            cycle = push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower])
-            cycle = cycle.reshape(-1, *X.shape)
-        else:
-            cycle = np.zeros((0, *X.shape))
+        cycle = self.cycle
         values, gradients = _smooth_max(L, half, X, Y, Phi, valid)
         if not len(cycle):
             return values, gradients

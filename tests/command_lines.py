@@ -166,6 +166,7 @@ def drawn(count: int, seed: int) -> list[list[str]]:
     return lines
 
 
+@functools.cache
 def options(name: str) -> list[Any]:
     """The options that a command declares, those of every command among them."""
     declared = get_command(app).commands[name].params

@@ -1,6 +1,7 @@
 """certify and verify: a certificate is written, checked, and refused once it is touched."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,20 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 
 
+MADE = []
+"""What `certify` said once, and the folder that it wrote then."""
+
+
 @pytest.fixture
-def certified(shell, tmp_path):
-    write_schedule(PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s"), tmp_path / "schedule.csv")
-    return shell("certify", OSCILLATOR, tmp_path / "schedule.csv", "-o", tmp_path), tmp_path
+def certified(shell, tmp_path, tmp_path_factory):
+    """What it said, and a copy of its folder that a test may spoil."""
+    if not MADE:
+        folder = tmp_path_factory.mktemp("certified")
+        write_schedule(PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s"), folder / "schedule.csv")
+        MADE.append((shell("certify", OSCILLATOR, folder / "schedule.csv", "-o", folder), folder))
+    said, folder = MADE[0]
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    return said, tmp_path
 
 
 def test_certify_prints_four_horizons_and_writes_everything(certified):

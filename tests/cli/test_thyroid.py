@@ -9,6 +9,7 @@ import pytest
 
 from sampling_design import thyroid_experiment
 from sampling_design.cli.thyroid import thyroid
+from tests.cases import few
 
 WITHOUT = """
 import sys
@@ -26,7 +27,7 @@ def test_the_command_and_the_function_have_the_same_defaults():
     assert {key: command[key].default for key in shared} == {key: verb[key].default for key in shared}
 
 
-def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
+def test_thyroid_writes_runs_report_and_figures_and_refuses_another_experiments_file(shell, tmp_path):
     result = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path)
     assert result.code == 0
     assert "what is done instead" in result.out
@@ -42,17 +43,13 @@ def test_thyroid_writes_runs_report_and_figures(shell, tmp_path):
     again = shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path, "--json")
     assert json.loads(again.out)["cases"] == data["cases"]
     assert json.loads(again.out)["format"] == data["format"] == "sampling-design/thyroid/1"
-
-
-def test_thyroid_refuses_another_experiments_file(shell, tmp_path):
-    shell("thyroid", "--days", 0.25, "--reading", "per_day", "--workers", 1, "-o", tmp_path)
     result = shell("thyroid", "--days", 0.25, "--seed", 5, "--workers", 1, "-o", tmp_path)
     assert result.code == 2
     assert "holds runs with seed = 0, asked for 5" in result.err
     assert shell("thyroid", "--reading", "per_week").code == 2
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", few([1, 2], 1))
 def test_without_the_extra_it_ends_in_one_sentence_that_names_it(tmp_path, workers):
     (tmp_path / "without.py").write_text(WITHOUT)
     flags = ["--days", "0.25", "--runs", "2", "--workers", str(workers), "-o", "out"]
